@@ -1,0 +1,102 @@
+# fingerpost from a fresh clone; `make` alone lists the targets.
+#
+# Needed beforehand: git, make, Python 3.11 or newer, and Rust. Whatever else is missing is
+# installed by the first target that needs it: Debian packages by apt, Python packages into .venv.
+
+VENV := .venv
+BIN := $(VENV)/bin
+STAMPS := $(VENV)/stamps
+
+# rustup installs below the home directory; a bare environment names neither.
+export HOME ?= $(shell /usr/bin/getent passwd "$$(/usr/bin/id -u)" | /usr/bin/cut -d: -f6)
+export CARGO_HOME ?= $(HOME)/.cargo
+export PATH := $(CARGO_HOME)/bin:$(or $(PATH),/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin)
+
+# Cargo, clippy and maturin must build against one and the same interpreter, or each would undo
+# the others' work; no other Python environment may shine through.
+export VIRTUAL_ENV := $(CURDIR)/$(VENV)
+export PYO3_PYTHON := $(CURDIR)/$(BIN)/python
+unexport CONDA_PREFIX PYTHONHOME PYTHONPATH
+export PIP_QUIET := 1
+export PIP_DISABLE_PIP_VERSION_CHECK := 1
+
+# What `shell` runs does not see the variables exported above.
+WITH_PATH := export PATH='$(PATH)';
+NEW_ENOUGH := import sys; sys.exit(sys.version_info < (3, 11))
+PYTHON ?= $(shell $(WITH_PATH) for python in python3 python3.11 python3.12 python3.13 python3.14; \
+	do $$python -c '$(NEW_ENOUGH)' 2>/dev/null && echo $$python && break; done)
+RUST_VERSION := $(shell $(WITH_PATH) sed -n 's/^rust-version = "\(.*\)"/\1/p' Cargo.toml)
+RUST_SOURCES := Cargo.toml Cargo.lock \
+	$(shell $(WITH_PATH) find crates -name '*.rs' -o -name Cargo.toml)
+
+.DEFAULT_GOAL := help
+.DELETE_ON_ERROR:
+.NOTPARALLEL:
+
+.PHONY: help demo test lint bench setup clean
+
+help: ## list the targets
+	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-6s  %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+
+demo: $(STAMPS)/extension ## the main job with nothing plugged in: pictures, a table, a summary
+	$(BIN)/fingerpost demo
+
+test: lint ## every check there is, in both languages
+	cargo test --locked --quiet
+	$(BIN)/python -m pytest
+
+lint: $(STAMPS)/extension ## formats, lints, types, documentation links, stubs
+	cargo fmt --all --check
+	cargo clippy --locked --quiet --workspace --all-targets -- --deny warnings
+	RUSTDOCFLAGS='--deny warnings' cargo doc --locked --quiet --no-deps
+	$(BIN)/ruff check --quiet
+	$(BIN)/ruff format --check --quiet
+	$(BIN)/mypy --no-error-summary
+	$(BIN)/stubtest --mypy-config-file pyproject.toml --concise fingerpost._core
+
+bench: $(STAMPS)/rust ## the time that each stage of the tracker takes
+	cargo bench --locked --package fingerpost-benches
+
+setup: $(STAMPS)/extension ## .venv with the extension built, and nothing more
+
+clean: ## remove everything that was installed or built here
+	rm -rf $(VENV) target python/fingerpost/_core*.so
+
+# --- what the targets stand on ---------------------------------------------------------------
+
+$(STAMPS)/extension: $(STAMPS)/rust $(STAMPS)/python $(RUST_SOURCES)
+	$(BIN)/maturin develop --release --locked --quiet
+	@touch $@
+
+$(STAMPS)/python: pyproject.toml $(STAMPS)/debian
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --upgrade 'pip>=25.1'
+	$(BIN)/python -m pip install --group dev
+	@touch $@
+
+$(STAMPS)/rust: Cargo.toml
+	@if ! have=$$(rustc --version 2>/dev/null | cut -d' ' -f2) || \
+	    ! printf '%s\n' $(RUST_VERSION) "$$have" | sort --version-sort --check=quiet; then \
+		echo "Rust $(RUST_VERSION) or newer is needed (found: $${have:-none}); run" \
+			"curl --proto '=https' -sSf https://sh.rustup.rs | sh -s -- -y   and make again" >&2; \
+		exit 1; \
+	fi
+	@mkdir -p $(@D) && touch $@
+
+# Rust links with the C compiler; Debian's Python comes without the module that makes .venv.
+$(STAMPS)/debian:
+	@if ! "$(PYTHON)" -c '$(NEW_ENOUGH)' 2>/dev/null; then \
+		echo "Python 3.11 or newer is needed; name one with make PYTHON=..." >&2; \
+		exit 1; \
+	fi
+	@missing=; \
+	command -v cc >/dev/null || missing="gcc libc6-dev"; \
+	$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || missing="$$missing python3-venv"; \
+	if [ -n "$$missing" ]; then \
+		echo "installing the Debian packages $$missing"; \
+		root=; [ "$$(id -u)" = 0 ] || root=sudo; \
+		$$root apt-get update --quiet=2 && \
+		$$root apt-get install --yes --no-install-recommends --quiet=2 $$missing || \
+		{ echo "please install $$missing with your system's package manager" >&2; exit 1; }; \
+	fi
+	@mkdir -p $(@D) && touch $@

@@ -1,0 +1,507 @@
+//! Weighted least squares for the step of a shape vector.
+//!
+//! Every equation says that a step δ of the shape vector should move the contour by the measured
+//! offset along one normal: rowᵀ δ = offset, with the offset's variance. Robust weights (Tukey) are
+//! found by iterated reweighting; the scale of the residual offsets is estimated from themselves.
+//! The solver reports what the equations determine: when they leave a direction of the shape
+//! space open it says so and returns no step, instead of choosing one.
+//!
+//! The two-stage solve is that of the 1994 tracker: translation first, then the deformations from
+//! what the translation leaves over (Hollinghurst & Cipolla 1994; the *residual offsets* of
+//! section 3.3 of the paper). It is no optimum when the two are correlated.
+//!
+//! This module never sees a pixel.
+
+use crate::{Error, Result};
+use nalgebra::{Cholesky, SMatrix, SVector};
+
+/// How gross errors are kept from the solution.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Loss {
+    /// Plain least squares.
+    None,
+    /// Tukey's biweight: equations whose residual exceeds `cutoff` robust standard deviations have
+    /// no say. 4.685 keeps 95 % efficiency on clean Gaussian offsets. Range: above 1.
+    Tukey {
+        /// Where the weight reaches zero \[robust standard deviations\].
+        cutoff: f64,
+    },
+}
+
+/// In which order the unknowns are solved for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Solve {
+    /// All components of the shape vector at once.
+    Joint,
+    /// The two components of translation first, then the others from the residual offsets, as the
+    /// 1994 tracker did.
+    TwoStage,
+}
+
+/// Options of [`Fitter`].
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct FitOptions {
+    /// Robust loss.
+    pub loss: Loss,
+    /// Order of the solve.
+    pub solve: Solve,
+    /// At most this many reweighted solutions, 1–100.
+    pub max_iterations: usize,
+    /// The robust scale of the residual offsets is never taken below this \[px\], 0–10: it covers
+    /// what image noise does not, a hand that is not quite the template.
+    pub min_scale_px: f64,
+}
+
+impl Default for FitOptions {
+    fn default() -> Self {
+        Self {
+            loss: Loss::Tukey { cutoff: 4.685 },
+            solve: Solve::Joint,
+            max_iterations: 10,
+            min_scale_px: 0.05,
+        }
+    }
+}
+
+/// The first weighting has no solution to trust yet, so its cutoff is this much wider.
+const FIRST_CUTOFF_FACTOR: f64 = 3.0;
+/// Turns the median absolute deviation of a normal distribution into its standard deviation.
+const MAD_TO_SIGMA: f64 = 1.4826;
+/// Reweighting has settled when no component moves by more than this part of its own sigma.
+const SETTLED: f64 = 1e-3;
+/// A direction is determined if its pivot exceeds this, every component scaled to unit information
+/// of its own.
+const RANK_TOLERANCE: f64 = 1e-9;
+
+/// Storage for equations of any number of unknowns, reused from solve to solve.
+#[derive(Debug, Clone, Default)]
+pub struct EquationBuffer {
+    rows: Vec<f64>,
+    offsets_px: Vec<f64>,
+    variances_px2: Vec<f64>,
+}
+
+impl EquationBuffer {
+    /// A buffer that holds `equations` equations of `unknowns` unknowns without allocating.
+    #[must_use]
+    pub fn with_capacity(equations: usize, unknowns: usize) -> Self {
+        Self {
+            rows: Vec::with_capacity(equations * unknowns),
+            offsets_px: Vec::with_capacity(equations),
+            variances_px2: Vec::with_capacity(equations),
+        }
+    }
+
+    /// Forgets what the buffer holds and takes equations of `D` unknowns.
+    pub fn clear<const D: usize>(&mut self) -> Equations<'_, D> {
+        self.rows.clear();
+        self.offsets_px.clear();
+        self.variances_px2.clear();
+        Equations(self)
+    }
+}
+
+/// Linear equations for the step: row · δ = offset ± √variance.
+#[derive(Debug)]
+pub struct Equations<'a, const D: usize>(&'a mut EquationBuffer);
+
+impl<const D: usize> Equations<'_, D> {
+    /// Adds one: `row` = ∂(n·X)/∂x, the measured offset along the normal \[px\] and its variance
+    /// \[px²\], positive.
+    ///
+    /// # Errors
+    /// When a number is not finite or the variance not positive; nothing is added then.
+    pub fn push(&mut self, row: &SVector<f64, D>, offset_px: f64, variance_px2: f64) -> Result<()> {
+        Error::finite("offset [px]", offset_px)?;
+        Error::finite("row of the Jacobian", row.sum())?;
+        Error::within("variance [px²]", variance_px2, "positive", |v| v > 0.0)?;
+        self.0.rows.extend_from_slice(row.as_slice());
+        self.0.offsets_px.push(offset_px);
+        self.0.variances_px2.push(variance_px2);
+        Ok(())
+    }
+
+    /// How many there are.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.0.offsets_px.len()
+    }
+
+    /// Whether there are none.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.0.offsets_px.is_empty()
+    }
+
+    /// The furthest that `step` moves any of the contour's samples along its normal \[px\].
+    #[must_use]
+    pub fn largest_motion(&self, step: &SVector<f64, D>) -> f64 {
+        self.iter().fold(0.0, |m, e| e.row.dot(step).abs().max(m))
+    }
+
+    fn iter(&self) -> impl Iterator<Item = Equation<D>> + '_ {
+        self.0.rows.chunks_exact(D).zip(&self.0.offsets_px).zip(&self.0.variances_px2).map(
+            |((row, &offset_px), &variance_px2)| Equation {
+                row: SVector::from_column_slice(row),
+                offset_px,
+                variance_px2,
+            },
+        )
+    }
+}
+
+struct Equation<const D: usize> {
+    row: SVector<f64, D>,
+    offset_px: f64,
+    variance_px2: f64,
+}
+
+/// A Gaussian belief about the step, from prediction or from what cannot change.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Prior<const D: usize> {
+    /// Expected step.
+    pub mean: SVector<f64, D>,
+    /// Inverse covariance of the belief; zero where nothing is believed.
+    pub information: SMatrix<f64, D, D>,
+}
+
+/// Whether the equations gave a step.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Outcome {
+    /// The step and its covariance are determined.
+    Determined,
+    /// There are fewer equations than unknowns, and no prior.
+    TooFewEquations,
+    /// The equations and the prior leave `D − rank` directions of the shape space open.
+    Undetermined,
+}
+
+/// What a fit found, and how well.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct FitReport<const D: usize> {
+    /// Whether `step` and `covariance` mean anything.
+    pub outcome: Outcome,
+    /// The step δ; zero unless determined.
+    pub step: SVector<f64, D>,
+    /// Σ w row rowᵀ / variance, plus the prior's.
+    pub information: SMatrix<f64, D, D>,
+    /// Covariance of the step, scaled by the residuals; zero unless determined.
+    pub covariance: SMatrix<f64, D, D>,
+    /// How many directions of the shape space the information determines.
+    pub rank: usize,
+    /// Solutions computed until the weights settled.
+    pub iterations: usize,
+    /// Equations given.
+    pub equations: usize,
+    /// Equations with more than a tenth of their full weight.
+    pub inliers: usize,
+    /// Root mean square of the inliers' residual offsets \[px\].
+    pub residual_rms_px: f64,
+    /// Robust standard deviation of the residual offsets \[px\].
+    pub residual_scale_px: f64,
+}
+
+/// Solves for steps; owns the buffers, so that solving allocates nothing once they have grown.
+#[derive(Debug, Clone)]
+pub struct Fitter {
+    options: FitOptions,
+    /// Variance of the residual offsets beyond that of the measurements.
+    misfit_px2: f64,
+    weights: Vec<f64>,
+    residuals: Vec<f64>,
+    sorted: Vec<f64>,
+}
+
+/// Equations of this many samples fit without another allocation.
+const USUAL_EQUATIONS: usize = 1024;
+
+impl Fitter {
+    /// A solver with the given options.
+    ///
+    /// # Errors
+    /// When an option is not finite or outside its documented range.
+    pub fn new(options: FitOptions) -> Result<Self> {
+        if let Loss::Tukey { cutoff } = options.loss {
+            Error::within("Tukey cutoff [robust sigma]", cutoff, "above 1", |c| c > 1.0)?;
+        }
+        Error::within("most iterations", options.max_iterations as f64, "1 to 100", |n| {
+            (1.0..=100.0).contains(&n)
+        })?;
+        Error::within("least residual scale [px]", options.min_scale_px, "0 to 10", |s| {
+            (0.0..=10.0).contains(&s)
+        })?;
+        let buffer = || Vec::with_capacity(USUAL_EQUATIONS);
+        Ok(Self {
+            options,
+            misfit_px2: 0.0,
+            weights: buffer(),
+            residuals: buffer(),
+            sorted: buffer(),
+        })
+    }
+
+    /// The options in force.
+    #[must_use]
+    pub fn options(&self) -> &FitOptions {
+        &self.options
+    }
+
+    /// Residual offsets of the last solution \[px\], in the order of its equations.
+    #[must_use]
+    pub fn residuals(&self) -> &[f64] {
+        &self.residuals
+    }
+
+    /// Robust weights of the last solution, 0–1, in the order of its equations.
+    #[must_use]
+    pub fn weights(&self) -> &[f64] {
+        &self.weights
+    }
+
+    /// The step that the equations, and the prior if there is one, agree on.
+    ///
+    /// The variances of the equations are those of their measurements; what the residual offsets
+    /// scatter beyond that is misfit of the model, the same for all, and is added to each.
+    pub fn solve<const D: usize>(
+        &mut self,
+        equations: &Equations<'_, D>,
+        prior: Option<&Prior<D>>,
+    ) -> FitReport<D> {
+        self.solve_with_scale(equations, prior, self.options.min_scale_px)
+    }
+
+    /// [`solve`](Self::solve) with another least scale of the residual offsets \[px\], not
+    /// negative: while a contour is still far from its edges, the few that tell how far must not
+    /// pass for gross errors.
+    pub fn solve_with_scale<const D: usize>(
+        &mut self,
+        equations: &Equations<'_, D>,
+        prior: Option<&Prior<D>>,
+        min_scale_px: f64,
+    ) -> FitReport<D> {
+        let least_misfit_px2 = self.options.min_scale_px * self.options.min_scale_px;
+        self.misfit_px2 = least_misfit_px2;
+        self.weights.clear();
+        self.weights.resize(equations.len(), 1.0);
+        self.residuals.clear();
+        self.residuals.extend_from_slice(&equations.0.offsets_px);
+        if prior.is_none() && equations.len() < D {
+            return self.undetermined(equations, Outcome::TooFewEquations, SMatrix::zeros(), 0);
+        }
+        let mut step = SVector::zeros();
+        let mut iteration = 0;
+        loop {
+            iteration += 1;
+            let normal = self.normal_equations(equations, prior);
+            let rank = rank(&normal.information);
+            let factor = match Cholesky::new(normal.information) {
+                Some(factor) if rank == D => factor,
+                _ => {
+                    let outcome = Outcome::Undetermined;
+                    return self.undetermined(equations, outcome, normal.information, rank);
+                }
+            };
+            let previous = step;
+            step = match self.options.solve {
+                Solve::Joint => factor.solve(&normal.right),
+                Solve::TwoStage => two_stage(&normal),
+            };
+            self.update_residuals(equations, &step);
+            let moved = step - previous;
+            let settled = moved.dot(&(normal.information * moved)) < SETTLED * SETTLED * D as f64;
+            if self.options.loss == Loss::None
+                || (iteration > 1 && settled)
+                || iteration >= self.options.max_iterations
+            {
+                return self.determined(equations, step, &factor, normal.information, iteration);
+            }
+            let scale_px = self.residual_scale();
+            let widened = if iteration == 1 { FIRST_CUTOFF_FACTOR } else { 1.0 };
+            self.reweight(widened * scale_px.max(min_scale_px));
+            self.misfit_px2 = misfit(equations, scale_px).max(least_misfit_px2);
+        }
+    }
+
+    fn normal_equations<const D: usize>(
+        &self,
+        equations: &Equations<'_, D>,
+        prior: Option<&Prior<D>>,
+    ) -> NormalEquations<D> {
+        let mut information = SMatrix::<f64, D, D>::zeros();
+        let mut right = SVector::<f64, D>::zeros();
+        for (equation, weight) in equations.iter().zip(&self.weights) {
+            let scaled = equation.row * (weight / (equation.variance_px2 + self.misfit_px2));
+            information.ger(1.0, &scaled, &equation.row, 1.0);
+            right.axpy(equation.offset_px, &scaled, 1.0);
+        }
+        if let Some(prior) = prior {
+            information += prior.information;
+            right += prior.information * prior.mean;
+        }
+        NormalEquations { information, right }
+    }
+
+    fn update_residuals<const D: usize>(
+        &mut self,
+        equations: &Equations<'_, D>,
+        step: &SVector<f64, D>,
+    ) {
+        for (residual, equation) in self.residuals.iter_mut().zip(equations.iter()) {
+            *residual = equation.offset_px - equation.row.dot(step);
+        }
+    }
+
+    /// Robust standard deviation of the residual offsets \[px\].
+    fn residual_scale(&mut self) -> f64 {
+        self.sorted.clear();
+        self.sorted.extend(self.residuals.iter().map(|r| r.abs()));
+        let middle = self.sorted.len() / 2;
+        if self.sorted.is_empty() {
+            return 0.0;
+        }
+        let (_, median, _) = self.sorted.select_nth_unstable_by(middle, f64::total_cmp);
+        MAD_TO_SIGMA * *median
+    }
+
+    fn reweight(&mut self, scale_px: f64) {
+        let Loss::Tukey { cutoff } = self.options.loss else { return };
+        let limit = cutoff * scale_px;
+        for (weight, residual) in self.weights.iter_mut().zip(&self.residuals) {
+            // Of a scale of zero, which exact data may have, zero residuals are within.
+            let t = if *residual == 0.0 { 0.0 } else { residual / limit };
+            *weight = (1.0 - t * t).max(0.0).powi(2);
+        }
+    }
+
+    fn determined<const D: usize>(
+        &mut self,
+        equations: &Equations<'_, D>,
+        step: SVector<f64, D>,
+        factor: &Cholesky<f64, nalgebra::Const<D>>,
+        information: SMatrix<f64, D, D>,
+        iterations: usize,
+    ) -> FitReport<D> {
+        let statistics = self.statistics(equations);
+        FitReport {
+            outcome: Outcome::Determined,
+            step,
+            information,
+            covariance: factor.inverse() * statistics.variance_factor(D),
+            rank: D,
+            iterations,
+            equations: equations.len(),
+            inliers: statistics.inliers,
+            residual_rms_px: statistics.rms_px,
+            residual_scale_px: self.residual_scale(),
+        }
+    }
+
+    fn undetermined<const D: usize>(
+        &mut self,
+        equations: &Equations<'_, D>,
+        outcome: Outcome,
+        information: SMatrix<f64, D, D>,
+        rank: usize,
+    ) -> FitReport<D> {
+        let statistics = self.statistics(equations);
+        FitReport {
+            outcome,
+            step: SVector::zeros(),
+            information,
+            covariance: SMatrix::zeros(),
+            rank,
+            iterations: 0,
+            equations: equations.len(),
+            inliers: statistics.inliers,
+            residual_rms_px: statistics.rms_px,
+            residual_scale_px: self.residual_scale(),
+        }
+    }
+
+    fn statistics<const D: usize>(&self, equations: &Equations<'_, D>) -> Statistics {
+        let mut s = Statistics::default();
+        let variances = &equations.0.variances_px2;
+        for ((variance, weight), residual) in
+            variances.iter().zip(&self.weights).zip(&self.residuals)
+        {
+            s.weight += weight;
+            s.chi_squared += weight * residual * residual / (variance + self.misfit_px2);
+            if *weight > 0.1 {
+                s.inliers += 1;
+                s.rms_px += residual * residual;
+            }
+        }
+        s.rms_px = (s.rms_px / s.inliers.max(1) as f64).sqrt();
+        s
+    }
+}
+
+/// What the residual offsets scatter beyond their measurements \[px²\].
+fn misfit<const D: usize>(equations: &Equations<'_, D>, scale_px: f64) -> f64 {
+    let variances = &equations.0.variances_px2;
+    let measured = variances.iter().sum::<f64>() / variances.len().max(1) as f64;
+    (scale_px * scale_px - measured).max(0.0)
+}
+
+struct NormalEquations<const D: usize> {
+    information: SMatrix<f64, D, D>,
+    right: SVector<f64, D>,
+}
+
+#[derive(Default)]
+struct Statistics {
+    weight: f64,
+    chi_squared: f64,
+    inliers: usize,
+    rms_px: f64,
+}
+
+impl Statistics {
+    /// How much larger the residuals are than their variances say; never below one, because few
+    /// residuals that happen to be small prove no better measurement.
+    fn variance_factor(&self, unknowns: usize) -> f64 {
+        let freedom = self.weight - unknowns as f64;
+        if freedom > 0.0 { (self.chi_squared / freedom).max(1.0) } else { 1.0 }
+    }
+}
+
+/// How many directions an information matrix determines: Cholesky with complete pivoting, each
+/// component in units of its own information.
+fn rank<const D: usize>(information: &SMatrix<f64, D, D>) -> usize {
+    let own = information.diagonal().map(|d| if d > 0.0 { 1.0 / d.sqrt() } else { 0.0 });
+    let mut left = information.component_mul(&(own * own.transpose()));
+    for found in 0..D {
+        let (pivot, value) = left.diagonal().argmax();
+        if value <= RANK_TOLERANCE {
+            return found;
+        }
+        let column = left.column(pivot).into_owned() / value.sqrt();
+        left -= column * column.transpose();
+        // Rounding must not bring a used pivot back.
+        left.row_mut(pivot).fill(0.0);
+        left.column_mut(pivot).fill(0.0);
+    }
+    D
+}
+
+/// Translation alone, then the rest from what it leaves over. `information` has full rank.
+fn two_stage<const D: usize>(normal: &NormalEquations<D>) -> SVector<f64, D> {
+    let NormalEquations { information, right } = normal;
+    let mut step = SVector::<f64, D>::zeros();
+    for block in [0..2.min(D), 2.min(D)..D] {
+        let left = right - information * step;
+        // Keep the block; an identity elsewhere leaves the other components at zero.
+        let mut own = SMatrix::<f64, D, D>::identity();
+        let mut own_right = SVector::<f64, D>::zeros();
+        for i in block.clone() {
+            own_right[i] = left[i];
+            for j in block.clone() {
+                own[(i, j)] = information[(i, j)];
+            }
+        }
+        if let Some(factor) = Cholesky::new(own) {
+            step += factor.solve(&own_right);
+        }
+    }
+    step
+}

@@ -1,0 +1,83 @@
+//! One captured frame: its grey image, and its colours where the camera has them.
+
+use crate::image::GrayView;
+use crate::{Error, Result};
+
+/// A borrowed view of interleaved 8-bit colours, three channels in any order that does not change
+/// from frame to frame. Never copies.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct ColourView<'a> {
+    data: &'a [u8],
+    width: usize,
+    height: usize,
+    stride: usize,
+}
+
+impl<'a> ColourView<'a> {
+    /// A view of `width` × `height` pixels of three bytes, `stride` bytes from one row to the next.
+    ///
+    /// # Errors
+    /// As for [`GrayView::new`], with rows of 3 · `width` bytes.
+    pub fn new(data: &'a [u8], width: usize, height: usize, stride: usize) -> Result<Self> {
+        let row = width.saturating_mul(3);
+        GrayView::new(data, row, height, stride)?;
+        Ok(Self { data, width, height, stride })
+    }
+
+    /// The three channels of a pixel, if it lies in the image.
+    #[must_use]
+    pub fn pixel(&self, x: usize, y: usize) -> Option<[u8; 3]> {
+        if x >= self.width || y >= self.height {
+            return None;
+        }
+        let at = y * self.stride + 3 * x;
+        self.data.get(at..at + 3)?.try_into().ok()
+    }
+}
+
+/// What one view captured at one time.
+#[derive(Debug, Clone, Copy)]
+pub struct Frame<'a> {
+    gray: GrayView<'a>,
+    colour: Option<ColourView<'a>>,
+}
+
+impl<'a> Frame<'a> {
+    /// A frame of a monochrome camera.
+    #[must_use]
+    pub fn gray(gray: GrayView<'a>) -> Self {
+        Self { gray, colour: None }
+    }
+
+    /// A frame with its colours; edges are measured in `gray`, the hand is told from what is
+    /// behind it by `colour`.
+    ///
+    /// # Errors
+    /// [`Error::SizesDiffer`] when the two are not of one size.
+    pub fn coloured(gray: GrayView<'a>, colour: ColourView<'a>) -> Result<Self> {
+        let (g, c) = ((gray.width(), gray.height()), (colour.width, colour.height));
+        if g == c {
+            Ok(Self { gray, colour: Some(colour) })
+        } else {
+            Err(Error::SizesDiffer { gray: g, colour: c })
+        }
+    }
+
+    /// The grey image.
+    #[must_use]
+    pub fn image(&self) -> &GrayView<'a> {
+        &self.gray
+    }
+
+    /// The colours.
+    #[must_use]
+    pub fn colour(&self) -> Option<&ColourView<'a>> {
+        self.colour.as_ref()
+    }
+}
+
+impl<'a> From<GrayView<'a>> for Frame<'a> {
+    fn from(gray: GrayView<'a>) -> Self {
+        Self::gray(gray)
+    }
+}

@@ -1,0 +1,792 @@
+//! The life of a hand in one view: *acquiring*, *tracking*, *lost*.
+//!
+//! **Acquiring.** The template waits at its start pose until a hand is held up to it, and moulds
+//! itself to finger and thumb. A fit counts only if it is *accepted* (below) and is about the size
+//! of the template that waits; otherwise the template goes back to its start. It has *settled*
+//! when, over [`AcquireOptions::settle_frames`] accepted frames in a row, no frame changed the
+//! finger's half-width by more than [`AcquireOptions::settle_change`] of it: the hand may move
+//! meanwhile. [`Model::Paper`] then deforms affinely once more and freezes the size.
+//!
+//! **Tracking.** Of the band model everything stays free, but what a hand cannot change is held
+//! near its acquired value by a prior. The paper's model keeps the settled size; rigid motion and
+//! one shear remain (rigid motion alone where the template has no thumb: nothing but the thumb
+//! shows the shear).
+//!
+//! **Lost.** After [`TrackOptions::lose_after_frames`] frames without an accepted fit the hand is
+//! lost. It is looked for where it last was and where the template first waited, until a fit
+//! settles again.
+//!
+//! A fit is accepted when it is determined, enough of the visible contour has an edge that agrees
+//! with it, and the residual offsets of those are small; see [`AcceptOptions`]. A frame whose fit
+//! is not accepted yields no finger line.
+//!
+//! Source: Cipolla, Hadfield & Hollinghurst 1994, section 3.2.
+
+mod convergence;
+mod mould;
+mod options;
+
+use crate::appearance::Appearance;
+use crate::fit::Prior;
+use crate::frame::Frame;
+use crate::search::{Cue, EdgeMeasurement, MAX_HALF_LENGTH_PX, Scale, SearchLine};
+use crate::shape_space::{
+    Affine, AffineMap, Axis, BandMeasure, PlacedSample, PlanarSpace, Pose, RIBBON_DOF, Ribbon,
+    RibbonVector, Rigid, RigidShear, ShapeSpace, Similarity, Translation, ribbon_of,
+};
+use crate::template::{HALF_LENGTH, Template, TemplateSample};
+use crate::{Error, Result};
+use convergence::{Attempt, Converged, Convergence, Fit};
+use mould::{Kind, Mould, finger_samples};
+use nalgebra::{Matrix2, Point2, SMatrix, SVector, Vector2};
+pub use options::{AcceptOptions, AcquireOptions, Model, TrackOptions, TrackerOptions};
+
+/// Where the template waits for the hand.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct StartPose {
+    /// The finger's tip \[px\].
+    pub tip_px: Point2<f64>,
+    /// Direction of pointing \[rad\], from +u (right) towards +v (down).
+    pub angle_rad: f64,
+    /// Visible length of the index finger \[px\], positive.
+    pub length_px: f64,
+}
+
+/// Where the tracker is in the life of a hand.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Status {
+    /// The template waits, or moulds itself to a hand that is held up to it.
+    Acquiring,
+    /// The hand is followed.
+    Tracking,
+    /// The hand was followed and is gone; it is looked for.
+    Lost,
+}
+
+/// The image line that the finger points along.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct FingerLine {
+    /// The axis: a point of it, its tip and its direction.
+    pub axis: Axis,
+    /// Covariance of (offset \[px\] along the line's normal at the anchor, angle \[rad\]).
+    pub covariance: Matrix2<f64>,
+}
+
+/// Components of the largest shape space.
+pub const MAX_DOF: usize = RIBBON_DOF;
+
+/// A shape vector, its covariance and what its components are.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ShapeEstimate {
+    /// Name and unit of each component.
+    pub names: &'static [&'static str],
+    /// The shape vector; components from `names.len()` on are zero.
+    pub vector: SVector<f64, MAX_DOF>,
+    /// Its covariance; rows and columns from `names.len()` on are zero.
+    pub covariance: SMatrix<f64, MAX_DOF, MAX_DOF>,
+}
+
+/// Why a frame went the way it did.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Diagnostics {
+    /// Samples of the contour that no other limb hides.
+    pub visible: usize,
+    /// Those that found an edge.
+    pub hits: usize,
+    /// Edges that agree with the fit.
+    pub inliers: usize,
+    /// Root mean square of the residual offsets of those \[px\].
+    pub residual_rms_px: f64,
+    /// Directions of the shape space that the measurements determine.
+    pub rank: usize,
+    /// Searches along the normals in the last shape space.
+    pub iterations: usize,
+    /// Whether the fit was determined and accepted.
+    pub accepted: bool,
+}
+
+/// What one frame told.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Track {
+    /// When the frame was captured \[s\].
+    pub time_s: f64,
+    /// Where the tracker is after it.
+    pub status: Status,
+    /// The fitted shape, if the frame's fit was accepted.
+    pub shape: Option<ShapeEstimate>,
+    /// The finger line, if the hand is tracked and the frame's fit was accepted.
+    pub finger_line: Option<FingerLine>,
+    /// Why.
+    pub diagnostics: Diagnostics,
+}
+
+/// Follows one hand in one view.
+#[derive(Debug, Clone)]
+pub struct ContourTracker {
+    template: Template,
+    options: TrackerOptions,
+    samples: Vec<TemplateSample>,
+    waiting: Waiting,
+    convergence: Convergence,
+    hand: Hand,
+    phase: Phase,
+    last_time_s: Option<f64>,
+}
+
+/// The template before it has seen a hand.
+#[derive(Debug, Clone, Copy)]
+struct Waiting {
+    map: AffineMap,
+    ribbon: RibbonVector,
+    measure: BandMeasure,
+}
+
+/// The hand as it is known now.
+#[derive(Debug, Clone)]
+struct Hand {
+    shape: Shape,
+    /// The band template when the hand was acquired.
+    acquired: RibbonVector,
+    /// What the acquired hand shows.
+    kind: Kind,
+    /// The planar template moulded to this hand; unused by the band model.
+    moulded: Vec<TemplateSample>,
+    /// What it looks like, once it was seen.
+    appearance: Option<Appearance>,
+}
+
+/// What the contour in the image is made from.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Shape {
+    Ribbon(RibbonVector),
+    Planar(AffineMap),
+}
+
+/// The status, with what it has to remember.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Phase {
+    /// `settled` accepted frames in a row.
+    Acquiring { settled: usize },
+    /// `missed` frames in a row without an accepted fit.
+    Tracking { missed: usize, motion: Motion },
+    /// Where the hand was last, and what it showed; `settled` accepted frames in a row since.
+    Lost { last: (Shape, Kind), settled: usize },
+}
+
+/// How fast the hand moved last.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Motion {
+    accepted_s: f64,
+    velocity_px_s: Vector2<f64>,
+}
+
+/// How far a convergence looks along the normals, and whether by the pixels' votes or by edges.
+#[derive(Debug, Clone, Copy)]
+struct Look {
+    half_length_px: f64,
+    votes: bool,
+    scale: Scale,
+}
+
+impl Look {
+    fn edges(half_length_px: f64) -> Self {
+        Self { half_length_px, votes: false, scale: Scale::Fine }
+    }
+}
+
+impl Hand {
+    /// The band template's samples that take part: the finger's, and the thumb's if it is seen.
+    fn seen<'a>(&self, samples: &'a [TemplateSample]) -> &'a [TemplateSample] {
+        if self.kind.has_thumb { samples } else { finger_samples(samples) }
+    }
+
+    /// What is known of the hand's looks that this frame can show: its colours only in colour.
+    fn known_in(&self, frame: &Frame<'_>) -> Option<&Appearance> {
+        self.appearance.as_ref().filter(|a| !a.is_coloured() || frame.colour().is_some())
+    }
+
+    fn cue(&self, frame: &Frame<'_>, look: Look) -> Cue<'_> {
+        match self.known_in(frame) {
+            Some(appearance) if look.votes => Cue::Votes(appearance),
+            Some(appearance) => Cue::HandEdges(appearance),
+            None => Cue::Edges,
+        }
+    }
+}
+
+/// What one frame's fit came to.
+struct Found<T = Shape> {
+    shape: T,
+    fit: Option<Fit>,
+    iterations: usize,
+}
+
+impl Found {
+    fn is_accepted(&self, accept: &AcceptOptions) -> bool {
+        self.fit.is_some_and(|f| f.is_accepted(accept))
+    }
+
+    /// The part of the visible contour that the fit explains, 0–1.
+    fn explained(&self) -> f64 {
+        self.fit.map_or(0.0, |f| f.support.share())
+    }
+}
+
+impl From<Found<AffineMap>> for Found {
+    fn from(found: Found<AffineMap>) -> Self {
+        let Found { shape, fit, iterations } = found;
+        Self { shape: Shape::Planar(shape), fit, iterations }
+    }
+}
+
+impl From<Converged<RIBBON_DOF>> for Found {
+    fn from(found: Converged<RIBBON_DOF>) -> Self {
+        let Converged { x, fit, iterations } = found;
+        Self { shape: Shape::Ribbon(x), fit, iterations }
+    }
+}
+
+/// How far what a hand cannot change may stray while it is tracked: standard deviations of the
+/// band template, in parts of the finger's half-width, of 1 for the taper, and of its length. The
+/// thumb may move, and foreshortening moves its root.
+const HELD_WIDTH_SIGMA: f64 = 0.06;
+const HELD_TAPER_SIGMA: f64 = 0.03;
+const HELD_THUMB_SIGMA: f64 = 0.1;
+
+/// A lost hand is looked for this much further than a tracked one.
+const LOST_REACH: f64 = 2.0;
+/// A fit that explains this part of the contour needs no second look from afar.
+const SURE: f64 = 0.85;
+/// Once votes have led the contour to the hand, its edges are looked for this far \[px\].
+const NEAR_PX: f64 = 10.0;
+/// The edge itself, this far to either side, is of neither colour; appearance is learned up to that
+/// far from it \[px\].
+const EDGE_PX: f64 = 2.0;
+const APPEARANCE_REACH_PX: f64 = 14.0;
+
+impl ContourTracker {
+    /// A tracker whose template waits at `start`.
+    ///
+    /// # Errors
+    /// When the start pose or an option is not finite or outside its documented range, and
+    /// [`Error::Unsupported`] for a traced outline with [`Model::Ribbon`]: only a pistol has bands.
+    pub fn new(template: Template, start: &StartPose, options: TrackerOptions) -> Result<Self> {
+        options.check()?;
+        let map = AffineMap::upright(start.tip_px, start.angle_rad, start.length_px)?;
+        let length_px = start.length_px;
+        let (ribbon, measure) = match template.proportions() {
+            Some(p) => (ribbon_of(p, &map), BandMeasure::of(p, length_px)),
+            None if options.model == Model::Paper => {
+                let round_end_px = HALF_LENGTH * length_px;
+                (RibbonVector::zeros(), BandMeasure { length_px, round_end_px, side: 0.0 })
+            }
+            None => {
+                return Err(Error::Unsupported {
+                    what: "the band model",
+                    needs: "a pistol template; a traced outline is tracked by the paper's model",
+                });
+            }
+        };
+        let samples = template.samples(options.samples)?;
+        let waiting = Waiting { map, ribbon, measure };
+        let hand = Hand {
+            shape: waiting.shape(&template),
+            acquired: ribbon,
+            kind: waiting.kind(&options),
+            moulded: Vec::with_capacity(samples.len()),
+            appearance: None,
+        };
+        Ok(Self {
+            convergence: Convergence::new(&options)?,
+            phase: Phase::Acquiring { settled: 0 },
+            last_time_s: None,
+            template,
+            options,
+            samples,
+            waiting,
+            hand,
+        })
+    }
+
+    /// Takes one frame, captured at `time_s`, and tells where the hand is.
+    ///
+    /// # Errors
+    /// When `time_s` is not finite or before the last frame's. A hand that is not there is no
+    /// error but a [`Status`].
+    pub fn update(&mut self, frame: &Frame<'_>, time_s: f64) -> Result<Track> {
+        let last = self.last_time_s.unwrap_or(f64::NEG_INFINITY);
+        Error::finite("frame time [s]", time_s)?;
+        Error::within("frame time [s]", time_s, "at or after the last frame's", |t| t >= last)?;
+        self.last_time_s = Some(time_s);
+        match self.phase {
+            Phase::Acquiring { settled } => self.acquire(frame, time_s, settled, None),
+            Phase::Lost { last, settled } => self.recover(frame, time_s, settled, last),
+            Phase::Tracking { missed, motion } => self.follow(frame, time_s, missed, motion),
+        }
+    }
+
+    /// The template.
+    #[must_use]
+    pub fn template(&self) -> &Template {
+        &self.template
+    }
+
+    /// The options in force.
+    #[must_use]
+    pub fn options(&self) -> &TrackerOptions {
+        &self.options
+    }
+
+    /// The contour as it stands in the image after the last frame, or where it waits.
+    #[must_use]
+    pub fn contour(&self) -> Vec<PlacedSample> {
+        match self.hand.shape {
+            Shape::Planar(map) => self.planar_samples().iter().map(|s| map.place(s)).collect(),
+            Shape::Ribbon(x) => match self.ribbon::<RIBBON_DOF>(&x) {
+                Ok(space) => {
+                    let pose = space.pose(&x);
+                    let placed = self.hand.seen(&self.samples).iter().map(|s| (s, pose.place(s)));
+                    placed.filter(|(s, p)| !pose.is_hidden(s, p)).map(|(_, p)| p).collect()
+                }
+                Err(_) => Vec::new(),
+            },
+        }
+    }
+
+    /// The last search: lines, and what each one found.
+    #[must_use]
+    pub fn search_lines(&self) -> impl ExactSizeIterator<Item = (&SearchLine, &EdgeMeasurement)> {
+        self.convergence.search_lines()
+    }
+
+    /// One frame of looking for a lost hand: where it was last, then at the waiting template.
+    fn recover(
+        &mut self,
+        frame: &Frame<'_>,
+        time_s: f64,
+        settled: usize,
+        last: (Shape, Kind),
+    ) -> Result<Track> {
+        let (shape, kind) = last;
+        self.hand.kind = kind;
+        let reach_px = LOST_REACH * self.options.track.half_length_px;
+        let found = self.find(frame, shape, reach_px.min(MAX_HALF_LENGTH_PX as f64))?;
+        if found.is_accepted(&self.options.acquire.accept) {
+            self.hand.shape = found.shape;
+            self.phase = Phase::Tracking { missed: 0, motion: Motion::at_rest(time_s) };
+            return Ok(self.track(time_s, Status::Tracking, &found, true));
+        }
+        self.acquire(frame, time_s, settled, Some(last))
+    }
+
+    /// One frame of acquisition, for the first time or after a loss.
+    fn acquire(
+        &mut self,
+        frame: &Frame<'_>,
+        time_s: f64,
+        settled: usize,
+        lost: Option<(Shape, Kind)>,
+    ) -> Result<Track> {
+        let AcquireOptions { accept, settle_frames, settle_change, .. } = self.options.acquire;
+        let width_before = self.hand.shape.width();
+        let found = self.mould(frame, settled)?;
+        let accepted = found.is_accepted(&accept);
+        let change = (found.shape.width() / width_before - 1.0).abs();
+        let settled = match (accepted, settled) {
+            (false, _) => 0,
+            (true, 0) => 1,
+            (true, n) if change <= settle_change => n + 1,
+            (true, _) => 1,
+        };
+        if accepted {
+            self.hand.shape = found.shape;
+        } else {
+            self.hand.shape = self.waiting.shape(&self.template);
+            self.hand.kind = self.waiting.kind(&self.options);
+        }
+        if settled >= settle_frames
+            && let Some(acquired) = self.freeze(frame)?
+        {
+            self.phase = Phase::Tracking { missed: 0, motion: Motion::at_rest(time_s) };
+            return Ok(self.track(time_s, Status::Tracking, &acquired, true));
+        }
+        let (phase, status) = lost
+            .map_or((Phase::Acquiring { settled }, Status::Acquiring), |last| {
+                (Phase::Lost { last, settled }, Status::Lost)
+            });
+        self.phase = phase;
+        Ok(self.track(time_s, status, &found, accepted))
+    }
+
+    /// The hand at the waiting template, or where an earlier frame has found it.
+    fn mould(&mut self, frame: &Frame<'_>, settled: usize) -> Result<Found> {
+        let mould = Mould {
+            options: &self.options,
+            samples: &self.samples,
+            waiting: &self.waiting.ribbon,
+            measure: self.waiting.measure,
+        };
+        let moulded = match self.hand.shape {
+            _ if self.template.proportions().is_none() => {
+                let half_length_px = self.options.acquire.half_length_px;
+                return self.affine(frame, self.waiting.map, half_length_px);
+            }
+            Shape::Ribbon(x) if settled > 0 => {
+                mould.refit(&mut self.convergence, frame, &x, self.hand.kind)?
+            }
+            _ => mould.find(&mut self.convergence, frame)?,
+        };
+        self.hand.kind = moulded.kind;
+        Ok(moulded.hand.into())
+    }
+
+    /// Keeps the settled hand's dimensions and looks: tracking starts from them. None if the
+    /// paper's template cannot take them on.
+    fn freeze(&mut self, frame: &Frame<'_>) -> Result<Option<Found>> {
+        self.hand.appearance = None;
+        self.learn_appearance(frame);
+        if let Some(appearance) = &mut self.hand.appearance {
+            appearance.anchor();
+        }
+        let frozen = match (self.hand.shape, self.options.model) {
+            (Shape::Ribbon(x), Model::Ribbon) => {
+                self.hand.acquired = x;
+                self.settle(frame, self.hand.shape, Scale::Fine)?
+            }
+            (Shape::Ribbon(x), Model::Paper) => {
+                let length_px = self.waiting.measure.length_px;
+                // A thumb that the image shows nearly along the finger makes no pistol; the finger
+                // does without it.
+                let with_thumb = self.hand.kind.has_thumb;
+                let pistol = self.template.moulded(&x, length_px, with_thumb);
+                self.hand.kind.has_thumb = with_thumb && pistol.is_ok();
+                let Ok(template) = pistol.or_else(|_| self.template.moulded(&x, length_px, false))
+                else {
+                    return Ok(None);
+                };
+                self.hand.moulded = template.samples(self.options.samples)?;
+                let tip = self.ribbon::<RIBBON_DOF>(&x)?.pose(&x).axis().tip;
+                self.affine(frame, AffineMap::upright(tip, x[2], length_px)?, NEAR_PX)?
+            }
+            (Shape::Planar(map), _) => self.affine(frame, map, NEAR_PX)?,
+        };
+        if frozen.is_accepted(&self.options.track.accept) {
+            self.hand.shape = frozen.shape;
+            Ok(Some(frozen))
+        } else {
+            Ok(None)
+        }
+    }
+
+    /// Whether the planar template has a thumb that shows length and shear; a traced outline is
+    /// taken to be no mere finger.
+    fn shows_shear(&self) -> bool {
+        self.hand.kind.has_thumb || self.template.proportions().is_none()
+    }
+
+    /// One frame of tracking.
+    fn follow(
+        &mut self,
+        frame: &Frame<'_>,
+        time_s: f64,
+        missed: usize,
+        motion: Motion,
+    ) -> Result<Track> {
+        let TrackOptions { half_length_px, accept, lose_after_frames, .. } = self.options.track;
+        let elapsed_s = time_s - motion.accepted_s;
+        let from = self.hand.shape;
+        let predicted = from.moved(&motion.over(elapsed_s));
+        // Where it is not seen it may go on moving: every miss widens the search.
+        let reach_px = half_length_px * (1.0 + missed as f64);
+        let found = self.find(frame, predicted, reach_px.min(MAX_HALF_LENGTH_PX as f64))?;
+        if found.is_accepted(&accept) {
+            let moved_px = found.shape.centre() - from.centre();
+            let motion = motion.after(&moved_px, time_s);
+            self.hand.shape = found.shape;
+            self.learn_appearance(frame);
+            self.phase = Phase::Tracking { missed: 0, motion };
+            return Ok(self.track(time_s, Status::Tracking, &found, true));
+        }
+        let missed = missed + 1;
+        let status = if missed >= lose_after_frames {
+            self.phase = Phase::Lost { last: (from, self.hand.kind), settled: 0 };
+            Status::Lost
+        } else {
+            self.phase = Phase::Tracking { missed, motion };
+            Status::Tracking
+        };
+        Ok(self.track(time_s, status, &found, false))
+    }
+
+    /// The hand about a predicted shape. Its edges are usually near and sharp; when they explain
+    /// the contour badly, the votes lead there from afar, and a larger kernel sees edges that motion
+    /// has smeared. What explains the contour best counts.
+    fn find(&mut self, frame: &Frame<'_>, predicted: Shape, half_length_px: f64) -> Result<Found> {
+        let near = self.settle(frame, predicted, Scale::Fine)?;
+        if near.explained() >= SURE {
+            return Ok(near);
+        }
+        let approached = self.approach(frame, predicted, half_length_px)?;
+        let smeared = self.settle(frame, approached, Scale::Coarse)?;
+        let sharp = self.settle(frame, smeared.shape, Scale::Fine)?;
+        if sharp.explained() >= near.explained().max(smeared.explained()) {
+            return Ok(sharp);
+        }
+        if smeared.explained() >= near.explained() {
+            return self.settle(frame, smeared.shape, Scale::Coarse);
+        }
+        self.settle(frame, near.shape, Scale::Fine)
+    }
+
+    /// From afar: the template moves, then turns, until it covers what looks like the hand.
+    fn approach(&mut self, frame: &Frame<'_>, from: Shape, half_length_px: f64) -> Result<Shape> {
+        let votes = self.hand.known_in(frame).is_some();
+        let look = Look { half_length_px, votes, scale: Scale::Fine };
+        Ok(match from {
+            Shape::Planar(map) => {
+                let moved = self.planar::<Translation, 2>(frame, map, look)?;
+                Shape::Planar(self.planar::<Rigid, 3>(frame, moved.shape, look)?.shape)
+            }
+            Shape::Ribbon(x) => {
+                let moved = self.run_ribbon::<2>(frame, &x, look, None)?;
+                Shape::Ribbon(self.run_ribbon::<3>(frame, &moved.x, look, None)?.x)
+            }
+        })
+    }
+
+    /// From nearby, by edges: everything that the model leaves a tracked hand. The paper's leans
+    /// its thumb, if it has one to show the shear; the band model takes up what a hand can change.
+    fn settle(&mut self, frame: &Frame<'_>, from: Shape, scale: Scale) -> Result<Found> {
+        let look = Look { scale, ..Look::edges(NEAR_PX) };
+        Ok(match from {
+            Shape::Planar(map) if self.shows_shear() => {
+                let turned = self.planar::<Rigid, 3>(frame, map, look)?;
+                self.planar::<RigidShear, 4>(frame, turned.shape, look)?.into()
+            }
+            Shape::Planar(map) => self.planar::<Rigid, 3>(frame, map, look)?.into(),
+            Shape::Ribbon(x) => {
+                let turned = self.run_ribbon::<3>(frame, &x, look, None)?;
+                if self.hand.kind.has_thumb {
+                    let held = self.held::<RIBBON_DOF>(&x);
+                    self.run_ribbon::<RIBBON_DOF>(frame, &turned.x, look, Some(&held))?.into()
+                } else {
+                    let held = self.held::<5>(&x);
+                    self.run_ribbon::<5>(frame, &turned.x, look, Some(&held))?.into()
+                }
+            }
+        })
+    }
+
+    /// The paper's acquisition: the template moves, turns, then deforms affinely; a finger alone,
+    /// which shows neither length nor shear, only grows.
+    fn affine(&mut self, frame: &Frame<'_>, from: AffineMap, half_length_px: f64) -> Result<Found> {
+        let look = Look::edges(half_length_px);
+        let moved = self.planar::<Translation, 2>(frame, from, look)?;
+        let turned = self.planar::<Rigid, 3>(frame, moved.shape, look)?;
+        Ok(if self.shows_shear() {
+            self.planar::<Affine, 6>(frame, turned.shape, look)?.into()
+        } else {
+            self.planar::<Similarity, 4>(frame, turned.shape, look)?.into()
+        })
+    }
+
+    /// One planar shape space; a fit that mirrors or flattens the template is none.
+    fn planar<S: PlanarSpace<D>, const D: usize>(
+        &mut self,
+        frame: &Frame<'_>,
+        from: AffineMap,
+        look: Look,
+    ) -> Result<Found<AffineMap>> {
+        let Ok((space, x)) = S::through(&from) else {
+            return Ok(Found { shape: from, fit: None, iterations: 0 });
+        };
+        let samples = if self.hand.moulded.is_empty() { &self.samples } else { &self.hand.moulded };
+        let attempt = Attempt {
+            samples,
+            cue: self.hand.cue(frame, look),
+            scale: look.scale,
+            half_length_px: look.half_length_px,
+            polarity: self.options.polarity,
+        };
+        let found = self.convergence.run(frame, &space, x, &attempt, None)?;
+        let map = space.pose(&found.x);
+        let sound = map.decompose().is_ok();
+        Ok(Found {
+            shape: if sound { map } else { from },
+            fit: found.fit.filter(|_| sound),
+            iterations: found.iterations,
+        })
+    }
+
+    /// One prefix of the band template's shape vector.
+    fn run_ribbon<const D: usize>(
+        &mut self,
+        frame: &Frame<'_>,
+        from: &RibbonVector,
+        look: Look,
+        held: Option<&Prior<D>>,
+    ) -> Result<Converged<RIBBON_DOF>> {
+        let space = self.ribbon::<D>(from)?;
+        let attempt = Attempt {
+            samples: self.hand.seen(&self.samples),
+            cue: self.hand.cue(frame, look),
+            scale: look.scale,
+            half_length_px: look.half_length_px,
+            polarity: self.options.polarity,
+        };
+        let x = Ribbon::<D>::free(from);
+        let found = self.convergence.run(frame, &space, x, &attempt, held)?;
+        Ok(Converged { x: space.full(&found.x), fit: found.fit, iterations: found.iterations })
+    }
+
+    fn ribbon<const D: usize>(&self, about: &RibbonVector) -> Result<Ribbon<D>> {
+        Ribbon::about(about, &self.waiting.measure.with_thumb(self.hand.kind.has_thumb))
+    }
+
+    /// What the hand cannot change: the widths and the taper are those it was acquired with, the
+    /// thumb is near where it was in the last frame.
+    fn held<const D: usize>(&self, last: &RibbonVector) -> Prior<D> {
+        let acquired = &self.hand.acquired;
+        let thumb_px = HELD_THUMB_SIGMA * self.waiting.measure.length_px;
+        let held = [
+            (0.0, f64::INFINITY),
+            (0.0, f64::INFINITY),
+            (0.0, f64::INFINITY),
+            (acquired[3], HELD_WIDTH_SIGMA * acquired[3]),
+            (acquired[4], HELD_TAPER_SIGMA),
+            (last[5], thumb_px),
+            (last[6], thumb_px),
+            (last[7], thumb_px),
+            (acquired[8], HELD_WIDTH_SIGMA * acquired[8]),
+        ];
+        let mut prior = Prior { mean: SVector::zeros(), information: SMatrix::zeros() };
+        for (i, (mean, sigma)) in held.iter().take(D).enumerate() {
+            prior.mean[i] = *mean;
+            prior.information[(i, i)] = sigma.powi(-2);
+        }
+        prior
+    }
+
+    fn planar_samples(&self) -> &[TemplateSample] {
+        if self.hand.moulded.is_empty() { &self.samples } else { &self.hand.moulded }
+    }
+
+    /// Takes over what the last accepted fit saw on either side of the contour.
+    fn learn_appearance(&mut self, frame: &Frame<'_>) {
+        let depth_px = (2.0 * self.hand.shape.width() - EDGE_PX).clamp(3.0, APPEARANCE_REACH_PX);
+        let coloured = frame.colour().is_some();
+        if self.hand.appearance.as_ref().is_some_and(|a| a.is_coloured() && !coloured) {
+            return;
+        }
+        let known = self.hand.appearance.take().filter(|a| a.is_coloured() == coloured);
+        let mut appearance = known.unwrap_or_else(|| Appearance::new(coloured));
+        appearance.fade(1.0 - self.options.track.appearance_rate as f32);
+        for PlacedSample { position, normal } in self.convergence.agreeing() {
+            let mut k = EDGE_PX;
+            while k <= APPEARANCE_REACH_PX {
+                let (inside, outside) = (position - normal * k, position + normal * k);
+                if k <= depth_px {
+                    appearance.observe(frame, inside.x, inside.y, true);
+                }
+                if k >= 2.0 * EDGE_PX {
+                    appearance.observe(frame, outside.x, outside.y, false);
+                }
+                k += 1.0;
+            }
+        }
+        appearance.learn();
+        self.hand.appearance = Some(appearance);
+    }
+
+    /// The story of one frame.
+    fn track(&self, time_s: f64, status: Status, found: &Found, accepted: bool) -> Track {
+        let shown = found.fit.filter(|_| accepted);
+        Track {
+            time_s,
+            status,
+            shape: shown.map(|f| f.shape),
+            finger_line: shown
+                .filter(|_| status == Status::Tracking)
+                .map(|f| FingerLine { axis: f.axis, covariance: f.line_covariance }),
+            diagnostics: Diagnostics {
+                hits: self.convergence.hits(),
+                iterations: found.iterations,
+                accepted,
+                visible: found.fit.map_or(0, |f| f.visible),
+                inliers: found.fit.map_or(0, |f| f.inliers),
+                residual_rms_px: found.fit.map_or(0.0, |f| f.residual_rms_px),
+                rank: found.fit.map_or(0, |f| f.rank),
+            },
+        }
+    }
+}
+
+impl Waiting {
+    /// What a hand would show that is just like the template.
+    fn kind(&self, options: &TrackerOptions) -> Kind {
+        Kind { has_thumb: self.measure.side != 0.0, polarity: options.polarity }
+    }
+
+    fn shape(&self, template: &Template) -> Shape {
+        match template.proportions() {
+            Some(_) => Shape::Ribbon(self.ribbon),
+            None => Shape::Planar(self.map),
+        }
+    }
+}
+
+impl Shape {
+    fn centre(&self) -> Point2<f64> {
+        match self {
+            Self::Ribbon(x) => Point2::new(x[0], x[1]),
+            Self::Planar(map) => map.centre,
+        }
+    }
+
+    /// Half the width of the finger, up to a factor that the template fixes.
+    fn width(&self) -> f64 {
+        match self {
+            Self::Ribbon(x) => x[3],
+            Self::Planar(map) => map.linear.determinant() / map.linear.column(0).norm(),
+        }
+    }
+
+    fn moved(&self, by_px: &Vector2<f64>) -> Self {
+        match *self {
+            Self::Ribbon(mut x) => {
+                x[0] += by_px.x;
+                x[1] += by_px.y;
+                Self::Ribbon(x)
+            }
+            Self::Planar(map) => Self::Planar(AffineMap { centre: map.centre + by_px, ..map }),
+        }
+    }
+}
+
+impl Motion {
+    fn at_rest(accepted_s: f64) -> Self {
+        Self { accepted_s, velocity_px_s: Vector2::zeros() }
+    }
+
+    /// How far the hand goes on in a time \[px\]; after a pause nobody knows.
+    fn over(&self, elapsed_s: f64) -> Vector2<f64> {
+        if elapsed_s > LONGEST_PREDICTION_S {
+            return Vector2::zeros();
+        }
+        self.velocity_px_s * elapsed_s
+    }
+
+    /// The motion of a hand that is seen again, having moved by `moved_px`. Two frames at nearly
+    /// the same time show its noise, not its velocity.
+    fn after(&self, moved_px: &Vector2<f64>, time_s: f64) -> Self {
+        let elapsed_s = time_s - self.accepted_s;
+        if elapsed_s < SHORTEST_INTERVAL_S {
+            return *self;
+        }
+        Self { accepted_s: time_s, velocity_px_s: moved_px / elapsed_s }
+    }
+}
+
+/// Velocity is measured over at least, and predicts over at most, this \[s\].
+const SHORTEST_INTERVAL_S: f64 = 0.004;
+const LONGEST_PREDICTION_S: f64 = 0.25;

@@ -1,0 +1,292 @@
+//! Gauss–Newton in one shape space: measure, linearise, solve, move, until nothing moves.
+
+use super::options::{AcceptOptions, TrackerOptions};
+use super::{MAX_DOF, ShapeEstimate};
+use crate::Result;
+use crate::fit::{EquationBuffer, Equations, FitReport, Fitter, Outcome, Prior};
+use crate::frame::Frame;
+use crate::search::{Cue, EdgeMeasurement, EdgeSearch, Polarity, Scale, SearchLine};
+use crate::shape_space::{Axis, PlacedSample, Pose, ShapeSpace};
+use crate::template::{Part, TemplateSample};
+use nalgebra::{Matrix2, SMatrix, SVector};
+
+/// The contour has converged when no sample moves further than this \[px\].
+const CONVERGED_PX: f64 = 0.02;
+/// What the search lines shrink by once a step stays well inside them, and how short they get.
+const SHRINK: f64 = 0.7;
+const MIN_HALF_LENGTH_PX: f64 = 5.0;
+/// Beyond that length the residual offsets' scale is not taken below this part of it: only a few
+/// samples at the tip tell how far the finger has slid along itself, and must be heard.
+const FAR_SCALE: f64 = 0.2;
+/// A sample supports a fit when its residual offset is below this \[px\].
+const SUPPORT_PX: f64 = 1.5;
+
+/// How one convergence searches.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Attempt<'a> {
+    /// The samples that take part.
+    pub samples: &'a [TemplateSample],
+    /// What the search lines look for.
+    pub cue: Cue<'a>,
+    pub scale: Scale,
+    pub half_length_px: f64,
+    pub polarity: Polarity,
+}
+
+/// Where the template came to rest.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Converged<const D: usize> {
+    pub x: SVector<f64, D>,
+    /// The last fit, if it was determined.
+    pub fit: Option<Fit>,
+    pub iterations: usize,
+}
+
+impl<const D: usize> Converged<D> {
+    pub fn at(x: SVector<f64, D>) -> Self {
+        Self { x, fit: None, iterations: 0 }
+    }
+
+    /// Samples that the fit explains; none without a fit.
+    pub fn support(&self) -> usize {
+        self.fit.map_or(0, |f| f.support.supported())
+    }
+}
+
+/// A determined fit, whatever its shape space.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Fit {
+    pub shape: ShapeEstimate,
+    pub axis: Axis,
+    pub line_covariance: Matrix2<f64>,
+    pub visible: usize,
+    pub support: Support,
+    pub inliers: usize,
+    pub residual_rms_px: f64,
+    pub rank: usize,
+}
+
+/// How many samples of each part of the outline a fit explains, and how many there are.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Support {
+    supported: [usize; 4],
+    visible: [usize; 4],
+}
+
+impl Support {
+    pub fn supported(&self) -> usize {
+        self.supported.iter().sum()
+    }
+
+    /// The part of all visible samples that is explained, 0–1.
+    pub fn share(&self) -> f64 {
+        self.supported() as f64 / self.visible.iter().sum::<usize>().max(1) as f64
+    }
+
+    /// The same of one part of the outline; nothing of what is not visible is explained.
+    pub fn of(&self, part: Part) -> f64 {
+        self.supported[part as usize] as f64 / self.visible[part as usize].max(1) as f64
+    }
+
+    /// How many samples of a part of the outline are explained.
+    pub fn count(&self, part: Part) -> usize {
+        self.supported[part as usize]
+    }
+}
+
+impl Fit {
+    pub fn is_accepted(&self, accept: &AcceptOptions) -> bool {
+        self.inliers as f64 >= accept.min_inliers * self.visible as f64
+            && self.residual_rms_px <= accept.max_residual_px
+    }
+}
+
+/// The stages of one view and the buffers between them.
+#[derive(Debug, Clone)]
+pub(super) struct Convergence {
+    search: EdgeSearch,
+    fitter: Fitter,
+    max_iterations: usize,
+    correlation: f64,
+    /// Which samples are not hidden by another limb: the line of each, in order.
+    visible: Vec<usize>,
+    lines: Vec<SearchLine>,
+    measurements: Vec<EdgeMeasurement>,
+    equations: EquationBuffer,
+}
+
+impl Convergence {
+    pub fn new(options: &TrackerOptions) -> Result<Self> {
+        Ok(Self {
+            search: EdgeSearch::new(options.search)?,
+            fitter: Fitter::new(options.fit)?,
+            max_iterations: options.max_iterations,
+            correlation: options.correlation,
+            visible: Vec::with_capacity(options.samples),
+            lines: Vec::with_capacity(options.samples),
+            measurements: Vec::with_capacity(options.samples),
+            equations: EquationBuffer::with_capacity(options.samples, MAX_DOF),
+        })
+    }
+
+    /// The last search, and what each line found.
+    pub fn search_lines(&self) -> impl ExactSizeIterator<Item = (&SearchLine, &EdgeMeasurement)> {
+        self.lines.iter().zip(&self.measurements)
+    }
+
+    /// Placed samples of the last search whose edges agree with the fit, each moved to its edge.
+    pub fn agreeing(&self) -> impl Iterator<Item = PlacedSample> {
+        let hits = self.lines.iter().zip(&self.measurements);
+        hits.filter_map(|(line, found)| found.as_ref().ok().map(|edge| (line, edge)))
+            .zip(self.fitter.weights())
+            .filter(|&(_, &weight)| weight > 0.5)
+            .map(|((line, edge), _)| {
+                let PlacedSample { position, normal } = line.sample;
+                PlacedSample { position: position + normal * edge.offset_px, normal }
+            })
+    }
+
+    /// How many lines of the last search found an edge.
+    pub fn hits(&self) -> usize {
+        self.measurements.iter().flatten().count()
+    }
+
+    /// From `x`, where the image takes it in this space. `believed` is a prior on the shape vector
+    /// itself.
+    pub fn run<S: ShapeSpace<D>, const D: usize>(
+        &mut self,
+        frame: &Frame<'_>,
+        space: &S,
+        x: SVector<f64, D>,
+        attempt: &Attempt<'_>,
+        believed: Option<&Prior<D>>,
+    ) -> Result<Converged<D>> {
+        let mut half_length_px = attempt.half_length_px;
+        let mut at = Converged::at(x);
+        while at.iterations < self.max_iterations {
+            at.iterations += 1;
+            let pose = space.pose(&at.x);
+            self.measure(frame, &pose, attempt, half_length_px)?;
+            let prior = believed.map(|b| Prior { mean: b.mean - at.x, information: b.information });
+            let samples = self.visible.iter().map(|&i| &attempt.samples[i]);
+            let measured = samples.zip(&self.lines).zip(&self.measurements);
+            let equations = linearise(space, &pose, measured, &mut self.equations)?;
+            let min_scale_px = self
+                .fitter
+                .options()
+                .min_scale_px
+                .max((half_length_px - MIN_HALF_LENGTH_PX) * FAR_SCALE);
+            let fit = self.fitter.solve_with_scale(&equations, prior.as_ref(), min_scale_px);
+            if fit.outcome != Outcome::Determined {
+                return Ok(Converged { fit: None, ..at });
+            }
+            let moved_px = equations.largest_motion(&fit.step);
+            at.x += fit.step;
+            let support = self.support(attempt.samples);
+            at.fit = Some(self.summarise(space, &at.x, &fit, support));
+            if moved_px < CONVERGED_PX {
+                break;
+            }
+            if moved_px < half_length_px / 2.0 {
+                half_length_px = (half_length_px * SHRINK).max(MIN_HALF_LENGTH_PX);
+            }
+        }
+        Ok(at)
+    }
+
+    /// Offsets of the edges that the contour at `x` finds, without fitting anything.
+    pub fn offsets<S: ShapeSpace<D>, const D: usize>(
+        &mut self,
+        frame: &Frame<'_>,
+        space: &S,
+        x: &SVector<f64, D>,
+        attempt: &Attempt<'_>,
+    ) -> Result<impl Iterator<Item = f64>> {
+        self.measure(frame, &space.pose(x), attempt, attempt.half_length_px)?;
+        Ok(self.measurements.iter().flatten().map(|edge| edge.offset_px))
+    }
+
+    /// Searches the image along the normals of the contour as `pose` places it.
+    fn measure<P: Pose>(
+        &mut self,
+        frame: &Frame<'_>,
+        pose: &P,
+        attempt: &Attempt<'_>,
+        half_length_px: f64,
+    ) -> Result<()> {
+        self.visible.clear();
+        self.lines.clear();
+        for (i, sample) in attempt.samples.iter().enumerate() {
+            let placed = pose.place(sample);
+            if !pose.is_hidden(sample, &placed) {
+                self.visible.push(i);
+                self.lines.push(SearchLine {
+                    sample: placed,
+                    half_length_px,
+                    polarity: attempt.polarity,
+                });
+            }
+        }
+        self.search.search(frame, attempt.cue, attempt.scale, &self.lines, &mut self.measurements)
+    }
+
+    /// Which samples the last solution explains: those whose edge it leaves close by.
+    fn support(&self, samples: &[TemplateSample]) -> Support {
+        let mut support = Support::default();
+        let mut residuals = self.fitter.residuals().iter();
+        for (&i, found) in self.visible.iter().zip(&self.measurements) {
+            let part = samples[i].part() as usize;
+            support.visible[part] += 1;
+            if found.is_ok() && residuals.next().is_some_and(|r| r.abs() < SUPPORT_PX) {
+                support.supported[part] += 1;
+            }
+        }
+        support
+    }
+
+    fn summarise<S: ShapeSpace<D>, const D: usize>(
+        &self,
+        space: &S,
+        x: &SVector<f64, D>,
+        fit: &FitReport<D>,
+        support: Support,
+    ) -> Fit {
+        let covariance = fit.covariance * self.correlation;
+        let pose = space.pose(x);
+        let j = space.axis_jacobian(&pose);
+        let mut shape = ShapeEstimate {
+            names: &S::NAMES,
+            vector: SVector::zeros(),
+            covariance: SMatrix::zeros(),
+        };
+        shape.vector.rows_mut(0, D).copy_from(x);
+        shape.covariance.view_mut((0, 0), (D, D)).copy_from(&covariance);
+        Fit {
+            shape,
+            axis: pose.axis(),
+            line_covariance: j * covariance * j.transpose(),
+            visible: self.lines.len(),
+            support,
+            inliers: fit.inliers,
+            residual_rms_px: fit.residual_rms_px,
+            rank: fit.rank,
+        }
+    }
+}
+
+/// One equation for every edge that a search found.
+fn linearise<'a, S: ShapeSpace<D>, const D: usize>(
+    space: &S,
+    pose: &S::Pose,
+    measured: impl Iterator<Item = ((&'a TemplateSample, &'a SearchLine), &'a EdgeMeasurement)>,
+    buffer: &'a mut EquationBuffer,
+) -> Result<Equations<'a, D>> {
+    let mut equations = buffer.clear::<D>();
+    for ((sample, line), measurement) in measured {
+        if let Ok(edge) = measurement {
+            let row = space.normal_row(pose, sample, &line.sample.normal);
+            equations.push(&row, edge.offset_px, edge.variance_px2)?;
+        }
+    }
+    Ok(equations)
+}

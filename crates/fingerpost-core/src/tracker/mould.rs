@@ -1,0 +1,345 @@
+//! Moulding: the waiting template takes the dimensions of the hand that is held up to it.
+//!
+//! The finger comes first, alone: it is what the waiting pose tells most about. Several widths,
+//! angles and polarities try, each fitted in stages (place, angle, then width and taper), and the
+//! one that explains most of its contour stays. The thumb may lean anywhere and be seen at any
+//! length, so a grid of thumbs is judged by the edges they lie on, and the best of them are fitted
+//! together with the finger.
+
+use super::convergence::{Attempt, Converged, Convergence, Support};
+use super::options::TrackerOptions;
+use crate::Result;
+use crate::fit::Prior;
+use crate::frame::Frame;
+use crate::search::{Cue, MAX_HALF_LENGTH_PX, Polarity, Scale};
+use crate::shape_space::{Axis, BandMeasure, RIBBON_DOF, Ribbon, RibbonVector};
+use crate::template::{Limb, Part, TemplateSample};
+use nalgebra::{Point2, Rotation2, SMatrix, Vector2};
+
+/// Half-widths that try, in parts of the waiting template's.
+const WIDTHS: [f64; 3] = [0.8, 1.2, 1.8];
+/// Angles that try, from the waiting template's \[rad\].
+const ANGLES_RAD: [f64; 3] = [0.0, -0.35, 0.35];
+/// Roots of the thumb that try, in finger lengths from the finger's middle.
+const THUMB_ROOTS: [f64; 4] = [-0.75, -0.6, -0.45, -0.3];
+/// Angles between thumb and finger that try \[rad\].
+const THUMB_ANGLES_RAD: [f64; 6] = [0.6, 0.85, 1.1, 1.35, 1.6, 1.85];
+/// Lengths of the thumb that try, in finger lengths.
+const THUMB_LENGTHS: [f64; 4] = [0.4, 0.6, 0.8, 1.0];
+/// Tapers of a finger: it may get slimmer towards the tip, hardly stouter.
+const TAPERS: std::ops::RangeInclusive<f64> = -0.3..=0.12;
+/// Lengths that a fitted thumb may have, in finger lengths.
+const THUMB_SIZES: std::ops::RangeInclusive<f64> = 0.2..=1.5;
+/// What part of a flank, of the tip and of the thumb a fit has to explain before it is a hand.
+const FLANK_SEEN: f64 = 0.4;
+const TIP_SEEN: f64 = 0.4;
+const THUMB_SEEN: f64 = 0.7;
+/// What part of the thumb's contour has to be explained, counted with what the finger hides.
+const THUMB_IN_SIGHT: f64 = 0.5;
+/// How many of the thumbs are fitted.
+const THUMBS_FITTED: usize = 4;
+/// How far a thumb of the grid may be from the true one \[px per px of finger length\].
+const THUMB_REACH: f64 = 0.12;
+
+/// A finger that explains this part of its contour is clear enough to look no further.
+const CLEAR: f64 = 0.9;
+/// How far from the waiting template a hand is expected: its tip, in parts of the finger's length,
+/// and its angle. A finger at one sigma has to explain this part of the contour more than one in
+/// place.
+const PLACE_SIGMA: f64 = 0.35;
+const ANGLE_SIGMA_RAD: f64 = 0.35;
+const DISTANCE_SAY: f64 = 0.05;
+
+/// What is believed about a hand before it is seen, as standard deviations of the band template:
+/// in parts of the finger's half-width, of 1 for the taper, and of the finger's length.
+const WIDTH_SIGMA: f64 = 0.4;
+const TAPER_SIGMA: f64 = 0.08;
+const THUMB_SIGMA: f64 = 0.3;
+
+/// The waiting hand and what is looked for around it.
+pub(super) struct Mould<'a> {
+    pub options: &'a TrackerOptions,
+    pub samples: &'a [TemplateSample],
+    pub waiting: &'a RibbonVector,
+    pub measure: BandMeasure,
+}
+
+/// A hand that was found: its band template, and what kind of hand it is.
+pub(super) struct Moulded {
+    pub hand: Converged<RIBBON_DOF>,
+    pub kind: Kind,
+}
+
+/// Whether a hand shows a thumb, and which side of its edges is the hand.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Kind {
+    pub has_thumb: bool,
+    pub polarity: Polarity,
+}
+
+impl Mould<'_> {
+    /// The hand at the waiting template, if the image shows one. The thumb counts only where it is
+    /// seen well: the finger is found and followed without it, and a thumb in the wrong place
+    /// would turn it.
+    pub fn find(&self, convergence: &mut Convergence, frame: &Frame<'_>) -> Result<Moulded> {
+        let mut finger = Converged::at(*self.waiting);
+        let mut finger_polarity = self.options.polarity;
+        for angle_rad in ANGLES_RAD {
+            for &polarity in self.hypotheses() {
+                for width in WIDTHS {
+                    let mut from = self.turned(angle_rad);
+                    from[3] *= width;
+                    let found = self.finger(convergence, frame, &from, polarity)?;
+                    if self.score(&found) > self.score(&finger) && self.is_plausible(&found, false)
+                    {
+                        (finger, finger_polarity) = (found, polarity);
+                    }
+                }
+            }
+            // The other angles are for a hand that is held up badly turned.
+            if self.score(&finger) >= CLEAR * finger_samples(self.samples).len() as f64 {
+                break;
+            }
+        }
+        if finger.fit.is_some() && self.measure.side != 0.0 {
+            let (hand, polarity) = self.thumb(convergence, frame, &finger.x)?;
+            if hand.fit.is_some() {
+                return Ok(Moulded { hand, kind: Kind { has_thumb: true, polarity } });
+            }
+        }
+        let kind = Kind { has_thumb: false, polarity: finger_polarity };
+        Ok(Moulded { hand: finger, kind })
+    }
+
+    /// From an earlier fit, all of the hand at once.
+    pub fn refit(
+        &self,
+        convergence: &mut Convergence,
+        frame: &Frame<'_>,
+        from: &RibbonVector,
+        kind: Kind,
+    ) -> Result<Moulded> {
+        let half_px = (self.options.acquire.half_length_px / 2.0).max(1.0);
+        let Kind { has_thumb, polarity } = kind;
+        let found = if has_thumb {
+            self.whole(convergence, frame, from, half_px, polarity)?
+        } else {
+            self.bands::<5>(convergence, frame, from, from, half_px, polarity)?
+        };
+        let sound = self.is_plausible(&found, has_thumb);
+        let hand = Converged { fit: found.fit.filter(|_| sound), ..found };
+        Ok(Moulded { hand, kind })
+    }
+
+    /// Whether a fit is a hand of about the size that was waited for, seen on both flanks, at the
+    /// tip and at the thumb if it has one.
+    fn is_plausible(&self, found: &Converged<RIBBON_DOF>, has_thumb: bool) -> bool {
+        let Some(fit) = found.fit else { return false };
+        let (x, limit) = (&found.x, self.options.acquire.max_scale);
+        let ratio = x[3] / self.waiting[3];
+        let thumb = Vector2::new(x[6], x[7]).norm() / self.measure.length_px;
+        TAPERS.contains(&x[4])
+            && (1.0 / limit..=limit).contains(&ratio)
+            && fit.support.of(Part::LeftFlank) >= FLANK_SEEN
+            && fit.support.of(Part::RightFlank) >= FLANK_SEEN
+            && fit.support.of(Part::Tip) >= TIP_SEEN
+            && (!has_thumb || (THUMB_SIZES.contains(&thumb) && self.shows_thumb(&fit.support)))
+    }
+
+    /// Whether a fit explains enough of the thumb's contour, and not because the finger hides it.
+    fn shows_thumb(&self, support: &Support) -> bool {
+        let all = thumb_samples(self.samples).len() as f64;
+        support.of(Part::Thumb) >= THUMB_SEEN
+            && support.count(Part::Thumb) as f64 >= THUMB_IN_SIGHT * all
+    }
+
+    /// How well a finger explains its contour, less what its distance from the waiting pose costs:
+    /// the operator holds the hand up to the template, not beside it.
+    fn score(&self, found: &Converged<RIBBON_DOF>) -> f64 {
+        let tip = |x: &RibbonVector| {
+            Axis::of_finger(Point2::new(x[0], x[1]), x[2], 0.5 * self.measure.length_px).tip
+        };
+        let away =
+            (tip(&found.x) - tip(self.waiting)).norm() / (PLACE_SIGMA * self.measure.length_px);
+        let turned = (found.x[2] - self.waiting[2]) / ANGLE_SIGMA_RAD;
+        let visible = finger_samples(self.samples).len() as f64;
+        found.support() as f64 - DISTANCE_SAY * visible * (away * away + turned * turned)
+    }
+
+    /// What the edges of a waiting template may look like. A hand before an even background has
+    /// edges of one polarity, and is easier to find when only those are looked at.
+    fn hypotheses(&self) -> &'static [Polarity] {
+        match self.options.polarity {
+            Polarity::Bright => &[Polarity::Bright],
+            Polarity::Dark => &[Polarity::Dark],
+            Polarity::Unknown => &[Polarity::Bright, Polarity::Dark, Polarity::Unknown],
+        }
+    }
+
+    /// The waiting hand, turned about its fingertip.
+    fn turned(&self, angle_rad: f64) -> RibbonVector {
+        let mut x = *self.waiting;
+        let half = 0.5 * self.measure.length_px;
+        let direction = |a: f64| Vector2::new(a.cos(), a.sin());
+        let back = (direction(x[2]) - direction(x[2] + angle_rad)) * half;
+        let spine = Rotation2::new(angle_rad) * Vector2::new(x[6], x[7]);
+        x[0] += back.x;
+        x[1] += back.y;
+        x[2] += angle_rad;
+        (x[6], x[7]) = (spine.x, spine.y);
+        x
+    }
+
+    /// The finger alone: it moves, turns, then takes its width and taper.
+    fn finger(
+        &self,
+        convergence: &mut Convergence,
+        frame: &Frame<'_>,
+        from: &RibbonVector,
+        polarity: Polarity,
+    ) -> Result<Converged<RIBBON_DOF>> {
+        let half_px = self.options.acquire.half_length_px;
+        let moved = self.bands::<2>(convergence, frame, from, from, half_px, polarity)?;
+        let turned = self.bands::<3>(convergence, frame, &moved.x, from, half_px, polarity)?;
+        self.bands::<5>(convergence, frame, &turned.x, from, half_px, polarity)
+    }
+
+    /// Finger and thumb together.
+    fn whole(
+        &self,
+        convergence: &mut Convergence,
+        frame: &Frame<'_>,
+        from: &RibbonVector,
+        half_length_px: f64,
+        polarity: Polarity,
+    ) -> Result<Converged<RIBBON_DOF>> {
+        self.bands::<RIBBON_DOF>(convergence, frame, from, from, half_length_px, polarity)
+    }
+
+    /// One prefix of the band template's shape vector, from `x`; `believed` is the hand that the
+    /// prior is about. Up to the taper it is the finger alone, and no thumb hides anything of it.
+    fn bands<const D: usize>(
+        &self,
+        convergence: &mut Convergence,
+        frame: &Frame<'_>,
+        x: &RibbonVector,
+        believed: &RibbonVector,
+        half_length_px: f64,
+        polarity: Polarity,
+    ) -> Result<Converged<RIBBON_DOF>> {
+        let has_thumb = D > 5;
+        let samples = if has_thumb { self.samples } else { finger_samples(self.samples) };
+        let attempt =
+            Attempt { samples, cue: Cue::Edges, scale: Scale::Fine, half_length_px, polarity };
+        let space = Ribbon::<D>::about(x, &self.measure.with_thumb(has_thumb))?;
+        let prior = (D > 3).then(|| self.belief::<D>(believed));
+        let start = Ribbon::<D>::free(x);
+        let found = convergence.run(frame, &space, start, &attempt, prior.as_ref())?;
+        Ok(Converged { x: space.full(&found.x), fit: found.fit, iterations: found.iterations })
+    }
+
+    /// The thumb of a finger that was found: the grid's best, fitted with the finger.
+    fn thumb(
+        &self,
+        convergence: &mut Convergence,
+        frame: &Frame<'_>,
+        finger: &RibbonVector,
+    ) -> Result<(Converged<RIBBON_DOF>, Polarity)> {
+        let reach_px = (THUMB_REACH * self.measure.length_px).clamp(1.0, MAX_HALF_LENGTH_PX as f64);
+        let mut tried = Vec::new();
+        for &polarity in self.hypotheses() {
+            for from in self.thumbs(finger) {
+                let support = self.support(convergence, frame, &from, reach_px, polarity)?;
+                tried.push((support, polarity, from));
+            }
+        }
+        tried.sort_by_key(|(support, ..)| std::cmp::Reverse(*support));
+        let mut best = (Converged::at(*finger), self.options.polarity);
+        for (_, polarity, from) in tried.into_iter().take(THUMBS_FITTED) {
+            let found = self.whole(convergence, frame, &from, reach_px, polarity)?;
+            if found.support() > best.0.support() && self.is_plausible(&found, true) {
+                best = (found, polarity);
+            }
+        }
+        Ok(best)
+    }
+
+    /// Every thumb of the grid on a finger.
+    fn thumbs(&self, finger: &RibbonVector) -> impl Iterator<Item = RibbonVector> {
+        let (finger, length_px, side) = (*finger, self.measure.length_px, self.measure.side);
+        THUMB_ROOTS.into_iter().flat_map(move |root| {
+            THUMB_ANGLES_RAD.into_iter().flat_map(move |angle_rad| {
+                THUMB_LENGTHS.into_iter().map(move |length| {
+                    let mut x = finger;
+                    let (sin, cos) = (finger[2] + side * angle_rad).sin_cos();
+                    let spine = Vector2::new(cos, sin) * (length * length_px);
+                    (x[5], x[6], x[7]) = (root * length_px, spine.x, spine.y);
+                    x[8] = 0.9 * finger[3];
+                    x
+                })
+            })
+        })
+    }
+
+    /// Samples of the thumb that lie within reach of an edge, and near it all alike: an edge found
+    /// half the reach away counts half.
+    fn support(
+        &self,
+        convergence: &mut Convergence,
+        frame: &Frame<'_>,
+        x: &RibbonVector,
+        reach_px: f64,
+        polarity: Polarity,
+    ) -> Result<u64> {
+        let space = Ribbon::<RIBBON_DOF>::about(x, &self.measure)?;
+        let samples = thumb_samples(self.samples);
+        let attempt = Attempt {
+            samples,
+            cue: Cue::Edges,
+            scale: Scale::Fine,
+            half_length_px: reach_px,
+            polarity,
+        };
+        let offsets = convergence.offsets(frame, &space, x, &attempt)?;
+        Ok(offsets.map(|d| (1000.0 * (1.0 - (d / reach_px).abs()).max(0.0)) as u64).sum())
+    }
+
+    /// The prior of a hand about `from`: nothing about place and angle, a little about its size.
+    fn belief<const D: usize>(&self, from: &RibbonVector) -> Prior<D> {
+        let thumb_px = THUMB_SIGMA * self.measure.length_px;
+        let sigmas = [
+            f64::INFINITY,
+            f64::INFINITY,
+            f64::INFINITY,
+            WIDTH_SIGMA * from[3],
+            TAPER_SIGMA,
+            thumb_px,
+            thumb_px,
+            thumb_px,
+            WIDTH_SIGMA * from[3],
+        ];
+        let mut information = SMatrix::<f64, D, D>::zeros();
+        for (i, sigma) in sigmas.iter().take(D).enumerate() {
+            information[(i, i)] = sigma.powi(-2);
+        }
+        let mut mean = Ribbon::<D>::free(from);
+        // A taper is as likely one way as the other, whatever an earlier fit made of it.
+        if D > 4 {
+            mean[4] = 0.0;
+        }
+        Prior { mean, information }
+    }
+}
+
+/// The outline runs along the finger first, then along the thumb.
+pub(super) fn finger_samples(samples: &[TemplateSample]) -> &[TemplateSample] {
+    &samples[..crotch(samples)]
+}
+
+fn thumb_samples(samples: &[TemplateSample]) -> &[TemplateSample] {
+    &samples[crotch(samples)..]
+}
+
+fn crotch(samples: &[TemplateSample]) -> usize {
+    samples.iter().position(|s| s.limb == Limb::Thumb).unwrap_or(samples.len())
+}

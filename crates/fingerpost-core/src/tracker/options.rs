@@ -1,0 +1,140 @@
+//! Options of a tracker, their defaults and ranges.
+
+use crate::fit::FitOptions;
+use crate::search::{MAX_HALF_LENGTH_PX, Polarity, SearchOptions};
+use crate::{Error, Result};
+
+/// Which model of the hand is tracked.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Model {
+    /// The band template: finger and thumb with widths of their own
+    /// ([`Ribbon`](crate::shape_space::Ribbon)).
+    Ribbon,
+    /// The planar template of 1994: affine until the hand is acquired, then rigid with one shear.
+    Paper,
+}
+
+/// When a fit counts.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct AcceptOptions {
+    /// Least part of the contour's visible samples whose edges agree with the fit, 0–1.
+    pub min_inliers: f64,
+    /// Largest root mean square of their residual offsets \[px\], positive.
+    pub max_residual_px: f64,
+}
+
+/// The template's patience while it waits for the hand.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct AcquireOptions {
+    /// Half-length of the search lines \[px\], 1–128.
+    pub half_length_px: f64,
+    /// When a fit counts.
+    pub accept: AcceptOptions,
+    /// Accepted frames in a row until the hand is acquired, at least 1.
+    pub settle_frames: usize,
+    /// Largest change of the finger's half-width from frame to frame, in parts of it, positive.
+    pub settle_change: f64,
+    /// The hand is between 1 / this and this times as wide as the waiting template, above 1.
+    pub max_scale: f64,
+}
+
+/// How the hand is followed.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct TrackOptions {
+    /// Half-length of the search lines \[px\], 1–128.
+    pub half_length_px: f64,
+    /// When a fit counts.
+    pub accept: AcceptOptions,
+    /// Frames in a row without an accepted fit until the hand is lost, at least 1.
+    pub lose_after_frames: usize,
+    /// How fast the known appearance follows what is seen: part taken over per accepted frame,
+    /// 0–1.
+    pub appearance_rate: f64,
+}
+
+/// Options of a [`ContourTracker`](super::ContourTracker), with their defaults.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct TrackerOptions {
+    /// What is tracked.
+    pub model: Model,
+    /// Samples along the contour, 8–2000.
+    pub samples: usize,
+    /// Searches along the normals per shape space and frame at most, 1–100.
+    pub max_iterations: usize,
+    /// What an edge is.
+    pub search: SearchOptions,
+    /// Which side of an edge is the hand.
+    pub polarity: Polarity,
+    /// How offsets become a step.
+    pub fit: FitOptions,
+    /// Neighbouring edge measurements share pixels: the covariance of the fit is multiplied by
+    /// this, at least 1.
+    pub correlation: f64,
+    /// Until the hand is acquired.
+    pub acquire: AcquireOptions,
+    /// From then on.
+    pub track: TrackOptions,
+}
+
+impl Default for TrackerOptions {
+    fn default() -> Self {
+        Self {
+            model: Model::Ribbon,
+            samples: 100,
+            max_iterations: 12,
+            search: SearchOptions::default(),
+            polarity: Polarity::Unknown,
+            fit: FitOptions::default(),
+            correlation: 1.5,
+            acquire: AcquireOptions {
+                half_length_px: 20.0,
+                accept: AcceptOptions { min_inliers: 0.65, max_residual_px: 1.5 },
+                settle_frames: 3,
+                settle_change: 0.1,
+                max_scale: 2.0,
+            },
+            track: TrackOptions {
+                half_length_px: 30.0,
+                accept: AcceptOptions { min_inliers: 0.5, max_residual_px: 2.0 },
+                lose_after_frames: 5,
+                appearance_rate: 0.2,
+            },
+        }
+    }
+}
+
+impl TrackerOptions {
+    /// Whether every option is finite and in its range; search and fit check their own.
+    pub(super) fn check(&self) -> Result<()> {
+        let Self { samples, max_iterations, correlation, acquire, track, .. } = self;
+        Error::within("contour samples", *samples as f64, "8 to 2000", |n| {
+            (8.0..=2000.0).contains(&n)
+        })?;
+        Error::within("most iterations", *max_iterations as f64, "1 to 100", |n| {
+            (1.0..=100.0).contains(&n)
+        })?;
+        Error::within("correlation of neighbours", *correlation, "at least 1", |c| c >= 1.0)?;
+        for half in [acquire.half_length_px, track.half_length_px] {
+            Error::within("search half-length [px]", half, "1 to 128", |l| {
+                (1.0..=MAX_HALF_LENGTH_PX as f64).contains(&l)
+            })?;
+        }
+        for accept in [&acquire.accept, &track.accept] {
+            Error::within("least inliers", accept.min_inliers, "0 to 1", |p| {
+                (0.0..=1.0).contains(&p)
+            })?;
+            Error::within("largest residual [px]", accept.max_residual_px, "positive", |r| {
+                r > 0.0
+            })?;
+        }
+        Error::within("settle change", acquire.settle_change, "positive", |c| c > 0.0)?;
+        Error::within("largest scale", acquire.max_scale, "above 1", |s| s > 1.0)?;
+        for frames in [acquire.settle_frames, track.lose_after_frames] {
+            Error::within("frames in a row", frames as f64, "at least 1", |n| n >= 1.0)?;
+        }
+        Error::within("appearance rate", track.appearance_rate, "0 to 1", |r| {
+            (0.0..=1.0).contains(&r)
+        })?;
+        Ok(())
+    }
+}

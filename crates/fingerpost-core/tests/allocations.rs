@@ -1,0 +1,157 @@
+//! No frame costs an allocation: neither while a hand is tracked, nor while it is away, nor while
+//! the template waits.
+#![allow(clippy::unwrap_used, clippy::expect_used, missing_docs)]
+
+mod common;
+
+use common::{Canvas, Hand, Noise, Picture};
+use fingerpost_core::Frame;
+use fingerpost_core::frame::ColourView;
+use fingerpost_core::nalgebra::Point2;
+use fingerpost_core::search::Polarity;
+use fingerpost_core::template::{Template, Thumb};
+use fingerpost_core::tracker::{ContourTracker, Model, StartPose, Status, TrackerOptions};
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::cell::Cell;
+use std::hint::black_box;
+
+/// The system's allocator, counting what each thread asks of it: the test harness has threads of
+/// its own.
+struct Counting;
+
+thread_local! {
+    static ALLOCATIONS: Cell<usize> = const { Cell::new(0) };
+}
+
+fn count_one() {
+    // A thread that is ending has nothing left to count in.
+    let _ = ALLOCATIONS.try_with(|n| n.set(n.get() + 1));
+}
+
+#[expect(unsafe_code, reason = "an allocator is unsafe to implement; this one only counts")]
+// SAFETY: every call goes to the system's allocator as it is.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        count_one();
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn alloc_zeroed(&self, layout: Layout) -> *mut u8 {
+        count_one();
+        unsafe { System.alloc_zeroed(layout) }
+    }
+
+    unsafe fn realloc(&self, pointer: *mut u8, layout: Layout, size: usize) -> *mut u8 {
+        count_one();
+        unsafe { System.realloc(pointer, layout, size) }
+    }
+
+    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
+        unsafe { System.dealloc(pointer, layout) }
+    }
+}
+
+#[global_allocator]
+static COUNTING: Counting = Counting;
+
+/// How often `work` allocates, and what it gives.
+fn allocations<T>(work: impl FnOnce() -> T) -> (usize, T) {
+    let before = ALLOCATIONS.get();
+    let result = work();
+    (ALLOCATIONS.get() - before, result)
+}
+
+const WIDTH: usize = 200;
+const HEIGHT: usize = 150;
+const FRAMES: usize = 8;
+
+fn scene(thumb: Thumb, k: usize, noise: &mut Noise) -> Picture {
+    let k = k as f64;
+    let tip = Point2::new(130.0 + 12.0 * (0.4 * k).sin(), 75.0 + 9.0 * (0.3 * k).sin());
+    let hand = Hand::usual(thumb, tip, -0.5 + 0.2 * (0.35 * k).sin(), 60.0);
+    Canvas::new(WIDTH, HEIGHT, 60.0).paint(&hand, 140.0).blur(0.96).take(2.0, noise)
+}
+
+fn empty(noise: &mut Noise) -> Picture {
+    Canvas::new(WIDTH, HEIGHT, 60.0).take(2.0, noise)
+}
+
+fn tracker(model: Model, thumb: Thumb) -> ContourTracker {
+    let start = StartPose { tip_px: Point2::new(131.0, 76.0), angle_rad: -0.5, length_px: 60.0 };
+    let options = TrackerOptions { model, polarity: Polarity::Bright, ..TrackerOptions::default() };
+    ContourTracker::new(Template::pistol(thumb).unwrap(), &start, options).unwrap()
+}
+
+/// A frame of the picture with colours that say no more than its grey levels.
+fn with_colours<T>(picture: &Picture, then: impl FnOnce(&Frame<'_>) -> T) -> T {
+    let bytes: Vec<u8> = picture.bytes.iter().flat_map(|&g| [g, g / 2, 255 - g]).collect();
+    let colours = ColourView::new(&bytes, picture.width, picture.height, 3 * picture.width);
+    then(&Frame::coloured(picture.view(), colours.unwrap()).unwrap())
+}
+
+fn check(model: Model, thumb: Thumb, coloured: bool) {
+    let mut tracker = tracker(model, thumb);
+    let mut noise = Noise::new(0x616c_6c6f);
+    let mut time_s = 0.0;
+    let mut update = |picture: &Picture| {
+        time_s += 1.0 / 30.0;
+        let mut update = |frame: &Frame<'_>| allocations(|| tracker.update(frame, time_s).unwrap());
+        if coloured { with_colours(picture, update) } else { update(&picture.view().into()) }
+    };
+    let what = format!("{model:?}, {thumb:?}, coloured {coloured}");
+
+    let pictures: Vec<_> = (0..6 + FRAMES).map(|k| scene(thumb, k, &mut noise)).collect();
+    let statuses: Vec<_> = pictures[..6].iter().map(|picture| update(picture).1.status).collect();
+    assert_eq!(statuses[5], Status::Tracking, "{what}");
+    for picture in &pictures[6..] {
+        let (count, track) = update(picture);
+        assert!(track.finger_line.is_some(), "{what}");
+        assert_eq!(count, 0, "while tracking: {what}");
+    }
+    // The hand leaves: it is missed, then lost.
+    let pictures: Vec<_> = (0..FRAMES).map(|_| empty(&mut noise)).collect();
+    let away: Vec<_> = pictures.iter().map(update).collect();
+    assert_eq!(away[FRAMES - 1].1.status, Status::Lost, "{what}");
+    assert!(away.iter().all(|(count, _)| *count == 0), "while it is away: {what}");
+}
+
+#[test]
+fn an_allocation_is_counted() {
+    assert_eq!(allocations(|| black_box(Box::new(7))).0, 1);
+    assert_eq!(allocations(|| black_box(Vec::<u8>::with_capacity(1000))).0, 1);
+    assert_eq!(allocations(|| black_box(7)).0, 0);
+}
+
+#[test]
+fn the_band_model() {
+    for thumb in [Thumb::Left, Thumb::Right, Thumb::None] {
+        check(Model::Ribbon, thumb, false);
+    }
+}
+
+#[test]
+fn the_paper_s_model() {
+    for thumb in [Thumb::Left, Thumb::Right, Thumb::None] {
+        check(Model::Paper, thumb, false);
+    }
+}
+
+#[test]
+fn with_colours_as_well() {
+    check(Model::Ribbon, Thumb::Left, true);
+    check(Model::Paper, Thumb::None, true);
+}
+
+#[test]
+fn a_waiting_template() {
+    for (model, thumb) in [(Model::Ribbon, Thumb::Left), (Model::Paper, Thumb::None)] {
+        let mut tracker = tracker(model, thumb);
+        let mut noise = Noise::new(0x7761_6974);
+        for k in 0..3 {
+            let picture = empty(&mut noise);
+            let frame = Frame::gray(picture.view());
+            let (count, track) = allocations(|| tracker.update(&frame, f64::from(k)).unwrap());
+            assert_eq!((count, track.status), (0, Status::Acquiring), "{model:?}, {thumb:?}");
+        }
+    }
+}

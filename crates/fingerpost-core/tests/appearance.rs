@@ -1,0 +1,208 @@
+//! What votes a learned appearance casts, and how it learns, forgets and keeps.
+#![allow(clippy::unwrap_used, clippy::expect_used, missing_docs)]
+#![allow(clippy::float_cmp, reason = "where a value is exact, it is compared as such")]
+
+use fingerpost_core::appearance::Appearance;
+use fingerpost_core::frame::{ColourView, Frame};
+use fingerpost_core::image::GrayView;
+use proptest::prelude::*;
+use proptest::test_runner::{Config, RngSeed};
+
+/// The largest vote, as documented.
+const MAX_VOTE: f32 = 3.0;
+const HAND: u8 = 160;
+const BACKGROUND: u8 = 60;
+
+fn config() -> Config {
+    Config { rng_seed: RngSeed::Fixed(0x6170_7065), failure_persistence: None, ..Config::default() }
+}
+
+/// One pixel of every grey level, in a row.
+fn levels() -> Vec<u8> {
+    (0..=255).collect()
+}
+
+fn row(bytes: &[u8]) -> Frame<'_> {
+    Frame::gray(GrayView::new(bytes, bytes.len(), 1, bytes.len()).unwrap())
+}
+
+/// A colour's pixel, with its grey.
+fn with_pixel<T>(colour: [u8; 3], then: impl FnOnce(&Frame<'_>) -> T) -> T {
+    let gray = GrayView::new(&[128], 1, 1, 1).unwrap();
+    then(&Frame::coloured(gray, ColourView::new(&colour, 1, 1, 3).unwrap()).unwrap())
+}
+
+/// A hand and a background of one grey level each.
+fn two_levels() -> Appearance {
+    let bytes = [HAND, BACKGROUND];
+    let mut appearance = Appearance::new(false);
+    for _ in 0..50 {
+        appearance.observe(&row(&bytes), 0.0, 0.0, true);
+        appearance.observe(&row(&bytes), 1.0, 0.0, false);
+    }
+    appearance.learn();
+    appearance
+}
+
+fn vote_for(appearance: &Appearance, level: u8) -> f32 {
+    appearance.vote(&row(&[level]), 0.0, 0.0)
+}
+
+#[test]
+fn nothing_seen_is_no_vote() {
+    for appearance in [Appearance::new(false), {
+        let mut learned = Appearance::new(false);
+        learned.learn();
+        learned
+    }] {
+        assert!(levels().iter().all(|&level| vote_for(&appearance, level) == 0.0));
+    }
+    // One side alone tells nothing either.
+    let mut one_sided = Appearance::new(false);
+    one_sided.observe(&row(&[HAND]), 0.0, 0.0, true);
+    one_sided.learn();
+    assert_eq!(vote_for(&one_sided, HAND), 0.0);
+}
+
+#[test]
+fn each_side_s_levels_vote_for_it_and_others_for_neither() {
+    let appearance = two_levels();
+    assert_eq!(vote_for(&appearance, HAND), MAX_VOTE);
+    assert_eq!(vote_for(&appearance, BACKGROUND), -MAX_VOTE);
+    for level in [0, 110, 255] {
+        assert_eq!(vote_for(&appearance, level), 0.0, "{level}");
+    }
+    // Noise does not change the side: levels in the bins to either side vote alike.
+    for (level, side) in [(HAND + 7, 1.0), (HAND - 4, 1.0), (BACKGROUND + 7, -1.0)] {
+        assert!(vote_for(&appearance, level) * side > 1.0, "{level}");
+    }
+}
+
+#[test]
+fn observing_alone_changes_no_vote() {
+    let mut appearance = two_levels();
+    for _ in 0..1000 {
+        appearance.observe(&row(&[HAND]), 0.0, 0.0, false);
+    }
+    assert_eq!(vote_for(&appearance, HAND), MAX_VOTE);
+    appearance.learn();
+    assert!(vote_for(&appearance, HAND) < 0.1, "now as frequent behind the hand as on it");
+}
+
+#[test]
+fn what_fades_is_replaced_and_what_is_anchored_stays() {
+    let relearn = |mut appearance: Appearance| {
+        appearance.fade(0.0);
+        for _ in 0..50 {
+            appearance.observe(&row(&[BACKGROUND]), 0.0, 0.0, true);
+            appearance.observe(&row(&[HAND]), 0.0, 0.0, false);
+        }
+        appearance.learn();
+        appearance
+    };
+    // A contour on the wrong side turns the votes round.
+    let forgot = relearn(two_levels());
+    assert_eq!(vote_for(&forgot, HAND), -MAX_VOTE);
+    assert_eq!(vote_for(&forgot, BACKGROUND), MAX_VOTE);
+    // But not those of a hand that was anchored: half of its say stays what it was.
+    let mut anchored = two_levels();
+    anchored.anchor();
+    let anchored = relearn(anchored);
+    assert!(vote_for(&anchored, HAND) > -1.0, "{}", vote_for(&anchored, HAND));
+}
+
+#[test]
+fn fading_keeps_the_ratio() {
+    let mut faded = two_levels();
+    faded.fade(0.25);
+    faded.learn();
+    let kept = two_levels();
+    for level in levels() {
+        assert!((vote_for(&faded, level) - vote_for(&kept, level)).abs() < 1e-4);
+    }
+}
+
+#[test]
+fn outside_the_frame_there_is_no_vote_and_nothing_to_see() {
+    let bytes = [HAND, BACKGROUND];
+    let frame = row(&bytes);
+    let mut appearance = two_levels();
+    let before = appearance.clone();
+    for (u, v) in [
+        (-0.6, 0.0),
+        (1.6, 0.0),
+        (0.0, -0.6),
+        (0.0, 0.6),
+        (f64::NAN, 0.0),
+        (0.0, f64::NAN),
+        (f64::INFINITY, 0.0),
+        (f64::NEG_INFINITY, 0.0),
+        (0.0, 1e300),
+        (-1e300, 0.0),
+    ] {
+        assert_eq!(appearance.vote(&frame, u, v), 0.0, "{u} {v}");
+        appearance.observe(&frame, u, v, true);
+        appearance.observe(&frame, u, v, false);
+    }
+    assert_eq!(appearance, before);
+    // The pixel's whole square is inside.
+    assert_eq!(appearance.vote(&frame, -0.49, 0.49), MAX_VOTE);
+    assert_eq!(appearance.vote(&frame, 0.51, -0.49), -MAX_VOTE);
+}
+
+#[test]
+fn colours_of_one_brightness_are_told_apart() {
+    let (skin, table, wall) = ([200, 150, 120], [120, 150, 200], [30, 220, 30]);
+    let mut appearance = Appearance::new(true);
+    assert!(appearance.is_coloured() && !Appearance::new(false).is_coloured());
+    for _ in 0..50 {
+        with_pixel(skin, |frame| appearance.observe(frame, 0.0, 0.0, true));
+        with_pixel(table, |frame| appearance.observe(frame, 0.0, 0.0, false));
+    }
+    appearance.learn();
+    let vote = |colour| with_pixel(colour, |frame| appearance.vote(frame, 0.0, 0.0));
+    assert_eq!((vote(skin), vote(table), vote(wall)), (MAX_VOTE, -MAX_VOTE, 0.0));
+    assert!(vote([206, 146, 124]) > 1.0);
+}
+
+#[test]
+fn a_frame_without_colours_tells_a_coloured_appearance_nothing() {
+    let mut appearance = Appearance::new(true);
+    let before = appearance.clone();
+    appearance.observe(&row(&[HAND]), 0.0, 0.0, true);
+    assert_eq!(appearance, before);
+    assert_eq!(appearance.vote(&row(&[HAND]), 0.0, 0.0), 0.0);
+}
+
+proptest! {
+    #![proptest_config(config())]
+
+    #[test]
+    fn votes_are_bounded_and_swap_with_the_sides(
+        hand in prop::collection::vec(any::<u8>(), 1..60),
+        background in prop::collection::vec(any::<u8>(), 1..60),
+        keep in 0.0..=1.0_f32,
+    ) {
+        let learned = |hand: &[u8], background: &[u8]| {
+            let mut appearance = Appearance::new(false);
+            for (levels, is_hand) in [(hand, true), (background, false)] {
+                for x in 0..levels.len() {
+                    appearance.observe(&row(levels), x as f64, 0.0, is_hand);
+                }
+            }
+            appearance.fade(keep.max(0.01));
+            appearance.learn();
+            appearance
+        };
+        let (one, other) = (learned(&hand, &background), learned(&background, &hand));
+        for level in levels() {
+            let vote = vote_for(&one, level);
+            prop_assert!(vote.abs() <= MAX_VOTE);
+            prop_assert!((vote + vote_for(&other, level)).abs() < 1e-4);
+        }
+        // On the whole, the hand's own levels vote for it.
+        let sum: f32 = hand.iter().map(|&level| vote_for(&one, level)).sum();
+        let against: f32 = background.iter().map(|&level| vote_for(&one, level)).sum();
+        prop_assert!(sum / hand.len() as f32 >= against / background.len() as f32 - 1e-3);
+    }
+}

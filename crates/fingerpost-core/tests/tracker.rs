@@ -1,0 +1,926 @@
+//! The tracker on rendered hands that move as we say.
+#![allow(clippy::unwrap_used, clippy::expect_used, missing_docs)]
+#![allow(clippy::float_cmp, reason = "where a value is exact, it is compared as such")]
+
+mod common;
+
+use common::{Canvas, Hand, Noise, Picture, Shape};
+use fingerpost_core::fit::{FitOptions, Loss};
+use fingerpost_core::frame::ColourView;
+use fingerpost_core::image::GrayView;
+use fingerpost_core::nalgebra::{Point2, Vector2};
+use fingerpost_core::search::{Polarity, SearchOptions};
+use fingerpost_core::shape_space::{AffineMap, PlacedSample, Pose};
+use fingerpost_core::template::{HALF_LENGTH, OutlineAxis, Template, Thumb};
+use fingerpost_core::tracker::{
+    AcceptOptions, AcquireOptions, ContourTracker, FingerLine, Model, StartPose, Status, Track,
+    TrackOptions, TrackerOptions,
+};
+use fingerpost_core::{Error, Frame};
+use proptest::prelude::*;
+use proptest::test_runner::{Config, RngSeed};
+use std::f64::consts::{PI, TAU};
+
+const WIDTH: usize = 200;
+const HEIGHT: usize = 150;
+const BACKGROUND: f64 = 60.0;
+const HAND: f64 = 140.0;
+/// Blur of the rendered edges [px]; with the pixel's own extent, 1/12 px², it makes one.
+const BLUR_PX: f64 = 0.957_427;
+const NOISE: f64 = 2.0;
+const LENGTH_PX: f64 = 60.0;
+const FRAME_S: f64 = 1.0 / 30.0;
+
+const MODELS: [Model; 2] = [Model::Ribbon, Model::Paper];
+const THUMBS: [Thumb; 3] = [Thumb::Left, Thumb::Right, Thumb::None];
+
+fn config(cases: u32) -> Config {
+    Config {
+        cases,
+        rng_seed: RngSeed::Fixed(0x7472_6163),
+        failure_persistence: None,
+        ..Config::default()
+    }
+}
+
+/// A bright hand: looking for nothing else saves the tests two thirds of their time.
+fn options(model: Model) -> TrackerOptions {
+    TrackerOptions { model, polarity: Polarity::Bright, ..TrackerOptions::default() }
+}
+
+const START: StartPose =
+    StartPose { tip_px: Point2::new(130.0, 60.0), angle_rad: -0.5, length_px: LENGTH_PX };
+
+fn tracker(model: Model, thumb: Thumb) -> ContourTracker {
+    ContourTracker::new(Template::pistol(thumb).unwrap(), &START, options(model)).unwrap()
+}
+
+/// The hand held up to the template, as an operator can: a few pixels and degrees off.
+fn held_up(thumb: Thumb) -> Hand {
+    Hand::usual(thumb, START.tip_px + Vector2::new(2.5, -2.0), START.angle_rad + 0.05, LENGTH_PX)
+}
+
+/// Where the hand is in frame `k`: it sways and turns by up to 2.3 px and 1.9° a frame.
+fn swaying(thumb: Thumb, k: usize) -> Hand {
+    let at = k as f64;
+    let tip = START.tip_px + Vector2::new(16.0 * (0.14 * at).sin(), 14.0 * (0.11 * at).sin());
+    let angle_rad = START.angle_rad + 0.3 * (0.11 * at).sin();
+    Hand::usual(thumb, tip, angle_rad, LENGTH_PX)
+}
+
+fn picture(hand: &Hand, noise: &mut Noise) -> Picture {
+    let canvas = Canvas::new(WIDTH, HEIGHT, BACKGROUND).paint(hand, HAND);
+    canvas.blur(BLUR_PX).take(NOISE, noise)
+}
+
+fn empty(noise: &mut Noise) -> Picture {
+    Canvas::new(WIDTH, HEIGHT, BACKGROUND).take(NOISE, noise)
+}
+
+fn update(tracker: &mut ContourTracker, picture: &Picture, time_s: f64) -> Track {
+    tracker.update(&picture.view().into(), time_s).unwrap()
+}
+
+/// Shows the tracker a still hand until it tracks; the time of the next frame.
+fn acquire(tracker: &mut ContourTracker, hand: &Hand, noise: &mut Noise) -> f64 {
+    for k in 0..6 {
+        let time_s = f64::from(k) * FRAME_S;
+        if update(tracker, &picture(hand, noise), time_s).status == Status::Tracking {
+            return time_s + FRAME_S;
+        }
+    }
+    unreachable!("not acquired: {hand:?}");
+}
+
+/// The angle from `a` to `b`, in (−π, π].
+fn turn(a: f64, b: f64) -> f64 {
+    let (sin, cos) = (b - a).sin_cos();
+    sin.atan2(cos)
+}
+
+/// How far a finger line is off.
+#[derive(Debug, Clone, Copy)]
+struct LineError {
+    tip_px: f64,
+    /// At the line's anchor, along its normal.
+    offset_px: f64,
+    angle_rad: f64,
+}
+
+impl LineError {
+    fn of(line: &FingerLine, hand: &Hand) -> Self {
+        Self {
+            tip_px: (line.axis.tip - hand.tip_px).norm(),
+            offset_px: hand.offset_px(&line.axis.anchor),
+            angle_rad: turn(hand.angle_rad, line.axis.angle_rad),
+        }
+    }
+
+    /// Squared error in units of the line's covariance; 2 on average if that is honest.
+    fn squared_mahalanobis(&self, line: &FingerLine) -> f64 {
+        let e = Vector2::new(self.offset_px, self.angle_rad);
+        e.dot(&(line.covariance.try_inverse().unwrap() * e))
+    }
+}
+
+/// Mean squared error of the line in units of its covariance, 2 for one that says exactly what it
+/// knows: neither so much less that it misleads, nor so much more that it is of no use.
+const HONEST: std::ops::Range<f64> = 0.4..6.0;
+
+#[test]
+fn a_known_motion_is_followed() {
+    // Root mean squares over the path, in the order of the models. The bound of physics at this
+    // contrast and noise is 0.006 px and 0.0003 rad; the contour takes 100 of 280 px of it.
+    const OFFSET_RMS_PX: [f64; 2] = [0.03, 0.04];
+    const ANGLE_RMS_RAD: [f64; 2] = [0.0015, 0.003];
+    const TIP_RMS_PX: [f64; 2] = [0.2, 0.2];
+    for (m, model) in MODELS.into_iter().enumerate() {
+        for thumb in THUMBS {
+            let mut tracker = tracker(model, thumb);
+            let mut noise = Noise::new(0x6d6f_7469);
+            let mut squares = [0.0; 4];
+            let mut count = 0.0;
+            for k in 0..40 {
+                let hand = swaying(thumb, k);
+                let track = update(&mut tracker, &picture(&hand, &mut noise), k as f64 * FRAME_S);
+                let Some(line) = track.finger_line else {
+                    assert!(k < 4, "{model:?} {thumb:?}: lost in frame {k}: {track:?}");
+                    continue;
+                };
+                assert_eq!(track.status, Status::Tracking);
+                let error = LineError::of(&line, &hand);
+                let ratio = error.squared_mahalanobis(&line);
+                let LineError { offset_px, angle_rad, tip_px } = error;
+                for (sum, e) in squares.iter_mut().zip([offset_px, angle_rad, tip_px, ratio.sqrt()])
+                {
+                    *sum += e * e;
+                }
+                count += 1.0;
+            }
+            let [offset, angle, tip, ratio] = squares.map(|sum: f64| (sum / count).sqrt());
+            let what = format!("{model:?} {thumb:?}: {offset} px, {angle} rad, tip {tip} px");
+            assert!(offset < OFFSET_RMS_PX[m] && angle < ANGLE_RMS_RAD[m], "{what}");
+            assert!(tip < TIP_RMS_PX[m], "{what}");
+            assert!(HONEST.contains(&(ratio * ratio)), "{} instead of 2: {what}", ratio * ratio);
+        }
+    }
+}
+
+#[test]
+fn the_covariance_of_a_hand_at_rest_is_honest() {
+    // Nothing changes but the noise: every frame's line has to be as far off as it says.
+    for model in MODELS {
+        for thumb in [Thumb::Left, Thumb::None] {
+            let hand = held_up(thumb);
+            let canvas = Canvas::new(WIDTH, HEIGHT, BACKGROUND).paint(&hand, HAND).blur(BLUR_PX);
+            let (mut tracker, mut noise) = (tracker(model, thumb), Noise::new(0x7265_7374));
+            let ratios: Vec<_> = (0..40)
+                .filter_map(|k| {
+                    let picture = canvas.take(NOISE, &mut noise);
+                    let line = update(&mut tracker, &picture, f64::from(k) * FRAME_S).finger_line?;
+                    Some(LineError::of(&line, &hand).squared_mahalanobis(&line))
+                })
+                .collect();
+            let mean = ratios.iter().sum::<f64>() / ratios.len() as f64;
+            let what = format!("{mean} instead of 2 for {model:?}, {thumb:?}");
+            assert!(ratios.len() > 30 && HONEST.contains(&mean), "{what}");
+        }
+    }
+}
+
+#[test]
+fn a_hand_unlike_the_template_is_moulded() {
+    // Stouter, with a taper, its thumb shorter, thinner and further off.
+    for thumb in THUMBS {
+        let mut hand = held_up(thumb);
+        hand.half_width_px *= 1.25;
+        hand.taper = -0.05;
+        if let Some(thumb) = &mut hand.thumb {
+            thumb.angle_rad += 0.2;
+            thumb.length_px *= 0.9;
+            thumb.half_width_px *= 0.85;
+            thumb.root_px += 3.0;
+        }
+        let (mut tracker, mut noise) = (tracker(Model::Ribbon, thumb), Noise::new(0x6d6f_756c));
+        let mut time_s = acquire(&mut tracker, &hand, &mut noise);
+        for _ in 0..10 {
+            let line =
+                update(&mut tracker, &picture(&hand, &mut noise), time_s).finger_line.unwrap();
+            time_s += FRAME_S;
+            let error = LineError::of(&line, &hand);
+            assert!(error.offset_px.abs() < 0.1 && error.angle_rad.abs() < 0.006, "{error:?}");
+            assert!(error.tip_px < 0.5, "{error:?}");
+        }
+    }
+}
+
+#[test]
+fn it_settles_after_as_many_accepted_frames_as_asked() {
+    for model in MODELS {
+        for settle_frames in [1, 2, 4] {
+            let options = options(model);
+            let acquire = AcquireOptions { settle_frames, ..options.acquire };
+            let options = TrackerOptions { acquire, ..options };
+            let template = Template::pistol(Thumb::None).unwrap();
+            let mut tracker = ContourTracker::new(template, &START, options).unwrap();
+            let (hand, mut noise) = (held_up(Thumb::None), Noise::new(0x7365_7474));
+            for k in 1..=settle_frames {
+                let track = update(&mut tracker, &picture(&hand, &mut noise), k as f64 * FRAME_S);
+                let settled = k == settle_frames;
+                let expected = if settled { Status::Tracking } else { Status::Acquiring };
+                assert_eq!(track.status, expected, "{model:?}, frame {k} of {settle_frames}");
+                assert!(track.diagnostics.accepted && track.shape.is_some());
+                assert_eq!(track.finger_line.is_some(), settled, "no line before it is tracked");
+            }
+        }
+    }
+}
+
+#[test]
+fn the_hand_may_move_while_it_settles() {
+    let (mut tracker, mut noise) = (tracker(Model::Ribbon, Thumb::Left), Noise::new(0x6d6f_7665));
+    let statuses: Vec<_> = (0..4)
+        .map(|k| {
+            let step = Vector2::new(2.0, -1.5) * f64::from(k);
+            let hand = Hand { tip_px: START.tip_px + step, ..held_up(Thumb::Left) };
+            update(&mut tracker, &picture(&hand, &mut noise), f64::from(k) * FRAME_S).status
+        })
+        .collect();
+    assert_eq!(statuses[2..], [Status::Tracking; 2]);
+}
+
+#[test]
+fn a_frame_without_the_hand_starts_settling_anew() {
+    for model in MODELS {
+        let mut tracker = tracker(model, Thumb::None);
+        let (hand, mut noise) = (held_up(Thumb::None), Noise::new(0x616e_6577));
+        let shown = [true, true, false, true, true, true];
+        for (k, shown) in shown.into_iter().enumerate() {
+            let picture = if shown { picture(&hand, &mut noise) } else { empty(&mut noise) };
+            let track = update(&mut tracker, &picture, k as f64 * FRAME_S);
+            let tracking = k == 5;
+            assert_eq!(track.status == Status::Tracking, tracking, "{model:?}, frame {k}");
+            assert_eq!(track.diagnostics.accepted, shown, "{model:?}, frame {k}");
+            if !shown {
+                assert_eq!((track.shape, track.finger_line), (None, None));
+            }
+        }
+    }
+}
+
+#[test]
+fn a_hand_of_another_size_is_not_the_one_waited_for() {
+    for factor in [0.4, 2.6] {
+        let mut hand = held_up(Thumb::None);
+        hand.half_width_px *= factor;
+        hand.length_px *= factor;
+        let (mut tracker, mut noise) =
+            (tracker(Model::Ribbon, Thumb::None), Noise::new(0x7369_7a65));
+        for k in 0..4 {
+            let track = update(&mut tracker, &picture(&hand, &mut noise), f64::from(k));
+            assert_eq!((track.status, track.finger_line), (Status::Acquiring, None), "{factor}");
+        }
+    }
+}
+
+#[test]
+fn a_template_waits_for_a_hand() {
+    for model in MODELS {
+        for thumb in THUMBS {
+            let mut tracker = tracker(model, thumb);
+            let (waiting, mut noise) = (tracker.contour(), Noise::new(0x7761_6974));
+            for k in 0..3 {
+                let track = update(&mut tracker, &empty(&mut noise), f64::from(k));
+                assert_eq!(track.status, Status::Acquiring);
+                assert_eq!((track.shape, track.finger_line), (None, None));
+                assert!(!track.diagnostics.accepted);
+                assert_eq!(track.time_s, f64::from(k));
+                assert_eq!(tracker.contour(), waiting, "it stays where it waits");
+            }
+        }
+    }
+}
+
+#[test]
+fn it_waits_at_the_start_pose() {
+    let map = AffineMap::upright(START.tip_px, START.angle_rad, START.length_px).unwrap();
+    for model in MODELS {
+        for thumb in THUMBS {
+            let tracker = tracker(model, thumb);
+            let samples = tracker.template().samples(tracker.options().samples).unwrap();
+            let (contour, expected): (_, Vec<PlacedSample>) =
+                (tracker.contour(), samples.iter().map(|s| map.place(s)).collect());
+            // The crotch's nearest samples may count as hidden by the other limb.
+            assert!((expected.len() - 4..=expected.len()).contains(&contour.len()));
+            for placed in contour {
+                // To what the template's spline keeps to its bands.
+                let near = |e: &PlacedSample| (e.position - placed.position).norm() < 0.2;
+                assert!(expected.iter().any(near), "{model:?} {thumb:?} {placed:?}");
+            }
+        }
+    }
+}
+
+/// Frames without the hand, until the tracker says it is lost.
+fn lose(tracker: &mut ContourTracker, time_s: &mut f64, noise: &mut Noise) {
+    let lose_after = tracker.options().track.lose_after_frames;
+    for missed in 1..=lose_after {
+        let track = update(tracker, &empty(noise), *time_s);
+        *time_s += FRAME_S;
+        let expected = if missed < lose_after { Status::Tracking } else { Status::Lost };
+        assert_eq!(track.status, expected, "{missed} of {lose_after} frames missed");
+        assert_eq!((track.shape, track.finger_line), (None, None));
+        assert!(!track.diagnostics.accepted);
+    }
+}
+
+#[test]
+fn a_hand_that_vanishes_is_lost_in_time_and_found_again() {
+    for model in MODELS {
+        for (thumb, lose_after_frames) in [(Thumb::Right, 1), (Thumb::None, 3)] {
+            let options = options(model);
+            let track = TrackOptions { lose_after_frames, ..options.track };
+            let options = TrackerOptions { track, ..options };
+            let template = Template::pistol(thumb).unwrap();
+            let mut tracker = ContourTracker::new(template, &START, options).unwrap();
+            let (hand, mut noise) = (held_up(thumb), Noise::new(0x6c6f_7374));
+            let mut time_s = acquire(&mut tracker, &hand, &mut noise);
+            lose(&mut tracker, &mut time_s, &mut noise);
+            for _ in 0..2 {
+                let track = update(&mut tracker, &empty(&mut noise), time_s);
+                time_s += FRAME_S;
+                assert_eq!((track.status, track.finger_line), (Status::Lost, None));
+            }
+            // Until a fit settles again, there is no line.
+            let mut back = false;
+            for _ in 0..5 {
+                let track = update(&mut tracker, &picture(&hand, &mut noise), time_s);
+                time_s += FRAME_S;
+                back = track.status == Status::Tracking;
+                assert_eq!(track.finger_line.is_some(), back);
+                assert!(back || track.status == Status::Lost);
+                if let Some(line) = track.finger_line {
+                    let error = LineError::of(&line, &hand);
+                    assert!(error.tip_px < 0.6 && error.angle_rad.abs() < 0.01, "{error:?}");
+                }
+            }
+            assert!(back, "{model:?} {thumb:?}");
+        }
+    }
+}
+
+#[test]
+fn a_lost_hand_is_found_where_it_last_was_and_where_the_template_waits() {
+    for model in MODELS {
+        let thumb = Thumb::Left;
+        let mut tracker = tracker(model, thumb);
+        let (first, mut noise) = (held_up(thumb), Noise::new(0x7768_6572));
+        let mut time_s = acquire(&mut tracker, &first, &mut noise);
+        // It goes 45 px away from where the template waits, and vanishes there.
+        let (mut hand, mut names) = (first, None);
+        for _ in 0..15 {
+            hand.tip_px += Vector2::new(2.0, 2.236);
+            let track = update(&mut tracker, &picture(&hand, &mut noise), time_s);
+            time_s += FRAME_S;
+            assert!(track.finger_line.is_some(), "{model:?} {track:?}");
+            names = track.shape.map(|shape| shape.names);
+        }
+        for back in [hand, first] {
+            lose(&mut tracker, &mut time_s, &mut noise);
+            for _ in 0..2 {
+                update(&mut tracker, &empty(&mut noise), time_s);
+                time_s += FRAME_S;
+            }
+            let mut track = None;
+            for _ in 0..5 {
+                track = Some(update(&mut tracker, &picture(&back, &mut noise), time_s));
+                time_s += FRAME_S;
+            }
+            let line = track.and_then(|track| track.finger_line).expect("found again");
+            let error = LineError::of(&line, &back);
+            assert!(error.tip_px < 0.6 && error.angle_rad.abs() < 0.01, "{model:?} {error:?}");
+            let again = track.and_then(|track| track.shape).map(|shape| shape.names);
+            assert_eq!(again, names, "{model:?}: the same hand, thumb and all");
+        }
+    }
+}
+
+#[test]
+fn a_hand_that_hides_its_thumb_is_followed_by_its_finger() {
+    for (model, names) in [(Model::Ribbon, 5), (Model::Paper, 3)] {
+        let (mut tracker, mut noise) = (tracker(model, Thumb::Left), Noise::new(0x7468_756d));
+        let hand = held_up(Thumb::None);
+        let mut time_s = acquire(&mut tracker, &hand, &mut noise);
+        // From the start, and when it is found again.
+        for _ in 0..2 {
+            let mut track = None;
+            for _ in 0..4 {
+                track = Some(update(&mut tracker, &picture(&hand, &mut noise), time_s));
+                time_s += FRAME_S;
+            }
+            let track = track.unwrap();
+            let error = LineError::of(&track.finger_line.expect("tracked"), &hand);
+            assert!(error.offset_px.abs() < 0.1 && error.angle_rad.abs() < 0.005, "{error:?}");
+            assert_eq!(track.shape.unwrap().names.len(), names, "{model:?}");
+            lose(&mut tracker, &mut time_s, &mut noise);
+        }
+    }
+}
+
+#[test]
+fn a_hand_that_hides_for_a_moment_is_tracked_on() {
+    for model in MODELS {
+        let (mut tracker, mut noise) = (tracker(model, Thumb::Left), Noise::new(0x6869_6465));
+        let hand = held_up(Thumb::Left);
+        let mut time_s = acquire(&mut tracker, &hand, &mut noise);
+        for shown in [true, false, false, true, true] {
+            let picture = if shown { picture(&hand, &mut noise) } else { empty(&mut noise) };
+            let track = update(&mut tracker, &picture, time_s);
+            time_s += FRAME_S;
+            assert_eq!(track.status, Status::Tracking);
+            assert_eq!(track.finger_line.is_some(), shown, "{model:?}");
+        }
+    }
+}
+
+/// A resting hand is seen in every frame, whatever the time between them.
+fn check_gaps(gaps_s: &[f64]) {
+    for model in MODELS {
+        let (mut tracker, mut noise) = (tracker(model, Thumb::Left), Noise::new(0x7061_7573));
+        let hand = held_up(Thumb::Left);
+        let mut time_s = acquire(&mut tracker, &hand, &mut noise);
+        for gap_s in gaps_s {
+            time_s += gap_s;
+            let track = update(&mut tracker, &picture(&hand, &mut noise), time_s);
+            let line = track.finger_line;
+            assert!(line.is_some(), "{model:?}: not seen {gap_s} s after the last: {track:?}");
+            assert!(LineError::of(&line.unwrap(), &hand).tip_px < 0.6, "{model:?}, {gap_s} s");
+        }
+    }
+}
+
+#[test]
+fn a_pause_does_not_throw_a_resting_hand_away() {
+    check_gaps(&[FRAME_S, 2.0, FRAME_S, FRAME_S, 60.0, FRAME_S, 3600.0]);
+}
+
+#[test]
+fn frames_at_almost_the_same_time_do_not_throw_a_resting_hand_away() {
+    // As drivers deliver them after a hiccup.
+    check_gaps(&[FRAME_S, 1e-6, FRAME_S, 0.0, FRAME_S, 1e-9, FRAME_S]);
+}
+
+#[test]
+fn time_does_not_run_backwards() {
+    let (mut tracker, mut noise) = (tracker(Model::Ribbon, Thumb::None), Noise::new(0x7469_6d65));
+    let hand = held_up(Thumb::None);
+    let shown = picture(&hand, &mut noise);
+    let frame = Frame::gray(shown.view());
+    for time_s in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
+        let error = tracker.update(&frame, time_s).unwrap_err();
+        assert!(matches!(error, Error::NotFinite { what: "frame time [s]", .. }), "{error}");
+    }
+    // A clock may start anywhere.
+    let mut time_s = -1e6;
+    for _ in 0..4 {
+        update(&mut tracker, &shown, time_s);
+        time_s += FRAME_S;
+    }
+    let error = tracker.update(&frame, time_s - 2.0 * FRAME_S).unwrap_err();
+    assert!(
+        matches!(error, Error::OutOfRange { what: "frame time [s]", value, .. } if value < time_s),
+        "{error}"
+    );
+    assert!(error.to_string().contains("at or after the last frame's"), "{error}");
+    // A refused frame changes nothing; the same time again is one.
+    for _ in 0..2 {
+        assert!(update(&mut tracker, &shown, time_s).finger_line.is_some());
+    }
+}
+
+#[test]
+fn the_same_frames_give_the_same_bits() {
+    for model in MODELS {
+        let mut trackers = [tracker(model, Thumb::Right), tracker(model, Thumb::Right)];
+        let mut noise = Noise::new(0x7361_6d65);
+        for k in 0..14 {
+            let away = (8..11).contains(&k);
+            let hand = swaying(Thumb::Right, k);
+            let picture = if away { empty(&mut noise) } else { picture(&hand, &mut noise) };
+            let [one, other] = trackers.each_mut().map(|t| update(t, &picture, k as f64 * FRAME_S));
+            assert_eq!(one, other);
+            assert_eq!(trackers[0].contour(), trackers[1].contour());
+            // A tracker goes on from a copy as it would itself.
+            trackers[1] = trackers[0].clone();
+        }
+    }
+}
+
+#[test]
+fn a_traced_outline_is_tracked_by_the_paper_s_model() {
+    // As if drawn round a hand somewhere else in another image, thumb and all.
+    let elsewhere = AffineMap::upright(Point2::new(400.0, 300.0), 2.0, 140.0).unwrap();
+    let pistol = Template::pistol(Thumb::Left).unwrap();
+    let outline: Vec<_> =
+        pistol.samples(400).unwrap().iter().map(|s| elsewhere.transform(&s.position)).collect();
+    let on_axis = |p| elsewhere.transform(&Point2::new(p, 0.0));
+    let axis = OutlineAxis { knuckle: on_axis(-HALF_LENGTH), tip: on_axis(HALF_LENGTH) };
+    let traced = Template::from_outline(&outline, &axis, pistol.hand(), 40).unwrap();
+
+    let refused = ContourTracker::new(traced.clone(), &START, options(Model::Ribbon)).unwrap_err();
+    assert!(matches!(refused, Error::Unsupported { what: "the band model", .. }), "{refused}");
+
+    let mut tracker = ContourTracker::new(traced, &START, options(Model::Paper)).unwrap();
+    let mut noise = Noise::new(0x7472_6163);
+    for k in 0..25 {
+        let hand = swaying(Thumb::Left, k);
+        let track = update(&mut tracker, &picture(&hand, &mut noise), k as f64 * FRAME_S);
+        if k > 4 {
+            let line = track.finger_line.expect("tracked");
+            let error = LineError::of(&line, &hand);
+            assert!(error.offset_px.abs() < 0.15 && error.angle_rad.abs() < 0.008, "{error:?}");
+            assert!(error.tip_px < 0.6, "{error:?}");
+        }
+    }
+}
+
+#[test]
+fn a_track_tells_its_story() {
+    for (model, thumb, names) in [
+        (Model::Ribbon, Thumb::Left, 9),
+        (Model::Ribbon, Thumb::None, 5),
+        (Model::Paper, Thumb::Right, 4),
+        (Model::Paper, Thumb::None, 3),
+    ] {
+        let (mut tracker, mut noise) = (tracker(model, thumb), Noise::new(0x7374_6f72));
+        let hand = held_up(thumb);
+        let time_s = acquire(&mut tracker, &hand, &mut noise);
+        let track = update(&mut tracker, &picture(&hand, &mut noise), time_s);
+        let (shape, line, told) =
+            (track.shape.unwrap(), track.finger_line.unwrap(), track.diagnostics);
+        assert_eq!(track.time_s, time_s);
+        assert_eq!((shape.names.len(), told.rank), (names, names), "{model:?} {thumb:?}");
+        assert!(shape.vector.iter().skip(names).all(|&x| x == 0.0));
+        let covariance = shape.covariance;
+        for i in 0..covariance.nrows() {
+            for j in 0..covariance.ncols() {
+                let used = i < names && j < names;
+                assert!(used || covariance[(i, j)] == 0.0);
+                assert!((covariance[(i, j)] - covariance[(j, i)]).abs() < 1e-9);
+            }
+        }
+        assert!((0..names).all(|i| covariance[(i, i)] > 0.0));
+        // The line goes through the centre that the shape vector begins with.
+        let centre = Point2::new(shape.vector[0], shape.vector[1]);
+        assert!((centre - line.axis.anchor).dot(&line.axis.normal()).abs() < 1e-9);
+        assert!(turn(shape.vector[2], line.axis.angle_rad).abs() < 1e-9);
+        assert!((covariance[(2, 2)] - line.covariance[(1, 1)]).abs() < 1e-12);
+
+        assert!(told.accepted && told.iterations >= 1);
+        assert!(told.inliers <= told.hits && told.hits <= told.visible);
+        assert!(told.visible <= tracker.options().samples && told.inliers > told.visible / 2);
+        assert!(told.residual_rms_px > 0.0 && told.residual_rms_px < 0.5);
+        assert_eq!(tracker.search_lines().len(), told.visible);
+        assert_eq!(tracker.search_lines().filter(|(_, found)| found.is_ok()).count(), told.hits);
+        // The contour lies on the hand's edge.
+        let contour = tracker.contour();
+        assert_eq!(contour.len(), told.visible);
+        for placed in contour {
+            let (depth, outward) = hand.depth(placed.position);
+            assert!(depth.abs() < 0.6, "{model:?} {thumb:?} {depth} at {placed:?}");
+            assert!(depth.abs() > 0.5 || placed.normal.dot(&outward) > 0.8, "{placed:?}");
+        }
+    }
+}
+
+#[test]
+fn a_dark_hand_and_one_of_unknown_polarity() {
+    for (polarity, hand_grey) in
+        [(Polarity::Dark, 20.0), (Polarity::Unknown, 20.0), (Polarity::Unknown, 220.0)]
+    {
+        let options = TrackerOptions { polarity, ..options(Model::Ribbon) };
+        let template = Template::pistol(Thumb::None).unwrap();
+        let mut tracker = ContourTracker::new(template, &START, options).unwrap();
+        let (hand, mut noise) = (held_up(Thumb::None), Noise::new(0x6461_726b));
+        let canvas = Canvas::new(WIDTH, HEIGHT, 120.0).paint(&hand, hand_grey).blur(BLUR_PX);
+        let mut line = None;
+        for k in 0..5 {
+            line = update(&mut tracker, &canvas.take(NOISE, &mut noise), f64::from(k)).finger_line;
+        }
+        assert!(LineError::of(&line.unwrap(), &hand).tip_px < 0.4, "{polarity:?}");
+    }
+}
+
+#[test]
+fn colours_may_come_and_go() {
+    for model in MODELS {
+        let (mut tracker, mut noise) = (tracker(model, Thumb::Left), Noise::new(0x636f_6c6f));
+        for k in 0..12 {
+            let hand = swaying(Thumb::Left, k);
+            let picture = picture(&hand, &mut noise);
+            let bytes: Vec<u8> =
+                picture.bytes.iter().flat_map(|&g| [g, g / 2 + 30, 255 - g]).collect();
+            let colours = ColourView::new(&bytes, WIDTH, HEIGHT, 3 * WIDTH).unwrap();
+            let frame = match k % 3 {
+                0 => Frame::gray(picture.view()),
+                _ => Frame::coloured(picture.view(), colours).unwrap(),
+            };
+            let track = tracker.update(&frame, k as f64 * FRAME_S).unwrap();
+            assert!(k < 4 || track.finger_line.is_some(), "{model:?}, frame {k}");
+        }
+    }
+}
+
+#[test]
+fn frames_may_change_their_size() {
+    for model in MODELS {
+        let (mut tracker, mut noise) = (tracker(model, Thumb::Left), Noise::new(0x6672_616d));
+        let hand = held_up(Thumb::Left);
+        let time_s = acquire(&mut tracker, &hand, &mut noise);
+        for (k, (width, height)) in [(1, 1), (1, 400), (400, 1), (100, 80)].into_iter().enumerate()
+        {
+            let odd = Canvas::new(width, height, HAND).take(NOISE, &mut noise);
+            update(&mut tracker, &odd, time_s + k as f64 * FRAME_S);
+        }
+        let track = update(&mut tracker, &picture(&hand, &mut noise), time_s + 1.0);
+        assert!(track.finger_line.is_some(), "{model:?} {track:?}");
+    }
+}
+
+#[test]
+fn a_start_beside_the_image_waits_there() {
+    let shown = picture(&held_up(Thumb::Left), &mut Noise::new(0x6f75_7473));
+    for model in MODELS {
+        for (u, v) in [(-500.0, 60.0), (130.0, 1e5), (1e9, -1e9)] {
+            let start = StartPose { tip_px: Point2::new(u, v), ..START };
+            let template = Template::pistol(Thumb::Left).unwrap();
+            let mut tracker = ContourTracker::new(template, &start, options(model)).unwrap();
+            for k in 0..2 {
+                let track = update(&mut tracker, &shown, f64::from(k));
+                assert_eq!((track.status, track.diagnostics.hits), (Status::Acquiring, 0));
+            }
+        }
+    }
+}
+
+#[test]
+fn edges_without_contrast_are_no_error() {
+    // The least contrast may be none at all; then there are edges everywhere, and in a picture of
+    // two flat halves places that hardly are.
+    let bytes: Vec<u8> =
+        (0..WIDTH * HEIGHT).map(|i| if i % WIDTH < 110 { 150 } else { 60 }).collect();
+    let picture = Picture { width: WIDTH, height: HEIGHT, bytes };
+    for polarity in [Polarity::Bright, Polarity::Dark, Polarity::Unknown] {
+        let search = SearchOptions { min_contrast_grey: 0.0, ..SearchOptions::default() };
+        let options = TrackerOptions { search, polarity, ..options(Model::Ribbon) };
+        let template = Template::pistol(Thumb::None).unwrap();
+        let mut tracker = ContourTracker::new(template, &START, options).unwrap();
+        let track = tracker.update(&picture.view().into(), 0.0);
+        assert!(track.is_ok(), "{polarity:?}: {track:?}");
+    }
+}
+
+#[test]
+fn a_hand_as_large_as_a_large_image_is_no_error() {
+    // No search line is longer than 128 px, but a hand may be larger than ten of them.
+    let start = StartPose { tip_px: Point2::new(1200.0, 190.0), angle_rad: 0.0, length_px: 1100.0 };
+    let hand = Hand::usual(Thumb::Left, start.tip_px, start.angle_rad, start.length_px);
+    let canvas = Canvas::new(1250, 380, BACKGROUND).paint(&hand, HAND).blur(BLUR_PX);
+    let picture = canvas.take(NOISE, &mut Noise::new(0x6c61_7267));
+    let template = Template::pistol(Thumb::Left).unwrap();
+    let mut tracker = ContourTracker::new(template, &start, options(Model::Ribbon)).unwrap();
+    for k in 0..2 {
+        let track = tracker.update(&picture.view().into(), f64::from(k) * FRAME_S);
+        assert!(track.is_ok(), "{track:?}");
+    }
+}
+
+/// Sets one of a tracker's options.
+type Set = fn(&mut TrackerOptions, f64);
+
+#[test]
+fn options_out_of_range_are_refused_with_their_value() {
+    let ranges: [(&str, Set, &[f64]); 14] = [
+        ("contour samples", |o, x| o.samples = x as usize, &[0.0, 7.0, 2001.0]),
+        ("most iterations", |o, x| o.max_iterations = x as usize, &[0.0, 101.0]),
+        ("correlation of neighbours", |o, x| o.correlation = x, &[0.99, -1.0]),
+        (
+            "search half-length [px]",
+            |o, x| o.acquire.half_length_px = x,
+            &[0.0, 0.99, 128.5, -20.0],
+        ),
+        ("search half-length [px]", |o, x| o.track.half_length_px = x, &[0.0, 0.99, 128.5]),
+        ("least inliers", |o, x| o.acquire.accept.min_inliers = x, &[-0.1, 1.1]),
+        ("least inliers", |o, x| o.track.accept.min_inliers = x, &[-0.1, 1.1]),
+        ("largest residual [px]", |o, x| o.acquire.accept.max_residual_px = x, &[0.0, -2.0]),
+        ("largest residual [px]", |o, x| o.track.accept.max_residual_px = x, &[0.0, -2.0]),
+        ("settle change", |o, x| o.acquire.settle_change = x, &[0.0, -0.1]),
+        ("largest scale", |o, x| o.acquire.max_scale = x, &[1.0, 0.5]),
+        ("frames in a row", |o, x| o.acquire.settle_frames = x as usize, &[0.0]),
+        ("frames in a row", |o, x| o.track.lose_after_frames = x as usize, &[0.0]),
+        ("appearance rate", |o, x| o.track.appearance_rate = x, &[-0.1, 1.5]),
+    ];
+    let refusal = |set: Set, x: f64| {
+        let mut options = TrackerOptions::default();
+        set(&mut options, x);
+        let template = Template::pistol(Thumb::None).unwrap();
+        ContourTracker::new(template, &START, options).err().map(|error| error.to_string())
+    };
+    for (what, set, values) in ranges {
+        for &value in values {
+            let message = refusal(set, value).expect(what);
+            assert!(message.starts_with(&format!("{what} is {value}; it must be ")), "{message}");
+        }
+        let counts = ["contour samples", "most iterations", "frames in a row"];
+        if !counts.contains(&what) {
+            for value in [f64::NAN, f64::INFINITY] {
+                let message = refusal(set, value).expect(what);
+                assert_eq!(message, format!("{what} is {value}; it must be finite"));
+            }
+        }
+    }
+    // The options of the stages below are checked as well.
+    let search: Set = |o, x| o.search.scale_px = x;
+    let fit: Set = |o, x| o.fit = FitOptions { loss: Loss::Tukey { cutoff: x }, ..o.fit };
+    assert!(refusal(search, 0.4).unwrap().starts_with("search scale [px] is 0.4"));
+    assert!(refusal(fit, 0.5).unwrap().starts_with("Tukey cutoff [robust sigma] is 0.5"));
+}
+
+#[test]
+fn a_start_that_is_no_pose_is_refused() {
+    let refusal = |start: StartPose| {
+        let template = Template::pistol(Thumb::Left).unwrap();
+        ContourTracker::new(template, &start, TrackerOptions::default()).unwrap_err().to_string()
+    };
+    for length_px in [0.0, -60.0] {
+        let message = refusal(StartPose { length_px, ..START });
+        assert_eq!(message, format!("finger length [px] is {length_px}; it must be positive"));
+    }
+    for bad in [f64::NAN, f64::INFINITY] {
+        for start in [
+            StartPose { tip_px: Point2::new(bad, 0.0), ..START },
+            StartPose { tip_px: Point2::new(0.0, bad), ..START },
+            StartPose { angle_rad: bad, ..START },
+            StartPose { length_px: bad, ..START },
+        ] {
+            let message = refusal(start);
+            assert!(message.ends_with(&format!("is {bad}; it must be finite")), "{message}");
+        }
+    }
+}
+
+/// Small pictures of any bytes, of noise and of black and white.
+fn pictures() -> impl Strategy<Value = Picture> {
+    let side = || prop_oneof![Just(1_usize), 1..48_usize];
+    let byte = prop_oneof![Just(0_u8), Just(255_u8), any::<u8>()];
+    (side(), side()).prop_flat_map(move |(width, height)| {
+        prop::collection::vec(byte.clone(), width * height).prop_map(move |bytes| Picture {
+            width,
+            height,
+            bytes,
+        })
+    })
+}
+
+fn starts() -> impl Strategy<Value = StartPose> {
+    let coordinate = || prop_oneof![0.0..48.0, -50.0..100.0, Just(1e6), Just(-1e9)];
+    let length = prop_oneof![Just(0.01), 0.5..5.0, 5.0..80.0, Just(500.0), Just(1e6)];
+    (coordinate(), coordinate(), -7.0..7.0, length).prop_map(|(u, v, angle_rad, length_px)| {
+        StartPose { tip_px: Point2::new(u, v), angle_rad, length_px }
+    })
+}
+
+/// Options that accept nearly anything, so that every state is reached.
+fn any_options() -> impl Strategy<Value = TrackerOptions> {
+    let model = prop_oneof![Just(Model::Ribbon), Just(Model::Paper)];
+    let polarity =
+        prop_oneof![Just(Polarity::Bright), Just(Polarity::Dark), Just(Polarity::Unknown)];
+    let accept = || {
+        prop_oneof![Just(0.0), 0.0..0.5]
+            .prop_map(|min_inliers| AcceptOptions { min_inliers, max_residual_px: 50.0 })
+    };
+    let counts = (8..20_usize, 1..4_usize, 1..3_usize, 1..3_usize);
+    let lengths = (prop_oneof![Just(1.0), 1.0..25.0, Just(128.0)], 1.0..30.0);
+    (model, polarity, counts, lengths, (accept(), accept())).prop_map(
+        |(model, polarity, counts, lengths, (waiting, tracking))| {
+            let (samples, max_iterations, settle_frames, lose_after_frames) = counts;
+            let usual = TrackerOptions::default();
+            TrackerOptions {
+                model,
+                polarity,
+                samples,
+                max_iterations,
+                acquire: AcquireOptions {
+                    half_length_px: lengths.0,
+                    accept: waiting,
+                    settle_frames,
+                    settle_change: 10.0,
+                    max_scale: 20.0,
+                },
+                track: TrackOptions {
+                    half_length_px: lengths.1,
+                    accept: tracking,
+                    lose_after_frames,
+                    ..usual.track
+                },
+                ..usual
+            }
+        },
+    )
+}
+
+/// Shows the tracker one frame more and checks that its answer can be used.
+fn check_any(tracker: &mut ContourTracker, picture: &Picture, coloured: bool, k: usize) -> Status {
+    let Picture { width, height, bytes } = picture;
+    let gray = GrayView::new(bytes, *width, *height, *width).unwrap();
+    let colours: Vec<u8> = bytes.iter().flat_map(|&g| [g, 255 - g, g / 3]).collect();
+    let colours = ColourView::new(&colours, *width, *height, 3 * width).unwrap();
+    let frame = if coloured { Frame::coloured(gray, colours).unwrap() } else { Frame::gray(gray) };
+    let track = tracker.update(&frame, k as f64 * FRAME_S).unwrap();
+    assert!(track.finger_line.is_none() || track.status == Status::Tracking);
+    if let Some(FingerLine { axis, covariance }) = track.finger_line {
+        assert!(axis.angle_rad > -PI - 1e-12 && axis.angle_rad <= PI, "{axis:?}");
+        assert!(axis.tip.iter().chain(axis.anchor.iter()).all(|x| x.is_finite()), "{axis:?}");
+        assert!(covariance.iter().all(|x| x.is_finite()), "{covariance}");
+        assert!(covariance[(0, 0)] > 0.0 && covariance[(1, 1)] > 0.0, "{covariance}");
+    }
+    let (told, samples) = (track.diagnostics, tracker.options().samples);
+    assert!(told.inliers <= told.visible && told.visible <= samples, "{told:?}");
+    assert!(tracker.contour().len() <= samples);
+    track.status
+}
+
+proptest! {
+    #![proptest_config(config(96))]
+
+    #[test]
+    fn any_bytes_from_any_start_have_an_answer(
+        pictures in prop::collection::vec(pictures(), 1..5),
+        start in starts(),
+        options in any_options(),
+        thumb in prop_oneof![Just(Thumb::Left), Just(Thumb::Right), Just(Thumb::None)],
+        coloured in any::<bool>(),
+    ) {
+        let template = Template::pistol(thumb).unwrap();
+        let mut tracker = ContourTracker::new(template, &start, options).unwrap();
+        for (k, picture) in pictures.iter().enumerate() {
+            check_any(&mut tracker, picture, coloured, k);
+        }
+    }
+
+    #[test]
+    fn any_bytes_after_a_hand_have_an_answer(
+        pictures in prop::collection::vec(pictures(), 1..10),
+        options in any_options(),
+        thumb in prop_oneof![Just(Thumb::Left), Just(Thumb::None)],
+        coloured in any::<bool>(),
+    ) {
+        // A tracker that takes anything for the hand that it has seen follows it anywhere.
+        let start = StartPose { tip_px: Point2::new(62.0, 22.0), angle_rad: -0.3, length_px: 40.0 };
+        let hand = Hand::usual(thumb, start.tip_px, start.angle_rad, start.length_px);
+        let shown = Canvas::new(80, 64, BACKGROUND).paint(&hand, HAND).blur(BLUR_PX);
+        let shown = shown.take(NOISE, &mut Noise::new(0x666f_6c6c));
+        let acquire = AcquireOptions { half_length_px: 10.0, ..options.acquire };
+        let options = TrackerOptions {
+            samples: 40,
+            max_iterations: 4,
+            polarity: Polarity::Bright,
+            acquire,
+            ..options
+        };
+        let template = Template::pistol(thumb).unwrap();
+        let mut tracker = ContourTracker::new(template, &start, options).unwrap();
+        let mut k = 0;
+        while check_any(&mut tracker, &shown, coloured, k) != Status::Tracking {
+            k += 1;
+            prop_assert!(k < 10, "the hand itself is no problem");
+        }
+        for picture in &pictures {
+            k += 1;
+            check_any(&mut tracker, picture, coloured, k);
+        }
+    }
+}
+
+proptest! {
+    #![proptest_config(config(24))]
+
+    #[test]
+    fn a_hand_is_found_from_any_direction(angle_rad in 0.0..TAU, off_px in (-4.0..4.0, -4.0..4.0)) {
+        for model in MODELS {
+            // In the middle, so that all of it is in the image.
+            let middle = Point2::new(100.0, 75.0);
+            let ahead = Vector2::new(angle_rad.cos(), angle_rad.sin()) * (0.5 * LENGTH_PX);
+            let start = StartPose { tip_px: middle + ahead, angle_rad, length_px: LENGTH_PX };
+            let tip = start.tip_px + Vector2::new(off_px.0, off_px.1);
+            let hand = Hand::usual(Thumb::None, tip, angle_rad, LENGTH_PX);
+            let template = Template::pistol(Thumb::None).unwrap();
+            let mut tracker = ContourTracker::new(template, &start, options(model)).unwrap();
+            let mut noise = Noise::new(0x616e_7964);
+            let time_s = acquire(&mut tracker, &hand, &mut noise);
+            let line = update(&mut tracker, &picture(&hand, &mut noise), time_s).finger_line;
+            let error = LineError::of(&line.unwrap(), &hand);
+            prop_assert!(error.tip_px < 0.4 && error.angle_rad.abs() < 0.005, "{:?}", error);
+        }
+    }
+}

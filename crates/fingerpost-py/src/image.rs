@@ -1,0 +1,160 @@
+//! Frames from NumPy, borrowed where they lie: nothing is copied.
+
+use crate::arrays::as_tuple;
+use crate::errors::{InvalidInputError, invalid_input};
+use fingerpost_core::frame::ColourView;
+use fingerpost_core::{Frame, GrayView};
+use numpy::{PyArrayMethods, PyReadonlyArrayDyn, PyUntypedArray, PyUntypedArrayMethods};
+use pyo3::prelude::*;
+
+/// The arrays of one frame: grey levels, and colours if there are any.
+pub struct FrameArrays<'py> {
+    gray: PixelArray<'py>,
+    colour: Option<PixelArray<'py>>,
+}
+
+impl<'py> FrameArrays<'py> {
+    /// The arrays, or an `InvalidInputError` that says what was given and what is needed.
+    pub fn new(image: &Bound<'py, PyAny>, colour: Option<&Bound<'py, PyAny>>) -> PyResult<Self> {
+        let gray = PixelArray::new("image", image, Pixel::Gray)?;
+        let colour = colour.map(|c| PixelArray::new("colour", c, Pixel::Colour)).transpose()?;
+        Ok(Self { gray, colour })
+    }
+
+    /// The frame as the core sees it.
+    pub fn frame(&self) -> PyResult<Frame<'_>> {
+        let Layout { width, height, stride, .. } = self.gray.layout;
+        let gray =
+            GrayView::new(self.gray.bytes(), width, height, stride).map_err(invalid_input)?;
+        let Some(colour) = &self.colour else { return Ok(Frame::gray(gray)) };
+        let Layout { width, height, stride, .. } = colour.layout;
+        let colour =
+            ColourView::new(colour.bytes(), width, height, stride).map_err(invalid_input)?;
+        Frame::coloured(gray, colour).map_err(invalid_input)
+    }
+}
+
+/// What one pixel is made of.
+#[derive(Clone, Copy)]
+enum Pixel {
+    Gray,
+    Colour,
+}
+
+impl Pixel {
+    /// The axes of an array of such pixels, in words.
+    fn axes(self) -> &'static str {
+        match self {
+            Self::Gray => "a 2-D uint8 array (height, width)",
+            Self::Colour => "a 3-D uint8 array (height, width, 3)",
+        }
+    }
+
+    /// Whether these are the axes of an array of such pixels.
+    fn fit(self, shape: &[usize]) -> bool {
+        match self {
+            Self::Gray => shape.len() == 2,
+            Self::Colour => shape.len() == 3 && shape[2] == 3,
+        }
+    }
+
+    fn bytes(self) -> usize {
+        match self {
+            Self::Gray => 1,
+            Self::Colour => 3,
+        }
+    }
+}
+
+/// A NumPy array of bytes with contiguous rows, borrowed.
+struct PixelArray<'py> {
+    array: PyReadonlyArrayDyn<'py, u8>,
+    layout: Layout,
+}
+
+/// How the pixels of an image lie in memory.
+#[derive(Clone, Copy)]
+struct Layout {
+    /// Pixels in a row.
+    width: usize,
+    /// Rows.
+    height: usize,
+    /// Bytes from one row to the next.
+    stride: usize,
+    /// Bytes from the first pixel to the last, at most `isize::MAX`.
+    bytes: usize,
+}
+
+impl<'py> PixelArray<'py> {
+    fn new(what: &str, image: &Bound<'py, PyAny>, pixel: Pixel) -> PyResult<Self> {
+        let array = image
+            .extract::<PyReadonlyArrayDyn<'py, u8>>()
+            .ok()
+            .filter(|array| pixel.fit(array.shape()))
+            .ok_or_else(|| refused(what, image, pixel.axes()))?;
+        let layout = Layout::of(array.shape(), array.strides(), pixel).ok_or_else(|| {
+            let needed = "an array whose rows are contiguous, each after the one before; \
+                          numpy.ascontiguousarray makes such a copy";
+            refused(what, image, needed)
+        })?;
+        Ok(Self { array, layout })
+    }
+
+    /// The bytes from the first pixel to the last, those between the rows included.
+    fn bytes(&self) -> &[u8] {
+        if self.layout.bytes == 0 {
+            return &[];
+        }
+        // SAFETY: `new` saw that the elements are single bytes, and `Layout::of` that all strides
+        // lead forward; so the first pixel has the lowest address and the last pixel's last byte is
+        // `layout.bytes` − 1 further, which does not overflow. NumPy keeps everything between two
+        // elements of an array in one allocation, initialised as far as bytes go. (An array that
+        // `as_strided` makes point elsewhere is unsound for NumPy itself.) `self.array` holds a
+        // counted reference to the array, so that the memory outlives the slice.
+        // Nobody may write to it meanwhile. `self.array` is a shared borrow, which keeps Rust code
+        // that borrows NumPy arrays from writing to these pixels (the bytes between two rows may be
+        // another view's, but nobody looks at them). Python code in another thread could write; no
+        // Rust binding to NumPy can prevent that, and the documentation of the module forbids it.
+        // What it would spoil is this frame: any byte is a valid pixel, and the core checks every
+        // index.
+        #[expect(unsafe_code, reason = "rows with gaps have no safe slice; see SAFETY")]
+        unsafe {
+            std::slice::from_raw_parts(self.array.data(), self.layout.bytes)
+        }
+    }
+}
+
+impl Layout {
+    /// The layout, if the bytes of a row lie side by side and each row begins at or after the end
+    /// of the one before. (An axis with at most one entry leads nowhere, and none does in an array
+    /// without entries: those strides may be anything.) The shape fits the pixel.
+    fn of(shape: &[usize], strides: &[isize], pixel: Pixel) -> Option<Self> {
+        let (height, width) = (shape[0], shape[1]);
+        let row = width.checked_mul(pixel.bytes())?;
+        if height == 0 || width == 0 {
+            return Some(Self { width, height, stride: row, bytes: 0 });
+        }
+        let pixels_adjoin = width == 1 || strides[1] == pixel.bytes() as isize;
+        let channels_adjoin = strides.get(2).is_none_or(|&channel| channel == 1);
+        let stride = if height == 1 { row } else { usize::try_from(strides[0]).ok()? };
+        if !pixels_adjoin || !channels_adjoin || stride < row {
+            return None;
+        }
+        let bytes = (height - 1).checked_mul(stride)?.checked_add(row)?;
+        isize::try_from(bytes).ok()?;
+        Some(Self { width, height, stride, bytes })
+    }
+}
+
+fn refused(what: &str, given: &Bound<'_, PyAny>, needed: &str) -> PyErr {
+    let given = match given.cast::<PyUntypedArray>() {
+        Ok(array) => format!(
+            "an array of dtype {}, shape {} and strides {}",
+            array.dtype(),
+            as_tuple(array.shape()),
+            as_tuple(array.strides())
+        ),
+        Err(_) => format!("of {}", given.get_type()),
+    };
+    InvalidInputError::new_err(format!("{what} is {given}; it must be {needed}"))
+}

@@ -1,0 +1,341 @@
+//! `fingerpost._core.ContourTracker` and what its frames return.
+
+use crate::arrays::{column, flat_table, point, table};
+use crate::errors::{in_use, invalid_input};
+use crate::image::FrameArrays;
+use crate::numbers::real;
+use crate::options::{Overlay, options, overlay_fields, overlay_words};
+use crate::search::PySearchLines;
+use crate::template::PyTemplate;
+use crate::words::Word;
+use fingerpost_core::shape_space::{AffineMap, Axis};
+use fingerpost_core::tracker::{
+    AcceptOptions, AcquireOptions, ContourTracker, Diagnostics, FingerLine, Model, ShapeEstimate,
+    StartPose, Track, TrackOptions, TrackerOptions,
+};
+use numpy::{PyArray1, PyArray2};
+use pyo3::prelude::*;
+
+overlay_fields!(AcceptOptions { min_inliers, max_residual_px });
+overlay_fields!(AcquireOptions { half_length_px, accept, settle_frames, settle_change, max_scale });
+overlay_fields!(TrackOptions { half_length_px, accept, lose_after_frames, appearance_rate });
+overlay_fields!(TrackerOptions {
+    model,
+    samples,
+    max_iterations,
+    search,
+    polarity,
+    fit,
+    correlation,
+    acquire,
+    track,
+});
+
+overlay_words!(Model);
+
+/// Where the template waits for the hand.
+#[pyclass(name = "StartPose", module = "fingerpost", frozen, eq)]
+#[derive(PartialEq)]
+pub struct PyStartPose {
+    start: StartPose,
+    /// The undeformed template there.
+    map: AffineMap,
+}
+
+#[pymethods]
+impl PyStartPose {
+    #[new]
+    fn new(
+        tip_px: &Bound<'_, PyAny>,
+        angle_rad: &Bound<'_, PyAny>,
+        length_px: &Bound<'_, PyAny>,
+    ) -> PyResult<Self> {
+        let start = StartPose {
+            tip_px: point(tip_px, "tip_px")?,
+            angle_rad: real(angle_rad, "angle_rad")?,
+            length_px: real(length_px, "length_px")?,
+        };
+        let StartPose { tip_px, angle_rad, length_px } = start;
+        let map = AffineMap::upright(tip_px, angle_rad, length_px).map_err(invalid_input)?;
+        Ok(Self { start, map })
+    }
+
+    /// The finger's tip.
+    #[getter]
+    fn tip_px(&self) -> (f64, f64) {
+        (self.start.tip_px.x, self.start.tip_px.y)
+    }
+
+    /// Direction of pointing.
+    #[getter]
+    fn angle_rad(&self) -> f64 {
+        self.start.angle_rad
+    }
+
+    /// Visible length of the index finger.
+    #[getter]
+    fn length_px(&self) -> f64 {
+        self.start.length_px
+    }
+
+    /// Image of the template's origin, the middle of the finger.
+    #[getter]
+    fn centre_px(&self, py: Python<'_>) -> Py<PyArray1<f64>> {
+        column(py, self.map.centre.iter().copied())
+    }
+
+    /// Images of the template's basis vectors, as columns.
+    #[getter]
+    fn linear_px(&self, py: Python<'_>) -> PyResult<Py<PyArray2<f64>>> {
+        flat_table(py, self.map.linear.transpose().as_slice().to_vec(), 2)
+    }
+
+    fn __repr__(&self) -> String {
+        let StartPose { tip_px, angle_rad, length_px } = &self.start;
+        format!(
+            "StartPose(tip_px=({}, {}), angle_rad={angle_rad}, length_px={length_px})",
+            tip_px.x, tip_px.y
+        )
+    }
+}
+
+/// Follows one hand in one view.
+#[pyclass(name = "ContourTracker", module = "fingerpost")]
+pub struct PyContourTracker(ContourTracker);
+
+#[pymethods]
+impl PyContourTracker {
+    #[new]
+    #[pyo3(signature = (template, start, options = None))]
+    fn new(
+        py: Python<'_>,
+        template: &PyTemplate,
+        start: &PyStartPose,
+        options: Option<&Bound<'_, PyAny>>,
+    ) -> PyResult<Self> {
+        let options: TrackerOptions = self::options(options)?;
+        let template = template.0.clone();
+        py.detach(|| ContourTracker::new(template, &start.start, options))
+            .map(Self)
+            .map_err(invalid_input)
+    }
+
+    /// Takes one frame and tells where the hand is.
+    #[pyo3(signature = (image, time_s, colour = None))]
+    fn update(
+        slf: &Bound<'_, Self>,
+        py: Python<'_>,
+        image: &Bound<'_, PyAny>,
+        time_s: &Bound<'_, PyAny>,
+        colour: Option<&Bound<'_, PyAny>>,
+    ) -> PyResult<PyTrack> {
+        let arrays = FrameArrays::new(image, colour)?;
+        let frame = arrays.frame()?;
+        let time_s = real(time_s, "time_s")?;
+        let mut this = slf.try_borrow_mut().map_err(|_| in_use("ContourTracker"))?;
+        let tracker = &mut this.0;
+        py.detach(|| tracker.update(&frame, time_s)).map(PyTrack).map_err(invalid_input)
+    }
+
+    /// The template.
+    #[getter]
+    fn template(slf: &Bound<'_, Self>) -> PyResult<PyTemplate> {
+        Ok(PyTemplate(Self::at_rest(slf)?.0.template().clone()))
+    }
+
+    /// Every option in force.
+    #[getter]
+    fn options<'py>(slf: &Bound<'py, Self>, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        Self::at_rest(slf)?.0.options().entry(py)
+    }
+
+    /// The contour after the last frame, or where it waits.
+    fn contour(slf: &Bound<'_, Self>, py: Python<'_>) -> PyResult<Py<PyArray2<f64>>> {
+        let contour = Self::at_rest(slf)?.0.contour();
+        table(py, contour.iter().map(|s| s.position.coords.into()))
+    }
+
+    /// The last search.
+    fn search_lines(slf: &Bound<'_, Self>, py: Python<'_>) -> PyResult<PySearchLines> {
+        let this = Self::at_rest(slf)?;
+        let searched: Vec<_> = this.0.search_lines().collect();
+        PySearchLines::new(py, searched.into_iter())
+    }
+
+    fn __repr__(slf: &Bound<'_, Self>) -> PyResult<String> {
+        let this = Self::at_rest(slf)?;
+        let TrackerOptions { model, samples, .. } = this.0.options();
+        let thumb = this.0.template().thumb().word();
+        Ok(format!("ContourTracker(model='{}', thumb='{thumb}', samples={samples})", model.word()))
+    }
+}
+
+impl PyContourTracker {
+    /// The tracker, unless it is updated in another thread.
+    fn at_rest<'py>(slf: &Bound<'py, Self>) -> PyResult<PyRef<'py, Self>> {
+        slf.try_borrow().map_err(|_| in_use("ContourTracker"))
+    }
+}
+
+/// What one frame told.
+#[pyclass(name = "Track", module = "fingerpost._core", frozen)]
+pub struct PyTrack(Track);
+
+#[pymethods]
+impl PyTrack {
+    /// When the frame was captured.
+    #[getter]
+    fn time_s(&self) -> f64 {
+        self.0.time_s
+    }
+
+    /// Where the tracker is after the frame.
+    #[getter]
+    fn status(&self) -> &'static str {
+        self.0.status.word()
+    }
+
+    /// The line that the finger points along, if the hand is tracked and the fit was accepted.
+    #[getter]
+    fn finger_line(&self) -> Option<PyFingerLine> {
+        self.0.finger_line.map(PyFingerLine)
+    }
+
+    /// Name and unit of each component of the shape vector.
+    #[getter]
+    fn shape_names(&self) -> Vec<&'static str> {
+        self.0.shape.map_or_else(Vec::new, |s| s.names.to_vec())
+    }
+
+    /// The fitted shape, if the fit was accepted.
+    #[getter]
+    fn shape_vector(&self, py: Python<'_>) -> Option<Py<PyArray1<f64>>> {
+        let ShapeEstimate { names, vector, .. } = self.0.shape?;
+        Some(column(py, vector.iter().take(names.len()).copied()))
+    }
+
+    /// Covariance of the shape vector.
+    #[getter]
+    fn shape_covariance(&self, py: Python<'_>) -> PyResult<Option<Py<PyArray2<f64>>>> {
+        let Some(ShapeEstimate { names, covariance, .. }) = self.0.shape else { return Ok(None) };
+        let n = names.len();
+        let entries = (0..n).flat_map(|i| (0..n).map(move |j| covariance[(i, j)]));
+        flat_table(py, entries.collect(), n).map(Some)
+    }
+
+    /// Why the frame went the way it did.
+    #[getter]
+    fn diagnostics(&self) -> PyDiagnostics {
+        PyDiagnostics(self.0.diagnostics)
+    }
+
+    fn __repr__(&self) -> String {
+        let Track { time_s, finger_line, .. } = &self.0;
+        let line = finger_line.map_or_else(|| "None".to_owned(), |l| PyFingerLine(l).__repr__());
+        format!("Track(time_s={time_s}, status='{}', finger_line={line})", self.status())
+    }
+}
+
+/// The image line that the finger points along.
+#[pyclass(name = "FingerLine", module = "fingerpost._core", frozen)]
+pub struct PyFingerLine(FingerLine);
+
+#[pymethods]
+impl PyFingerLine {
+    /// The point that the offset is measured at: the middle of the visible finger.
+    #[getter]
+    fn anchor_px(&self) -> (f64, f64) {
+        (self.0.axis.anchor.x, self.0.axis.anchor.y)
+    }
+
+    /// The end of the axis at the finger's apex.
+    #[getter]
+    fn tip_px(&self) -> (f64, f64) {
+        (self.0.axis.tip.x, self.0.axis.tip.y)
+    }
+
+    /// Direction of pointing.
+    #[getter]
+    fn angle_rad(&self) -> f64 {
+        self.0.axis.angle_rad
+    }
+
+    /// Covariance of offset and angle.
+    #[getter]
+    fn covariance(&self, py: Python<'_>) -> PyResult<Py<PyArray2<f64>>> {
+        flat_table(py, self.0.covariance.transpose().as_slice().to_vec(), 2)
+    }
+
+    fn __repr__(&self) -> String {
+        let FingerLine { axis: Axis { anchor, tip, angle_rad }, covariance } = &self.0;
+        format!(
+            "FingerLine(anchor_px=({:.2}, {:.2}), tip_px=({:.2}, {:.2}), \
+             angle_rad={angle_rad:.4} ± {:.4}, offset_px=0 ± {:.3})",
+            anchor.x,
+            anchor.y,
+            tip.x,
+            tip.y,
+            covariance[(1, 1)].sqrt(),
+            covariance[(0, 0)].sqrt(),
+        )
+    }
+}
+
+/// Why a frame went the way it did.
+#[pyclass(name = "Diagnostics", module = "fingerpost._core", frozen)]
+pub struct PyDiagnostics(Diagnostics);
+
+#[pymethods]
+impl PyDiagnostics {
+    /// Samples of the contour that no other limb hides.
+    #[getter]
+    fn visible(&self) -> usize {
+        self.0.visible
+    }
+
+    /// Lines of the frame's last search that found an edge.
+    #[getter]
+    fn hits(&self) -> usize {
+        self.0.hits
+    }
+
+    /// Edges that agree with the fit.
+    #[getter]
+    fn inliers(&self) -> usize {
+        self.0.inliers
+    }
+
+    /// Root mean square of their residual offsets.
+    #[getter]
+    fn residual_rms_px(&self) -> f64 {
+        self.0.residual_rms_px
+    }
+
+    /// Directions of the shape space that the measurements determine.
+    #[getter]
+    fn rank(&self) -> usize {
+        self.0.rank
+    }
+
+    /// Searches along the normals in the last shape space.
+    #[getter]
+    fn iterations(&self) -> usize {
+        self.0.iterations
+    }
+
+    /// Whether the fit was determined and accepted.
+    #[getter]
+    fn accepted(&self) -> bool {
+        self.0.accepted
+    }
+
+    fn __repr__(&self) -> String {
+        let Diagnostics { visible, hits, inliers, residual_rms_px, rank, iterations, accepted } =
+            self.0;
+        let accepted = if accepted { "True" } else { "False" };
+        format!(
+            "Diagnostics(accepted={accepted}, visible={visible}, hits={hits}, inliers={inliers}, \
+             residual_rms_px={residual_rms_px:.3}, rank={rank}, iterations={iterations})"
+        )
+    }
+}

@@ -1,0 +1,82 @@
+//! The core's enums are words in Python.
+
+use crate::errors::wrong;
+use fingerpost_core::contour::HandSide;
+use fingerpost_core::fit::{Outcome, Solve};
+use fingerpost_core::search::{Miss, Polarity, Scale};
+use fingerpost_core::template::Thumb;
+use fingerpost_core::tracker::{Model, Status};
+use pyo3::prelude::*;
+use pyo3::types::PyString;
+
+/// Which of the core's cues a search follows.
+#[derive(Clone, Copy)]
+pub enum CueKind {
+    /// The strongest edge.
+    Edges,
+    /// The edge that best separates the hand from what is behind it.
+    HandEdges,
+    /// The place where the pixels' votes change sides.
+    Votes,
+}
+
+/// What a pixel shows.
+#[derive(Clone, Copy)]
+pub enum Side {
+    /// The hand.
+    Hand,
+    /// What is behind it.
+    Background,
+}
+
+/// A choice among words.
+pub trait Word: Copy + 'static {
+    /// Every choice.
+    const ALL: &'static [Self];
+
+    /// The word for it.
+    fn word(self) -> &'static str;
+
+    /// The choice that a word stands for, or the error that names them all.
+    fn parse(value: &Bound<'_, PyAny>, what: &str) -> PyResult<Self> {
+        let given = value.cast::<PyString>().ok();
+        let meant = |choice: &&Self| given.is_some_and(|word| word == choice.word());
+        Self::ALL.iter().find(meant).copied().ok_or_else(|| {
+            let mut words: Vec<_> = Self::ALL.iter().map(|c| format!("{:?}", c.word())).collect();
+            let last = words.pop().unwrap_or_default();
+            wrong(what, value, &format!("{} or {last}", words.join(", ")))
+        })
+    }
+}
+
+macro_rules! words {
+    ($($choice:ident { $($value:ident = $word:literal),+ $(,)? })+) => {
+        $(impl Word for $choice {
+            const ALL: &'static [Self] = &[$(Self::$value),+];
+
+            fn word(self) -> &'static str {
+                match self {
+                    $(Self::$value => $word,)+
+                }
+            }
+        })+
+    };
+}
+
+words! {
+    HandSide { Left = "left", Right = "right" }
+    Thumb { Left = "left", Right = "right", None = "none" }
+    Polarity { Bright = "bright", Dark = "dark", Unknown = "unknown" }
+    Miss { OutOfImage = "out-of-image", NoContrast = "no-contrast", BeyondEnd = "beyond-end" }
+    Scale { Fine = "fine", Coarse = "coarse" }
+    Solve { Joint = "joint", TwoStage = "two-stage" }
+    Outcome {
+        Determined = "determined",
+        TooFewEquations = "too-few-equations",
+        Undetermined = "undetermined",
+    }
+    Model { Ribbon = "ribbon", Paper = "paper" }
+    CueKind { Edges = "edges", HandEdges = "hand-edges", Votes = "votes" }
+    Side { Hand = "hand", Background = "background" }
+    Status { Acquiring = "acquiring", Tracking = "tracking", Lost = "lost" }
+}

@@ -1,0 +1,1466 @@
+"""The stages of the contour tracker, written in Rust (crate ``fingerpost-core``).
+
+One frame's way is search → fit → accept: `EdgeSearch` measures edges along the normals of a
+contour, `Fitter` turns the measurements into a step of the shape vector that a `ShapeSpace`
+allows, and `ContourTracker` runs both over the life of a hand, from the `Template` that waits for
+it to the finger line of every frame. The other stages stand here to be studied, tested and
+combined anew; who only wants to track needs `Template`, `StartPose` and `ContourTracker`.
+
+Conventions
+-----------
+Pixel (0, 0) is the centre of the top-left pixel, u runs right and v down; a point is (u, v).
+Angles are in radians from +u towards +v. Template coordinates (p, q) have their origin in the
+middle of the visible index finger, which is one unit long; p runs towards the tip, q to the right
+of the pointing direction.
+
+*Images* are NumPy arrays of ``uint8`` that are read where they lie, without a copy, whatever the
+distance from row to row. The pixels of a row must be contiguous and the rows must follow one
+another in memory: a cropped image will do, one that is mirrored, transposed or a single channel of
+another needs `numpy.ascontiguousarray`. Nothing may write to an image while a call works on it.
+
+*Other arrays* may be anything that NumPy reads as real numbers. Arrays that come back are
+read-only.
+
+*Options* are nested dictionaries that name only what differs from the defaults, which the property
+``options`` of every stage tells; an unknown key is refused with its path.
+
+*Threads*: whatever takes longer than some microseconds releases the GIL. Objects are immutable and
+may be shared, but for `ContourTracker` and `Appearance`: while one is at work in one thread, any
+use of it in another raises `fingerpost.errors.FingerpostError`.
+
+Bad input raises `fingerpost.errors.InvalidInputError`, a `ValueError`, that names the value and
+what would be right; an object of the wrong class raises `TypeError`. A hand that is not there is
+no error but a status.
+"""
+
+from collections.abc import Mapping
+from typing import Literal, TypedDict, final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+__all__ = [
+    "Appearance",
+    "ArcLength",
+    "Axis",
+    "BSpline",
+    "BasisRows",
+    "ContourSamples",
+    "ContourTracker",
+    "CurvePoints",
+    "Diagnostics",
+    "EdgeSearch",
+    "FingerLine",
+    "FitReport",
+    "Fitter",
+    "PlacedContour",
+    "SearchLines",
+    "ShapeSpace",
+    "SplineFit",
+    "StartPose",
+    "Template",
+    "Track",
+    "sample_contour",
+]
+
+# --- options ---------------------------------------------------------------------------------
+
+class _SearchOptions(TypedDict, total=False):
+    """How edges are looked for."""
+
+    scale_px: float
+    """Scale s of the derivative of Gaussian [px], 0.5 to 8."""
+    blur_px: float
+    """Blur σ_b of the edges in the image [px], 0 to 8; contrast and variance depend on it."""
+    noise_grey: float
+    """Standard deviation σ_n of the image noise [grey levels], 0.1 to 64."""
+    min_contrast_grey: float
+    """The least contrast that counts as an edge [grey levels], 0 to 255."""
+
+class _FitOptions(TypedDict, total=False):
+    """How offsets become a step of the shape vector."""
+
+    loss: float | Literal["none"]
+    """Cutoff of Tukey's biweight [robust standard deviations], above 1; or plain least squares."""
+    solve: Literal["joint", "two-stage"]
+    """All components at once; or translation first, then the others, as the 1994 tracker did."""
+    max_iterations: int
+    """At most this many reweighted solutions, 1 to 100."""
+    min_scale_px: float
+    """The robust scale of the residual offsets is never taken below this [px], 0 to 10."""
+
+class _AcceptOptions(TypedDict, total=False):
+    """When a fit counts."""
+
+    min_inliers: float
+    """Least part of the visible samples whose edges agree with the fit, 0 to 1."""
+    max_residual_px: float
+    """Largest root mean square of their residual offsets [px], positive."""
+
+class _AcquireOptions(TypedDict, total=False):
+    """How the template waits for the hand."""
+
+    half_length_px: float
+    """Half-length of the search lines [px], 1 to 128."""
+    accept: _AcceptOptions
+    """When a fit counts."""
+    settle_frames: int
+    """Accepted frames in a row until the hand is acquired, at least 1."""
+    settle_change: float
+    """Largest change of the finger's half-width from frame to frame, in parts of it, positive."""
+    max_scale: float
+    """The hand is between 1 / this and this times as wide as the waiting template, above 1."""
+
+class _TrackOptions(TypedDict, total=False):
+    """How the hand is followed."""
+
+    half_length_px: float
+    """Half-length of the search lines [px], 1 to 128."""
+    accept: _AcceptOptions
+    """When a fit counts."""
+    lose_after_frames: int
+    """Frames in a row without an accepted fit until the hand is lost, at least 1."""
+    appearance_rate: float
+    """Part of the known appearance that every accepted frame replaces, 0 to 1."""
+
+class _TrackerOptions(TypedDict, total=False):
+    """Everything that can be set about a `ContourTracker`."""
+
+    model: Literal["ribbon", "paper"]
+    """Finger and thumb with widths of their own; or the planar template of 1994."""
+    samples: int
+    """Samples along the contour, 8 to 2000."""
+    max_iterations: int
+    """Searches along the normals per shape space and frame at most, 1 to 100."""
+    search: _SearchOptions
+    """What an edge is."""
+    polarity: Literal["bright", "dark", "unknown"]
+    """Whether the hand is brighter or darker than what is behind it."""
+    fit: _FitOptions
+    """How offsets become a step."""
+    correlation: float
+    """The covariance is multiplied by this, at least 1: neighbouring measurements share pixels."""
+    acquire: _AcquireOptions
+    """Until the hand is acquired."""
+    track: _TrackOptions
+    """From then on."""
+
+class _ThumbProportions(TypedDict, total=False):
+    """The thumb of a pistol; lengths are in units of the visible index finger."""
+
+    base: float
+    """Where the thumb's axis meets the finger's: p of that point, −1 to 0.5."""
+    angle_rad: float
+    """Angle between the two axes [rad], 0.5 to 2."""
+    length: float
+    """Length of the thumb's axis from there to its apex, 0.3 to 2."""
+    half_width: float
+    """Half the thumb's width, 0.03 to 0.4."""
+    far_flank: float
+    """Part of the thumb's far flank that the outline follows back from the tip, 0 to 1."""
+
+class _Proportions(TypedDict, total=False):
+    """The shape of a pistol; lengths are in units of the visible index finger."""
+
+    half_width: float
+    """Half the finger's width, 0.03 to 0.4."""
+    flank_start: float
+    """Where the outline begins on the finger's flank: p from −0.5 to 0.3."""
+    thumb: _ThumbProportions | None
+    """The thumb; None for a finger alone."""
+
+# --- contours --------------------------------------------------------------------------------
+
+@final
+class BSpline:
+    """A quadratic or cubic B-spline basis: degree, knots, open or closed.
+
+    It has no shape until control points give it one; they come as an argument, because every
+    deformation of a contour moves them and leaves the basis as it is.
+
+    Immutable; two are equal if degree, knots and closure are.
+
+    References
+    ----------
+    C. de Boor, *A Practical Guide to Splines*; L. Piegl and W. Tiller, *The NURBS Book*.
+    """
+
+    @staticmethod
+    def open(degree: int, knots: ArrayLike) -> BSpline:
+        """Make an open B-spline on a full knot vector.
+
+        Parameters
+        ----------
+        degree
+            2 or 3.
+        knots : (n + degree + 1,)
+            For n control points; not decreasing. The domain runs from knot ``degree`` to knot n.
+            Inner knots may occur ``degree`` times, which makes a corner, the first and the last
+            ``degree + 1`` times, which makes the curve start and end at a control point.
+
+        Raises
+        ------
+        InvalidInputError
+            Another degree; too few, decreasing, too often repeated or not finite knots;
+            neighbours that differ by less than 1e-10 of the domain's larger end.
+        """
+
+    @staticmethod
+    def open_clamped(degree: int, breaks: ArrayLike) -> BSpline:
+        """Make an open B-spline that starts at the first control point and ends at the last.
+
+        Parameters
+        ----------
+        degree
+            2 or 3.
+        breaks : (B,)
+            The knots with both ends once: ``B + degree − 1`` control points.
+
+        Raises
+        ------
+        InvalidInputError
+            Fewer than two breaks, else as `open`.
+        """
+
+    @staticmethod
+    def open_uniform(degree: int, control_points: int) -> BSpline:
+        """Make an open, clamped B-spline with knots one apart, on [0, control_points − degree].
+
+        Parameters
+        ----------
+        degree
+            2 or 3.
+        control_points
+            Their number, from ``degree + 1`` to 2^20.
+
+        Raises
+        ------
+        InvalidInputError
+            Another degree or number.
+        """
+
+    @staticmethod
+    def closed(degree: int, knots: ArrayLike) -> BSpline:
+        """Make a closed B-spline on the knots of one period.
+
+        Parameters
+        ----------
+        degree
+            2 or 3.
+        knots : (n + 1,)
+            For n control points; not decreasing, the last one a period after the first. Any knot
+            may occur ``degree`` times, which makes a corner; the first and the last are the same
+            knot of the curve.
+
+        Raises
+        ------
+        InvalidInputError
+            Fewer than ``degree + 2`` knots, else as `open`.
+        """
+
+    @staticmethod
+    def closed_uniform(degree: int, control_points: int) -> BSpline:
+        """Make a closed B-spline with knots one apart, on [0, control_points].
+
+        Parameters
+        ----------
+        degree
+            2 or 3.
+        control_points
+            Their number, from ``degree + 1`` to 2^20.
+
+        Raises
+        ------
+        InvalidInputError
+            Another degree or number.
+        """
+
+    @property
+    def degree(self) -> int:
+        """Degree of the polynomial pieces, 2 or 3."""
+
+    @property
+    def is_closed(self) -> bool:
+        """Whether the curve ends where it starts."""
+
+    @property
+    def control_point_count(self) -> int:
+        """Number of control points that the curve needs."""
+
+    @property
+    def knots(self) -> NDArray[np.float64]:
+        """The knots as `open` or `closed` takes them."""
+
+    @property
+    def domain(self) -> tuple[float, float]:
+        """First and last parameter; a closed curve takes any other as well and repeats itself."""
+
+    def basis(self, parameters: ArrayLike) -> BasisRows:
+        """Evaluate the basis functions that are not zero, with their derivatives.
+
+        At a knot the derivatives are those from the right, at the end of an open curve those from
+        the left.
+
+        Parameters
+        ----------
+        parameters : (N,)
+            Finite; on an open curve within `domain`.
+
+        Raises
+        ------
+        InvalidInputError
+            Parameters elsewhere.
+        """
+
+    def evaluate(self, control_points: ArrayLike, parameters: ArrayLike) -> CurvePoints:
+        """Evaluate position and derivatives of a curve.
+
+        Parameters
+        ----------
+        control_points : (n, 2)
+            As many as `control_point_count`, in any unit.
+        parameters : (N,)
+            Finite; on an open curve within `domain`.
+
+        Raises
+        ------
+        InvalidInputError
+            Another number of control points, one that is used and not finite, or parameters
+            elsewhere.
+        """
+
+    def fit(
+        self,
+        outline: ArrayLike,
+        parametrization: Literal["chord-length", "centripetal"] | ArrayLike,
+    ) -> SplineFit:
+        """Fit control points to an ordered outline by linear least squares.
+
+        They minimise the sum of squared distances between each outline point and the curve at its
+        parameter.
+
+        Parameters
+        ----------
+        outline : (N, 2)
+            At least as many points as control points, in any unit. Of a closed curve the first
+            need not be repeated.
+        parametrization : word or (N,)
+            How the points get the parameters at which the curve shall meet them: in proportion to
+            the length of the polygon through them, the usual choice for an outline traced at even
+            steps; in proportion to the sums of the square roots of its sides, gentler at sharp
+            turns (*The NURBS Book*, equation 9.6); or the parameters themselves, in any order.
+
+        Raises
+        ------
+        InvalidInputError
+            Too few points; points that are not finite or all coincide; parameters outside the
+            domain; a control point that no outline point determines (the condition of Schoenberg
+            and Whitney); more than 2^24 outline points times control points.
+        """
+
+    def arc_length(self, control_points: ArrayLike) -> ArcLength:
+        """Measure the length along a curve.
+
+        Parameters
+        ----------
+        control_points : (n, 2)
+            As many as `control_point_count`, in any unit.
+
+        Raises
+        ------
+        InvalidInputError
+            Another number of control points, one that is not finite, or all in one place.
+        """
+
+    def __eq__(self, other: object, /) -> bool: ...
+    def __ne__(self, other: object, /) -> bool: ...
+    __hash__: None  # type: ignore[assignment]
+
+@final
+class BasisRows:
+    """The weights of the control points at N parameters of a B-spline; see `BSpline.basis`.
+
+    Every row has degree + 1 entries, for the control points that act at the parameter.
+    """
+
+    @property
+    def indices(self) -> NDArray[np.int64]:
+        """Which control points those are, counted from 0, (N, degree + 1); all different."""
+
+    @property
+    def values(self) -> NDArray[np.float64]:
+        """Their weights, (N, degree + 1): not negative, with sum 1."""
+
+    @property
+    def first_derivatives(self) -> NDArray[np.float64]:
+        """First derivatives of the weights by the parameter; their sum is 0."""
+
+    @property
+    def second_derivatives(self) -> NDArray[np.float64]:
+        """Second derivatives of the weights by the parameter; their sum is 0."""
+
+@final
+class CurvePoints:
+    """N points of a curve with their derivatives by the parameter; see `BSpline.evaluate`."""
+
+    @property
+    def position(self) -> NDArray[np.float64]:
+        """Where the curve is, (N, 2), in the unit of the control points."""
+
+    @property
+    def first_derivative(self) -> NDArray[np.float64]:
+        """Along the tangent in the direction of growing parameter, (N, 2); zero at a cusp."""
+
+    @property
+    def second_derivative(self) -> NDArray[np.float64]:
+        """Its component across the tangent bends the curve, (N, 2)."""
+
+@final
+class SplineFit:
+    """A least-squares fit of a B-spline and how good it is; see `BSpline.fit`."""
+
+    @property
+    def control_points(self) -> NDArray[np.float64]:
+        """Control points of the fitted curve, (n, 2)."""
+
+    @property
+    def parameters(self) -> NDArray[np.float64]:
+        """Parameter of every outline point, (N,)."""
+
+    @property
+    def rms_residual(self) -> float:
+        """Root mean square distance of outline points and curve at their parameters."""
+
+    @property
+    def max_residual(self) -> float:
+        """The largest of these distances."""
+
+    @property
+    def condition(self) -> float:
+        """How many times larger a relative error of the outline can be in the control points."""
+
+@final
+class ArcLength:
+    """The arc length along one curve; see `BSpline.arc_length`.
+
+    Lengths are right to 1e-10 of the control polygon's length.
+    """
+
+    @property
+    def total(self) -> float:
+        """Length of the whole curve, in the unit of its control points."""
+
+    def parameter_at(self, lengths: ArrayLike) -> NDArray[np.float64]:
+        """Find the parameters at given lengths from the start of the domain.
+
+        Parameters
+        ----------
+        lengths : (N,)
+            On an open curve in [0, `total`]; a closed one is gone round.
+
+        Returns
+        -------
+        (N,)
+            Where a curve halts on its way, the parameter at which it moves on.
+
+        Raises
+        ------
+        InvalidInputError
+            A length that is not finite, or not on an open curve.
+        """
+
+    def equally_spaced(self, samples: int) -> NDArray[np.float64]:
+        """Find parameters at equal arc length from one to the next.
+
+        Parameters
+        ----------
+        samples
+            How many, up to 2^20: at least 2 on an open curve, whose ends are among them, and 1 on
+            a closed one, whose last is as far from the first again.
+
+        Returns
+        -------
+        (samples,)
+            In rising order, beginning at the start of the domain.
+
+        Raises
+        ------
+        InvalidInputError
+            Another number.
+        """
+
+def sample_contour(
+    spline: BSpline,
+    control_points: ArrayLike,
+    samples: int,
+    hand: Literal["left", "right"],
+) -> ContourSamples:
+    """Sample a curve at equal steps of arc length, with tangents and outward normals.
+
+    Each sample stands in the middle of its step: all stand for the same length, and none falls on
+    an end.
+
+    Parameters
+    ----------
+    spline
+        The curve's basis.
+    control_points : (n, 2)
+        Its control points, in any unit.
+    samples
+        How many, 1 to 2^20.
+    hand
+        The side of the direction of travel on which the hand lies, in axes like the image's:
+        travelling towards +u, +v is to the right.
+
+    Raises
+    ------
+    InvalidInputError
+        Control points that make no curve, a curve that halts so that a sample has no tangent,
+        another number or side.
+    """
+
+@final
+class ContourSamples:
+    """N samples of a contour at equal steps of arc length; see `sample_contour`."""
+
+    @property
+    def parameter(self) -> NDArray[np.float64]:
+        """The curve's parameter, (N,)."""
+
+    @property
+    def arc_length(self) -> NDArray[np.float64]:
+        """Length of the curve from its start, (N,)."""
+
+    @property
+    def position(self) -> NDArray[np.float64]:
+        """Where the samples lie, (N, 2)."""
+
+    @property
+    def tangent(self) -> NDArray[np.float64]:
+        """Unit tangents in the direction of travel, (N, 2)."""
+
+    @property
+    def normal(self) -> NDArray[np.float64]:
+        """Unit normals, out of the hand, (N, 2)."""
+
+@final
+class Template:
+    """The B-spline rest shape of the pointing hand, with its pointing axis.
+
+    The axis runs from (−½, 0) at the knuckle to (½, 0) at the tip; because it is the basis vector
+    of p, the first column of a fitted map is the pointing direction.
+
+    Immutable; two are equal if their outlines and sides are.
+
+    References
+    ----------
+    Cipolla, Hadfield & Hollinghurst 1994, section 3.2 and figure 3.
+    """
+
+    @staticmethod
+    def pistol(
+        thumb: Literal["left", "right", "none"] = "left",
+        *,
+        proportions: Mapping[str, object] | None = None,
+    ) -> Template:
+        """Make the template of an index finger with an up-turned thumb, or of the finger alone.
+
+        Parameters
+        ----------
+        thumb
+            Side of the thumb, seen along the pointing direction in the image.
+        proportions
+            Where the hand differs from the usual one; see `Template.proportions`.
+
+        Raises
+        ------
+        InvalidInputError
+            A proportion that is unknown, not a number or out of range; a thumb so near to the
+            finger that there is no crotch between them.
+        """
+
+    @staticmethod
+    def from_outline(
+        outline: ArrayLike,
+        *,
+        knuckle: ArrayLike,
+        tip: ArrayLike,
+        hand: Literal["left", "right"],
+        control_points: int | None = None,
+    ) -> Template:
+        """Make a template from a traced outline and its pointing axis.
+
+        Parameters
+        ----------
+        outline : (N, 2)
+            Points in order along the contour, in any unit and in axes like the image's; at least
+            as many as control points.
+        knuckle, tip : (2,)
+            Where the visible finger's axis begins and ends, in the same unit.
+        hand
+            The side of the outline's direction of travel on which the hand lies.
+        control_points
+            Of the cubic B-spline that is fitted to the outline, at least 4; None for a number that
+            suits finger and thumb.
+
+        Returns
+        -------
+        Template
+            Without a thumb or proportions: only the tracker's model "paper" takes it.
+
+        Raises
+        ------
+        InvalidInputError
+            Points that are too few or not finite; an axis or outline without length.
+        """
+
+    @property
+    def thumb(self) -> Literal["left", "right", "none"]:
+        """Side of the thumb; "none" for a finger alone and for a traced outline."""
+
+    @property
+    def hand(self) -> Literal["left", "right"]:
+        """Side of the outline's direction of travel on which the hand lies."""
+
+    @property
+    def proportions(self) -> _Proportions | None:
+        """What a pistol was made from; None for a traced outline."""
+
+    @property
+    def spline(self) -> BSpline:
+        """Basis of the outline."""
+
+    @property
+    def control_points(self) -> NDArray[np.float64]:
+        """Control points (p, q) of the outline, (n, 2)."""
+
+    def outline(self, samples: int | None = None) -> NDArray[np.float64]:
+        """Sample the outline at equal steps of arc length.
+
+        Parameters
+        ----------
+        samples
+            How many, 1 to 2^20; None for as many as a tracker takes.
+
+        Returns
+        -------
+        (samples, 2)
+            Points (p, q), up the finger's outer flank, round the tip, then round the thumb.
+
+        Raises
+        ------
+        InvalidInputError
+            Another number.
+        """
+
+    def __eq__(self, other: object, /) -> bool: ...
+    def __ne__(self, other: object, /) -> bool: ...
+    __hash__: None  # type: ignore[assignment]
+
+# --- shape spaces ----------------------------------------------------------------------------
+
+@final
+class ShapeSpace:
+    """Which deformations of a template are allowed, in D degrees of freedom.
+
+    A planar space moves a template point m = (p, q) to
+
+        x = c + A m,    A = [a b] = R(θ) [[α, κ], [0, β]],
+
+    so the finger's axis lies along a, and the shear κ runs along the finger. The spaces differ in
+    what of (c, θ, κ, α, β) is free. Every constructor takes a map (c, A), which is frozen in the
+    space as far as the space does not free it, and returns the space with the shape vector of that
+    map. `StartPose.centre_px` and `StartPose.linear_px` are such a map.
+
+    Immutable.
+
+    References
+    ----------
+    Cipolla, Hadfield & Hollinghurst 1994, section 3.2; Blake & Isard, *Active Contours*, ch. 4.
+    """
+
+    @staticmethod
+    def translation(
+        centre_px: ArrayLike, linear_px: ArrayLike
+    ) -> tuple[ShapeSpace, NDArray[np.float64]]:
+        """Free (c): the template moves and nothing else.
+
+        Parameters
+        ----------
+        centre_px : (2,)
+            c, the image of the middle of the finger [px].
+        linear_px : (2, 2)
+            A, the images of the basis vectors along and across the finger as columns [px]. Its
+            determinant is positive: the thumb's side belongs to the template, not to the map.
+
+        Returns
+        -------
+        space : ShapeSpace
+        shape_vector : (D,)
+            What stands for (c, A) in the space.
+
+        Raises
+        ------
+        InvalidInputError
+            A map that is not finite, mirrors the template or flattens it.
+        """
+
+    @staticmethod
+    def rigid(centre_px: ArrayLike, linear_px: ArrayLike) -> tuple[ShapeSpace, NDArray[np.float64]]:
+        """Free (c, θ): rigid motion in the image plane. Else as `translation`."""
+
+    @staticmethod
+    def rigid_shear(
+        centre_px: ArrayLike, linear_px: ArrayLike
+    ) -> tuple[ShapeSpace, NDArray[np.float64]]:
+        """Free (c, θ, κ): the tracking space of the 1994 system. Else as `translation`."""
+
+    @staticmethod
+    def similarity(
+        centre_px: ArrayLike, linear_px: ArrayLike
+    ) -> tuple[ShapeSpace, NDArray[np.float64]]:
+        """Free (c, θ, s): rigid motion and a common scale of A. Else as `translation`."""
+
+    @staticmethod
+    def similarity_shear(
+        centre_px: ArrayLike, linear_px: ArrayLike
+    ) -> tuple[ShapeSpace, NDArray[np.float64]]:
+        """Free (c, θ, κ, s): s scales α and β, not κ. Else as `translation`."""
+
+    @staticmethod
+    def affine(
+        centre_px: ArrayLike, linear_px: ArrayLike
+    ) -> tuple[ShapeSpace, NDArray[np.float64]]:
+        """Free (c, a, b): the acquisition space of the 1994 system. Else as `translation`."""
+
+    @staticmethod
+    def ribbon(
+        template: Template, centre_px: ArrayLike, linear_px: ArrayLike, dof: int
+    ) -> tuple[ShapeSpace, NDArray[np.float64]]:
+        """Free the first components of the band template.
+
+        Finger and thumb are spheres swept along two straight spines, each band as wide as the
+        image shows it: unlike under a planar map, a finger keeps its width when it is
+        foreshortened. The whole shape vector is (c, θ, w, τ, r, b_u, b_v, w₂): the finger's
+        centre, angle, half-width and taper, and the thumb's root on the finger's spine, spine and
+        half-width.
+
+        Parameters
+        ----------
+        template
+            A pistol; its proportions are the components that stay as they are.
+        centre_px, linear_px
+            As for `translation`; only the first column of ``linear_px`` is used.
+        dof
+            D: 2, 3, 4, 5, or 9 if the template has a thumb.
+
+        Returns
+        -------
+        space : ShapeSpace
+        shape_vector : (D,)
+
+        Raises
+        ------
+        InvalidInputError
+            A traced outline, another ``dof``, else as `translation`.
+        """
+
+    @property
+    def kind(self) -> str:
+        """Name of the constructor."""
+
+    @property
+    def names(self) -> list[str]:
+        """What each component of the shape vector is, with its unit."""
+
+    @property
+    def dof(self) -> int:
+        """Degrees of freedom D."""
+
+    def place(
+        self, shape_vector: ArrayLike, template: Template, samples: int | None = None
+    ) -> PlacedContour:
+        """Deform the template and place it in the image.
+
+        Parameters
+        ----------
+        shape_vector : (D,)
+            Finite; a map that neither mirrors nor flattens the template, half-widths that are not
+            negative.
+        template
+            Of a band template, one with the same thumb.
+        samples
+            How many samples of its outline, 1 to 2^20; None for as many as a tracker takes.
+
+        Raises
+        ------
+        InvalidInputError
+            Another shape vector, template or number.
+        """
+
+    def normal_rows(
+        self,
+        shape_vector: ArrayLike,
+        template: Template,
+        samples: int | None = None,
+        *,
+        normal: ArrayLike | None = None,
+    ) -> NDArray[np.float64]:
+        """Differentiate the contour's motion along its normals by the shape vector.
+
+        Parameters
+        ----------
+        shape_vector, template, samples
+            As for `place`.
+        normal : (N, 2), optional
+            Unit vectors to measure along instead of the placed contour's normals.
+
+        Returns
+        -------
+        (N, D)
+            ∂(n·X)/∂x [px per unit of the component]: the rows that `Fitter.solve` takes.
+
+        Raises
+        ------
+        InvalidInputError
+            As `place`; or normals that are not N unit vectors.
+        """
+
+    def axis(self, shape_vector: ArrayLike) -> Axis:
+        """Give the finger's axis in the image.
+
+        Parameters
+        ----------
+        shape_vector : (D,)
+            As for `place`.
+
+        Raises
+        ------
+        InvalidInputError
+            Another shape vector.
+        """
+
+    def axis_jacobian(self, shape_vector: ArrayLike) -> NDArray[np.float64]:
+        """Differentiate the axis by the shape vector.
+
+        Parameters
+        ----------
+        shape_vector : (D,)
+            As for `place`.
+
+        Returns
+        -------
+        (2, D)
+            ∂(offset, angle)/∂x: the offset [px] at the anchor, along the axis's normal
+            (−sin, cos); the angle in radians.
+
+        Raises
+        ------
+        InvalidInputError
+            Another shape vector.
+        """
+
+@final
+class PlacedContour:
+    """N samples of the template's outline in the image; see `ShapeSpace.place`."""
+
+    @property
+    def position_px(self) -> NDArray[np.float64]:
+        """Where the samples stand [px], (N, 2)."""
+
+    @property
+    def normal(self) -> NDArray[np.float64]:
+        """Unit normals, out of the hand, (N, 2)."""
+
+    @property
+    def hidden(self) -> NDArray[np.bool_]:
+        """Whether the sample lies inside another limb, where there is no edge, (N,)."""
+
+@final
+class Axis:
+    """The finger's axis in the image; see `ShapeSpace.axis`."""
+
+    @property
+    def anchor_px(self) -> tuple[float, float]:
+        """A point of the axis: the middle of the visible finger [px]."""
+
+    @property
+    def tip_px(self) -> tuple[float, float]:
+        """The end of the axis at the finger's apex [px]."""
+
+    @property
+    def angle_rad(self) -> float:
+        """Direction of pointing [rad], in (−π, π]."""
+
+# --- search and fit --------------------------------------------------------------------------
+
+@final
+class EdgeSearch:
+    """Looks for edges along the normals of a contour.
+
+    Every line samples the image at whole pixels along its normal, correlates the profile with the
+    derivative of a Gaussian of scale s and reports where the response peaks, to a fraction of a
+    pixel. With edge blur σ_b, S² = s² + σ_b², contrast A and white noise σ_n the offset has the
+    variance (3√π / 4) σ_n² S⁶ / (A² s⁵) per independent pixel of contour: the noise of the
+    response's slope over the squared curvature of a blurred step's response at its peak.
+
+    Immutable: one may search in several threads at once.
+
+    References
+    ----------
+    Canny 1986 for the operator; Cipolla & Blake 1992 for the search along normals.
+    """
+
+    def __new__(cls, options: Mapping[str, object] | None = None) -> EdgeSearch:
+        """Make a search with the given options.
+
+        Parameters
+        ----------
+        options
+            What differs from the defaults: ``scale_px``, ``blur_px``, ``noise_grey``,
+            ``min_contrast_grey``.
+
+        Raises
+        ------
+        InvalidInputError
+            An option that is unknown, not a number or out of range.
+        """
+
+    @property
+    def options(self) -> _SearchOptions:
+        """Every option in force."""
+
+    def search(
+        self,
+        image: NDArray[np.uint8],
+        position_px: ArrayLike,
+        normal: ArrayLike,
+        half_length_px: ArrayLike,
+        polarity: Literal["bright", "dark", "unknown"],
+        *,
+        scale: Literal["fine", "coarse"] = "fine",
+        colour: NDArray[np.uint8] | None = None,
+        appearance: Appearance | None = None,
+        cue: Literal["edges", "hand-edges", "votes"] = "edges",
+    ) -> SearchLines:
+        """Search along lines.
+
+        Parameters
+        ----------
+        image : (height, width)
+            Grey levels; not copied.
+        position_px : (N, 2)
+            Where the lines cross the contour [px]; outside the image they are misses.
+        normal : (N, 2)
+            Unit vectors along the lines, out of the hand.
+        half_length_px : (N,) or scalar
+            How far to look to either side [px], above 0 and up to 128; rounded up to whole pixels.
+        polarity
+            Whether the hand is brighter or darker than what is behind it.
+        scale
+            A kernel of the option ``scale_px``; or a larger one, which sees an edge that motion
+            has smeared.
+        colour : (height, width, 3), optional
+            Colours of the same frame; not copied.
+        appearance
+            What the hand looks like, for the cues that ask.
+        cue
+            The strongest edge; the edge that best separates the hand from what is behind it; or
+            the place where the pixels' votes change sides, edge or none.
+
+        Returns
+        -------
+        SearchLines
+            One line per position, in the same order.
+
+        Raises
+        ------
+        InvalidInputError
+            An image that is not as described above, positions that are not finite, normals that
+            are no unit vectors, lengths out of range, arrays that do not match; an appearance
+            without a cue for it, or the reverse.
+        FingerpostError
+            The appearance is changing in another thread.
+        """
+
+@final
+class SearchLines:
+    """N lines that were searched, and what was found; see `EdgeSearch.search`.
+
+    A line without an edge is a *miss*: its numbers are NaN, never 0.
+    """
+
+    @property
+    def position_px(self) -> NDArray[np.float64]:
+        """Where the lines cross the contour [px], (N, 2)."""
+
+    @property
+    def normal(self) -> NDArray[np.float64]:
+        """Unit vectors along the lines, out of the hand, (N, 2)."""
+
+    @property
+    def half_length_px(self) -> NDArray[np.float64]:
+        """How far each line goes to either side [px], (N,)."""
+
+    @property
+    def offset_px(self) -> NDArray[np.float64]:
+        """Signed distance of the edge from the position along the normal [px], (N,)."""
+
+    @property
+    def contrast_grey(self) -> NDArray[np.float64]:
+        """Contrast of the edge, hand minus background [grey levels], (N,)."""
+
+    @property
+    def variance_px2(self) -> NDArray[np.float64]:
+        """Variance of the offset from image noise alone [px²], (N,)."""
+
+    @property
+    def separation(self) -> NDArray[np.float64]:
+        """Mean vote inside minus mean vote outside, (N,); NaN without an appearance."""
+
+    @property
+    def miss(self) -> NDArray[np.str_]:
+        """Why there is no edge, (N,); empty where there is one.
+
+        "out-of-image": too little of the line lies inside the image. "no-contrast": no response of
+        the right polarity reaches the least contrast. "beyond-end": the response still rises
+        where the line ends.
+        """
+
+    def __len__(self) -> int: ...
+
+@final
+class Appearance:
+    """What the hand looks like, and what does not: two histograms and the log of their ratio.
+
+    A pixel whose colour is frequent on the hand and rare behind it votes for the hand. Observe
+    pixels of both sides, `learn`, then `vote` or give it to a search. A tracker keeps one of its
+    own; this is for study.
+
+    References
+    ----------
+    Ronfard 1994 and Bibby & Reid 2008 for region statistics along a contour.
+    """
+
+    def __new__(cls, *, coloured: bool) -> Appearance:
+        """Make an appearance that has seen nothing: every vote is 0.
+
+        Parameters
+        ----------
+        coloured
+            Whether it looks at colours; otherwise at grey levels.
+        """
+
+    @property
+    def is_coloured(self) -> bool:
+        """Whether it looks at colours."""
+
+    def observe(
+        self,
+        image: NDArray[np.uint8],
+        position_px: ArrayLike,
+        side: Literal["hand", "background"],
+        *,
+        colour: NDArray[np.uint8] | None = None,
+    ) -> None:
+        """Count pixels as the hand or as what is behind it.
+
+        Parameters
+        ----------
+        image : (height, width)
+            Grey levels; not copied.
+        position_px : (N, 2)
+            Which pixels: the nearest to these [px]. Outside the image there are none.
+        side
+            What they show.
+        colour : (height, width, 3), optional
+            Colours of the same frame; not copied. Needed if `is_coloured`.
+
+        Raises
+        ------
+        InvalidInputError
+            An image, colours or positions that are not as described; another side.
+        FingerpostError
+            The appearance is in use in another thread.
+        """
+
+    def learn(self) -> None:
+        """Work the votes out anew from what was observed; until both sides were, they are 0."""
+
+    def fade(self, keep: float) -> None:
+        """Let what was observed fade to a part of its weight.
+
+        Parameters
+        ----------
+        keep
+            The part, 0 to 1.
+        """
+
+    def anchor(self) -> None:
+        """Keep the hand as it is known now for good: it counts beside all that comes later."""
+
+    def vote(
+        self,
+        image: NDArray[np.uint8],
+        position_px: ArrayLike,
+        *,
+        colour: NDArray[np.uint8] | None = None,
+    ) -> NDArray[np.float32]:
+        """Let the pixels nearest to some positions vote.
+
+        Parameters
+        ----------
+        image, position_px, colour
+            As for `observe`.
+
+        Returns
+        -------
+        (N,)
+            log(p_hand / p_background) within ±3: positive for the hand, negative for what is
+            behind it, 0 outside the image.
+
+        Raises
+        ------
+        InvalidInputError
+            An image, colours or positions that are not as described.
+        FingerpostError
+            The appearance is changing in another thread.
+        """
+
+@final
+class Fitter:
+    """Weighted least squares for the step of a shape vector.
+
+    Every equation says that a step δ should move the contour by the measured offset along one
+    normal. Gross errors lose their weight (Tukey's biweight, iterated); what the residual offsets
+    scatter beyond their variances is misfit of the model and is added to all alike. A direction
+    that the equations leave open is reported, not chosen.
+
+    Immutable: one may solve in several threads at once.
+    """
+
+    def __new__(cls, options: Mapping[str, object] | None = None) -> Fitter:
+        """Make a solver with the given options.
+
+        Parameters
+        ----------
+        options
+            What differs from the defaults: ``loss``, ``solve``, ``max_iterations``,
+            ``min_scale_px``.
+
+        Raises
+        ------
+        InvalidInputError
+            An option that is unknown, of another type or out of range.
+        """
+
+    @property
+    def options(self) -> _FitOptions:
+        """Every option in force."""
+
+    def solve(
+        self,
+        rows: ArrayLike,
+        offset_px: ArrayLike,
+        variance_px2: ArrayLike,
+        *,
+        prior: tuple[ArrayLike, ArrayLike] | None = None,
+    ) -> FitReport:
+        """Find the step that the equations, and the prior if there is one, agree on.
+
+        Parameters
+        ----------
+        rows : (N, D)
+            ∂(n·X)/∂x of every measurement, as from `ShapeSpace.normal_rows`; D from 1 to 9.
+        offset_px : (N,)
+            Measured offsets [px]. Leave misses out.
+        variance_px2 : (N,)
+            Their variances [px²], positive.
+        prior : ((D,), (D, D)), optional
+            Mean and information (inverse covariance) of a belief about the step; the information
+            is symmetric without negative eigenvalues, and zero where nothing is believed.
+
+        Raises
+        ------
+        InvalidInputError
+            Arrays of other shapes or not finite; variances that are not positive; a prior that is
+            no information matrix.
+        """
+
+@final
+class FitReport:
+    """What a fit found, and how well; see `Fitter.solve`."""
+
+    @property
+    def outcome(self) -> Literal["determined", "too-few-equations", "undetermined"]:
+        """Whether there is a step; with fewer equations than unknowns and no prior, there is none.
+
+        "undetermined": equations and prior leave D − `rank` directions of the shape space open.
+        """
+
+    @property
+    def step(self) -> NDArray[np.float64] | None:
+        """The step δ, (D,); None unless determined."""
+
+    @property
+    def covariance(self) -> NDArray[np.float64] | None:
+        """Covariance of the step, scaled by the residuals, (D, D); None unless determined."""
+
+    @property
+    def information(self) -> NDArray[np.float64]:
+        """Sum of weight · row rowᵀ / variance over the equations, plus the prior's, (D, D)."""
+
+    @property
+    def rank(self) -> int:
+        """How many directions of the shape space the information determines."""
+
+    @property
+    def iterations(self) -> int:
+        """Solutions computed until the weights settled."""
+
+    @property
+    def equations(self) -> int:
+        """Equations given."""
+
+    @property
+    def inliers(self) -> int:
+        """Equations with more than a tenth of their full weight."""
+
+    @property
+    def residual_rms_px(self) -> float:
+        """Root mean square of the inliers' residual offsets [px]."""
+
+    @property
+    def residual_scale_px(self) -> float:
+        """Robust standard deviation of the residual offsets [px]."""
+
+    @property
+    def residual_px(self) -> NDArray[np.float64]:
+        """Residual offset of every equation [px], (N,); the offset itself unless determined."""
+
+    @property
+    def weight(self) -> NDArray[np.float64]:
+        """Robust weight of every equation, 0 to 1, (N,)."""
+
+# --- tracking --------------------------------------------------------------------------------
+
+@final
+class StartPose:
+    """Where the template waits for the hand.
+
+    Immutable; two are equal if their numbers are.
+    """
+
+    def __new__(cls, tip_px: ArrayLike, angle_rad: float, length_px: float) -> StartPose:
+        """Make a pose.
+
+        Parameters
+        ----------
+        tip_px : (2,)
+            The finger's tip [px]; it may lie outside the image.
+        angle_rad
+            Direction of pointing [rad], from +u (right) towards +v (down).
+        length_px
+            Visible length of the index finger [px], positive.
+
+        Raises
+        ------
+        InvalidInputError
+            A value that is no number, not finite or, of the length, not positive.
+        """
+
+    @property
+    def tip_px(self) -> tuple[float, float]:
+        """The finger's tip [px]."""
+
+    @property
+    def angle_rad(self) -> float:
+        """Direction of pointing [rad]."""
+
+    @property
+    def length_px(self) -> float:
+        """Visible length of the index finger [px]."""
+
+    @property
+    def centre_px(self) -> NDArray[np.float64]:
+        """Where the undeformed template's origin stands in this pose [px], (2,)."""
+
+    @property
+    def linear_px(self) -> NDArray[np.float64]:
+        """Its basis vectors along and across the finger, as columns [px], (2, 2)."""
+
+    def __eq__(self, other: object, /) -> bool: ...
+    def __ne__(self, other: object, /) -> bool: ...
+    __hash__: None  # type: ignore[assignment]
+
+@final
+class ContourTracker:
+    """Follows one hand in one view: *acquiring*, *tracking*, *lost*.
+
+    The template waits at its start pose until a hand is held up to it, takes on the hand's
+    dimensions, and follows it from then on. After some frames without an accepted fit the hand is
+    lost, and looked for where it last was and where the template first waited.
+
+    The same frames and times give the same bits again. Trackers of their own run in parallel
+    threads; one tracker works in one thread at a time.
+
+    References
+    ----------
+    Cipolla, Hadfield & Hollinghurst 1994, section 3.2.
+    """
+
+    def __new__(
+        cls, template: Template, start: StartPose, options: Mapping[str, object] | None = None
+    ) -> ContourTracker:
+        """Make a tracker whose template waits at ``start``.
+
+        Parameters
+        ----------
+        template
+            A pistol; for the model "paper" also a traced outline.
+        start
+            Where it waits.
+        options
+            What differs from the defaults, in nested dictionaries; see the property ``options``
+            for all there are.
+
+        Raises
+        ------
+        InvalidInputError
+            An option that is unknown, of another type or out of range; a traced outline for the
+            model "ribbon".
+        """
+
+    @property
+    def template(self) -> Template:
+        """The template."""
+
+    @property
+    def options(self) -> _TrackerOptions:
+        """Every option in force."""
+
+    def update(
+        self,
+        image: NDArray[np.uint8],
+        time_s: float,
+        colour: NDArray[np.uint8] | None = None,
+    ) -> Track:
+        """Take one frame and tell where the hand is.
+
+        Parameters
+        ----------
+        image : (height, width)
+            Grey levels; not copied, and not to be written to meanwhile.
+        time_s
+            When it was captured [s], not before the last frame.
+        colour : (height, width, 3), optional
+            Colours of the same frame, in any order of channels that stays the same; not copied.
+            Edges are measured in ``image``, the hand is told from what is behind it by these.
+
+        Raises
+        ------
+        InvalidInputError
+            An image that is empty or not as described above, colours of another size, a time that
+            is not finite or runs backwards. The tracker is as it was before.
+        FingerpostError
+            The tracker is in use in another thread.
+        """
+
+    def contour(self) -> NDArray[np.float64]:
+        """Give the contour as it stands after the last frame, or where it waits.
+
+        Returns
+        -------
+        (N, 2)
+            Points [px]; those that another limb hides are left out.
+        """
+
+    def search_lines(self) -> SearchLines:
+        """Give the last search along the normals, without lines before the first frame."""
+
+@final
+class Track:
+    """What one frame told; see `ContourTracker.update`."""
+
+    @property
+    def time_s(self) -> float:
+        """When the frame was captured [s]."""
+
+    @property
+    def status(self) -> Literal["acquiring", "tracking", "lost"]:
+        """Where the tracker is after the frame."""
+
+    @property
+    def finger_line(self) -> FingerLine | None:
+        """The finger line; None unless the hand is tracked and the frame's fit was accepted."""
+
+    @property
+    def shape_names(self) -> list[str]:
+        """What each component of the shape vector is, with its unit."""
+
+    @property
+    def shape_vector(self) -> NDArray[np.float64] | None:
+        """The fitted shape, (D,); None unless the frame's fit was accepted."""
+
+    @property
+    def shape_covariance(self) -> NDArray[np.float64] | None:
+        """Covariance of the shape vector, (D, D); None unless the frame's fit was accepted."""
+
+    @property
+    def diagnostics(self) -> Diagnostics:
+        """Why the frame went the way it did."""
+
+@final
+class FingerLine:
+    """The image line that the finger points along."""
+
+    @property
+    def anchor_px(self) -> tuple[float, float]:
+        """The point of the line at which `covariance` holds: the middle of the finger [px]."""
+
+    @property
+    def tip_px(self) -> tuple[float, float]:
+        """The finger's apex, on the line [px]."""
+
+    @property
+    def angle_rad(self) -> float:
+        """Direction of pointing [rad], from +u towards +v, in (−π, π]."""
+
+    @property
+    def covariance(self) -> NDArray[np.float64]:
+        """Covariance of (offset, angle), (2, 2).
+
+        The offset [px] is along the line's normal (−sin, cos) at the anchor, the angle in radians.
+        """
+
+@final
+class Diagnostics:
+    """Why a frame went the way it did."""
+
+    @property
+    def visible(self) -> int:
+        """Samples of the contour that no other limb hides."""
+
+    @property
+    def hits(self) -> int:
+        """Lines of the frame's last search that found an edge."""
+
+    @property
+    def inliers(self) -> int:
+        """Edges that agree with the fit."""
+
+    @property
+    def residual_rms_px(self) -> float:
+        """Root mean square of the residual offsets of those [px]."""
+
+    @property
+    def rank(self) -> int:
+        """Directions of the shape space that the measurements determine."""
+
+    @property
+    def iterations(self) -> int:
+        """Searches along the normals in the last shape space."""
+
+    @property
+    def accepted(self) -> bool:
+        """Whether the fit was determined and accepted."""

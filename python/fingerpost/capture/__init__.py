@@ -1,0 +1,23 @@
+"""Frames and their times, from video files, still images, cameras and network streams.
+
+`open_source` turns what stands in a rig file under `source` into a `Source`: a context manager
+that is iterated for `Frame`s. `read_views` steps through several of them together.
+
+There are two kinds. A *recorded* source delivers every frame in order, with the times stored in
+the file. A *live* source delivers the newest frame at the moment it is asked, with the time at
+which that frame was grabbed, and drops what the consumer was too slow for.
+"""
+
+from fingerpost.capture.opening import open_source, resolve_source, source_relative_to
+from fingerpost.capture.source import Frame, Source, SourceKind
+from fingerpost.capture.views import read_views
+
+__all__ = [
+    "Frame",
+    "Source",
+    "SourceKind",
+    "open_source",
+    "read_views",
+    "resolve_source",
+    "source_relative_to",
+]

@@ -1,0 +1,129 @@
+"""The public boundary: whatever a caller hands over becomes a checked array, or a typed error.
+
+The wording of every complaint about shape, type, NaN and covariance lives here once. A message
+names the value, its place and what would be right.
+"""
+
+import math
+from types import EllipsisType
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fingerpost.errors import InvalidInputError
+
+# A covariance computed in floating point may miss symmetry or a zero eigenvalue by rounding,
+# far less than this share of its largest entry; anything beyond is another matrix.
+_COVARIANCE_ROUNDING = 1e-9
+
+
+def finite_array(
+    value: ArrayLike, name: str, shape: tuple[int | str | EllipsisType, ...]
+) -> NDArray[np.float64]:
+    """Give `value` as an array of finite floats of the wanted shape.
+
+    Parameters
+    ----------
+    value
+        Anything NumPy can read as integers or real numbers.
+    name
+        What the caller calls the value; opens the message of every error.
+    shape
+        Wanted shape, all integers but perhaps the first entry: a letter there leaves the length
+        free, ``...`` allows any axes before the rest, as in ``("N", 2)`` and ``(..., 2)``.
+
+    Returns
+    -------
+    ndarray of float64
+        The value itself where it already is one; never written to by this package.
+
+    Raises
+    ------
+    InvalidInputError
+        Not numbers, another shape, or an entry that is NaN or infinite (the first is named).
+    """
+    if (
+        type(value) is np.ndarray
+        and value.dtype == np.float64
+        and _fits(value.shape, shape)
+        and math.isfinite(np.vdot(value, value))
+    ):
+        return value  # all is well, told in a microsecond: this runs in every frame
+    try:
+        array = np.asarray(value)
+    except ValueError as error:  # rows of different length
+        raise InvalidInputError(f"{name}: {error}; an array {_words(shape)} is needed") from error
+    if array.dtype.kind not in "iuf":
+        raise InvalidInputError(f"{name}: {array.dtype} found; real numbers are needed")
+    if not _fits(array.shape, shape):
+        raise InvalidInputError(f"{name}: shape {array.shape} found; {_words(shape)} is needed")
+    array = array.astype(np.float64, copy=False)
+    finite = np.isfinite(array)
+    if not finite.all():
+        place = tuple(int(i) for i in np.argwhere(~finite)[0])
+        where = f"{name}{list(place)}" if place else name
+        raise InvalidInputError(f"{where} is {array[place]}; a finite number is needed")
+    return array
+
+
+def covariance_array(
+    value: ArrayLike, name: str, shape: tuple[int | str | EllipsisType, ...]
+) -> NDArray[np.float64]:
+    """Give `value` as covariance matrices over its last two axes, made exactly symmetric.
+
+    Parameters
+    ----------
+    value, name, shape
+        As for `finite_array`; the last two entries of `shape` are equal.
+
+    Returns
+    -------
+    ndarray of float64
+        Symmetric; zero and singular matrices pass, they stand for what is known exactly.
+
+    Raises
+    ------
+    InvalidInputError
+        As `finite_array`; or not symmetric, or with a negative eigenvalue.
+    """
+    array = finite_array(value, name, shape)
+    transposed = np.swapaxes(array, -1, -2)
+    slack = _COVARIANCE_ROUNDING * abs(array).max(axis=(-1, -2), initial=0.0)
+    if (abs(array - transposed) > slack[..., None, None]).any():
+        raise InvalidInputError(f"{name} is not symmetric: {array.tolist()}")
+    array = (array + transposed) / 2
+    smallest = np.linalg.eigvalsh(array)[..., 0]
+    if (smallest < -slack).any():
+        raise InvalidInputError(
+            f"{name} has the negative eigenvalue {smallest.min():.3g}; a covariance has none"
+        )
+    return array
+
+
+def in_range(value: float, name: str, low: float, high: float = np.inf) -> float:
+    """Give `value` as a float if ``low <= value <= high`` (so NaN is refused).
+
+    Raises
+    ------
+    InvalidInputError
+        Not a real number, or outside the range; the message names both.
+    """
+    if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating)):
+        raise InvalidInputError(f"{name}: {value!r} found; a real number is needed")
+    if not low <= value <= high:
+        raise InvalidInputError(f"{name} is {value}; from {low:g} to {high:g} is right")
+    return float(value)
+
+
+def _fits(found: tuple[int, ...], shape: tuple[int | str | EllipsisType, ...]) -> bool:
+    if not shape:
+        return not found
+    if shape[0] is ...:
+        return len(found) >= len(shape) - 1 and found[len(found) - len(shape) + 1 :] == shape[1:]
+    if isinstance(shape[0], str):
+        return len(found) == len(shape) and found[1:] == shape[1:]
+    return found == shape
+
+
+def _words(shape: tuple[int | str | EllipsisType, ...]) -> str:
+    return "(" + ", ".join("..." if axis is ... else str(axis) for axis in shape) + ")"

@@ -1,0 +1,68 @@
+"""The command line: `fingerpost COMMAND ...`.
+
+Results go to stdout or to files, everything else to stderr. Exit codes: 0 done, 1 failed while
+running, 2 bad usage or bad input (one line says what, where and what would be right), 130 stopped
+by Ctrl-C.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import sys
+from typing import Any, NoReturn
+
+import click
+
+from fingerpost.cli.demo import demo
+from fingerpost.cli.experiment import experiment
+from fingerpost.cli.run import run
+from fingerpost.errors import FingerpostError, InvalidInputError
+
+FAILED = 1
+BAD_INPUT = 2
+STOPPED = 130
+
+
+class _Commands(click.Group):
+    """Turns errors of ours into one line and an exit code; a traceback would be a bug's."""
+
+    def main(self, *args: Any, **kwargs: Any) -> Any:
+        try:
+            return super().main(*args, **{**kwargs, "standalone_mode": False})
+        except click.exceptions.Abort:
+            _stop("stopped", STOPPED)
+        except click.exceptions.NoArgsIsHelpError as error:
+            error.show()
+            sys.exit(error.exit_code)
+        except click.ClickException as error:
+            context = getattr(error, "ctx", None)
+            place = f"{context.command_path}: " if context else "fingerpost: "
+            click.echo(f"{place}{error.format_message()}", err=True)
+            sys.exit(error.exit_code)
+        except InvalidInputError as error:
+            _stop(str(error), BAD_INPUT)
+        except FingerpostError as error:
+            _stop(str(error), FAILED)
+
+
+def _stop(message: str, code: int) -> NoReturn:
+    click.echo(f"fingerpost: {message}", err=True)
+    sys.exit(code)
+
+
+@click.group(cls=_Commands, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(package_name="fingerpost")
+@click.option("-v", "--verbose", is_flag=True, help="Say more on stderr.")
+def main(verbose: bool) -> None:
+    """Point at a table and a program knows where, and how sure that is."""
+    # A damaged file is reported in one line of ours; what its decoders say of it helps nobody.
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
+    os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
+    logging.basicConfig(
+        level=logging.DEBUG if verbose else logging.WARNING, format="%(levelname)s: %(message)s"
+    )
+
+
+for _command in (demo, run, experiment):
+    main.add_command(_command)

@@ -1,0 +1,37 @@
+"""`fingerpost demo`: the main job with nothing plugged in."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import click
+
+from fingerpost.cli.progress import watched
+
+
+@click.command()
+@click.option(
+    "--output",
+    metavar="DIR",
+    type=click.Path(path_type=Path),
+    default=Path("out"),
+    show_default=True,
+    help="Where tables, picture and video go.",
+)
+@click.option("--simulate", is_flag=True, help="Play the simulated rig instead of the clip.")
+@click.option("--seed", type=int, default=0, show_default=True, help="Of the simulation.")
+@click.option("--max-frames", metavar="N", type=click.IntRange(min=1), help="Stop after N frames.")
+@click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON.")
+def demo(output: Path, simulate: bool, seed: int, max_frames: int | None, as_json: bool) -> None:
+    """Play the built-in clip: fixes, a summary, a picture and a video, nothing plugged in."""
+    from fingerpost.demo import run_demo
+
+    summary = run_demo(
+        output,
+        simulate=simulate,
+        seed=seed,
+        max_frames=max_frames,
+        watch=lambda frames, count: watched(frames, count, "tracking"),
+    )
+    click.echo(json.dumps(summary.as_dict()) if as_json else "\n".join(summary.lines()))

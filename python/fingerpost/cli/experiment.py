@@ -1,0 +1,116 @@
+"""`fingerpost experiment`: how accurate it is, and how honest about that."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+if TYPE_CHECKING:
+    from fingerpost.experiment import ExperimentOptions, ExperimentResult, Progress
+
+_IN = click.Path(path_type=Path)
+_Pair = tuple[float, float]
+
+
+@click.command()
+@click.option(
+    "--tracker",
+    type=click.Choice(["ribbon", "paper"]),
+    default="ribbon",
+    show_default=True,
+    help="The hand's model: bands of their own width, or the planar template of 1994.",
+)
+@click.option("--targets", type=int, default=400, show_default=True, help="Indicated points.")
+@click.option("--seed", type=int, default=0, show_default=True, help="Of everything random.")
+@click.option("--device", type=click.Choice(["rod", "hand"]), default="rod", show_default=True)
+@click.option("--noise", type=float, help="Image noise, sigma in grey levels.")
+@click.option("--contrast", type=float, help="Device minus background, grey levels.")
+@click.option("--blur", type=float, help="Sigma of the point spread function, px.")
+@click.option("--size", type=(int, int), metavar="W H", help="Resolution, px.")
+@click.option("--reference-noise", type=float, help="Sigma of the reference points, px.")
+@click.option("--hover", type=(float, float), metavar="MIN MAX", help="Height of the tip, mm.")
+@click.option("--slant", type=(float, float), metavar="MIN MAX", help="Below the horizontal, deg.")
+@click.option("--azimuth", type=(float, float), metavar="MIN MAX", help="0: to the cameras, deg.")
+@click.option("--taper", type=float, help="How much thinner the tip is than the base, 0 to 0.6.")
+@click.option("--side-light", type=float, help="Flank against flank, part of the contrast.")
+@click.option("--limb-darkening", type=float, help="Loss at the outline, part of the contrast.")
+@click.option("--clutter", type=float, help="± grey levels of shapes behind the device.")
+@click.option("--k1", type=float, help="Radial distortion of the lenses.")
+@click.option("--lens", type=click.Choice(["known", "ignored"]), help="Whether it is corrected.")
+@click.option("--recording", metavar="RIG.TOML", type=_IN, help="Measure on footage instead.")
+@click.option("--truth", metavar="T.CSV", type=_IN, help="Its truth: frame,time_s,x,y.")
+@click.option("--draw", metavar="E.PNG", type=_IN, help="Draw scatter, ellipses and coverage.")
+@click.option("--json", "as_json", is_flag=True, help="Print the table as JSON.")
+def experiment(
+    tracker: str,
+    recording: Path | None,
+    truth: Path | None,
+    draw: Path | None,
+    as_json: bool,
+    **settings: Any,
+) -> None:
+    """Measure accuracy and honesty, as section 3.3 of the paper does and beyond.
+
+    A simulated device points at random targets; RECORDING and TRUTH measure on footage. What is
+    not given is the paper's rig at its ordinary settings.
+    """
+    from fingerpost.experiment import run_experiment, run_recording
+
+    if (recording is None) != (truth is None):
+        raise click.UsageError("--recording and --truth go together")
+    progress = _progress()
+    if recording is not None and truth is not None:
+        result = run_recording(
+            recording, truth, tracker_options={"model": tracker}, progress=progress
+        )
+    else:
+        result = run_experiment(_options(tracker, settings), progress=progress)
+    _report(result, draw, as_json)
+
+
+def _options(tracker: str, settings: dict[str, Any]) -> ExperimentOptions:
+    """Lay what was given over the defaults, which stand where the options are defined."""
+    from fingerpost.experiment import ExperimentOptions
+    from fingerpost.simulate import Background, Lighting, Placement, PoseLimits, Sensor
+
+    given = {name: value for name, value in settings.items() if value is not None}
+
+    def taken(**names: str) -> dict[str, Any]:
+        return {field: given.pop(name) for field, name in names.items() if name in given}
+
+    size = dict(zip(("width_px", "height_px"), given.pop("size", ()), strict=False))
+    nested: dict[str, Any] = {
+        "cameras": Placement(**size, **taken(k1="k1")),
+        "limits": PoseLimits(**taken(hover_mm="hover", slant_deg="slant", azimuth_deg="azimuth")),
+        "background": Background(**taken(clutter="clutter")),
+        "lighting": Lighting(
+            **taken(contrast="contrast", side_light="side_light", limb_darkening="limb_darkening")
+        ),
+        "sensor": Sensor(**taken(noise="noise", blur_px="blur")),
+    }
+    renamed = taken(reference_noise_px="reference_noise")
+    return ExperimentOptions(tracker={"model": tracker}, **nested, **renamed, **given)
+
+
+def _progress() -> Progress | None:
+    """Count on stderr, where a person watches."""
+    if not sys.stderr.isatty():
+        return None
+
+    def show(done: int, of: int) -> None:
+        click.echo(f"\r{done} of {of} targets", nl=done == of, err=True)
+
+    return show
+
+
+def _report(result: ExperimentResult, draw: Path | None, as_json: bool) -> None:
+    if draw is not None:
+        result.draw(draw)
+    if as_json:
+        click.echo(json.dumps(result.as_dict()))
+    else:
+        click.echo("\n".join(result.table()))

@@ -1,0 +1,30 @@
+"""A progress bar on stderr, only where a person watches."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterable, Iterator
+from typing import TypeVar
+
+import click
+
+T = TypeVar("T")
+
+
+def watched(items: Iterable[T], length: int | None, label: str) -> Iterator[T]:
+    """Yield the items, with a bar that moves as they go by.
+
+    Parameters
+    ----------
+    items
+        What is worked through.
+    length
+        How many there should be; without it, as for a live source, there is no bar.
+    label
+        What is being done.
+    """
+    if length is None or not sys.stderr.isatty():
+        yield from items
+        return
+    with click.progressbar(items, length=length, label=label, file=sys.stderr) as bar:
+        yield from bar

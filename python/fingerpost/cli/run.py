@@ -1,0 +1,145 @@
+"""`fingerpost run`: a rig's views in, fixes out."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import time
+from collections import Counter, deque
+from collections.abc import Callable
+from contextlib import ExitStack
+from itertools import islice
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from fingerpost.cli.progress import watched
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from fingerpost.pipeline import Pointer, Step
+
+_OVERLAY_FPS = 25.0
+_OVERLAY_TRAIL = 40  # points that the plan shows behind the newest one
+
+_OUT = click.Path(path_type=Path)
+
+
+@click.command()
+@click.argument("rig_file", metavar="RIG.TOML", type=click.Path(path_type=Path))
+@click.option("--points", metavar="P.CSV", type=_OUT, help="Write the fixes, one row a frame.")
+@click.option("--tracks", metavar="T.CSV", type=_OUT, help="Write the finger lines of every view.")
+@click.option("--overlay", metavar="O.MP4", type=_OUT, help="Write a video that shows both.")
+@click.option("--max-frames", metavar="N", type=click.IntRange(min=1), help="Stop after N frames.")
+@click.option(
+    "--model",
+    type=click.Choice(["ribbon", "paper"]),
+    default="ribbon",
+    show_default=True,
+    help="The hand: bands of their own width, or the planar template of 1994.",
+)
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object a frame, no summary.")
+def run(
+    rig_file: Path,
+    points: Path | None,
+    tracks: Path | None,
+    overlay: Path | None,
+    max_frames: int | None,
+    model: str,
+    as_json: bool,
+) -> None:
+    """Track a hand in every view of a rig and tell where on the plane it points.
+
+    RIG.TOML names the views (video files, globs of images, camera numbers or URLs), the plane and
+    where the hand is first seen. Ctrl-C ends a run; what was written stays.
+    """
+    from fingerpost.capture import open_source, read_views
+    from fingerpost.config import Rig
+    from fingerpost.pipeline import Pointer, steps
+
+    rig = Rig.load(rig_file)
+    pointer = Pointer(rig, tracker_options={"model": model})
+    statuses: Counter[str] = Counter()
+    with ExitStack() as stack:
+        sources = [stack.enter_context(open_source(view.source)) for view in rig.views]
+        takers = _takers(stack, pointer, rig.plane.unit, points, tracks, overlay, as_json)
+        counts = [n for n in (max_frames, *(source.frame_count for source in sources)) if n]
+        frames = islice(read_views(sources), max_frames)
+        started_s = time.perf_counter()
+        for step in steps(pointer, watched(frames, min(counts, default=None), "tracking")):
+            statuses[step.fix.status.value] += 1
+            for take in takers:
+                take(step)
+    if not as_json:
+        _print_summary(statuses, time.perf_counter() - started_s)
+
+
+def _takers(
+    stack: ExitStack,
+    pointer: Pointer,
+    unit: str,
+    points: Path | None,
+    tracks: Path | None,
+    overlay: Path | None,
+    as_json: bool,
+) -> list[Callable[[Step], None]]:
+    """Everything that takes the steps as they come: tables, video, standard output."""
+    takers: list[Callable[[Step], None]] = []
+    if points:
+        takers.append(_point_table(stack, points))
+    if tracks:
+        takers.append(_track_table(stack, tracks))
+    if overlay:
+        takers.append(_overlay_video(stack, overlay, pointer, unit))
+    if as_json:
+        takers.append(lambda step: click.echo(json.dumps(dataclasses.asdict(step.point_row()))))
+    return takers
+
+
+def _point_table(stack: ExitStack, path: Path) -> Callable[[Step], None]:
+    from fingerpost.recording import write_points
+
+    table = stack.enter_context(write_points(path))
+    return lambda step: table.write(step.point_row())
+
+
+def _track_table(stack: ExitStack, path: Path) -> Callable[[Step], None]:
+    from fingerpost.recording import write_tracks
+
+    table = stack.enter_context(write_tracks(path))
+
+    def take(step: Step) -> None:
+        for observation in step.observations:
+            row = observation.track_row()
+            if row is not None:
+                table.write(row)
+
+    return take
+
+
+def _overlay_video(
+    stack: ExitStack, path: Path, pointer: Pointer, unit: str
+) -> Callable[[Step], None]:
+    from fingerpost.recording import VideoWriter
+    from fingerpost.recording.picture import Composition
+
+    video = stack.enter_context(VideoWriter(path, fps=_OVERLAY_FPS))
+    composition = Composition(pointer.plane_views, unit=unit, edges=True)
+    trail: deque[NDArray[np.float64]] = deque(maxlen=_OVERLAY_TRAIL)
+
+    def take(step: Step) -> None:
+        video.write(composition.draw(step.observations, step.fix, trail=list(trail)))
+        if step.fix.point is not None:
+            trail.append(step.fix.point)
+
+    return take
+
+
+def _print_summary(statuses: Counter[str], elapsed_s: float) -> None:
+    frames = statuses.total()
+    click.echo(f"frames   {frames} in {elapsed_s:.1f} s")
+    for status, count in statuses.most_common():
+        click.echo(f"{status:<16} {count:5d}  {100 * count / frames:5.1f} %")

@@ -1,0 +1,379 @@
+"""The rig file: which cameras look at which plane, and where the hand is first seen.
+
+A rig file is TOML. `Rig.load` reads it, refuses every key and value it does not know or cannot
+use with one line that says file, key, value and what would be right, and resolves the views'
+sources relative to the file. `Rig.save` writes it back. The classes below are the schema: one
+class per table, one attribute per key.
+"""
+
+from __future__ import annotations
+
+import difflib
+import json
+import re
+import tomllib
+from collections import Counter
+from pathlib import Path
+from typing import Any, Literal, Self
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from fingerpost.capture import resolve_source, source_relative_to
+from fingerpost.checks import finite_array
+from fingerpost.errors import InvalidInputError, RigError
+from fingerpost.homography import MIN_REFERENCE_POINTS, estimate_image_from_plane
+from fingerpost.lens import Lens
+
+Pair = tuple[float, float]
+
+# What would be right, per key; ends the message about a key that is missing or of a wrong type.
+_RIGHT = {
+    "": "a [plane] table and one [[view]] table per camera",
+    "plane": "one [plane] table with unit and points",
+    "plane.unit": 'a short name in quotes, such as "mm"',
+    "plane.points": f"at least {MIN_REFERENCE_POINTS} points [X, Y] in the plane's unit",
+    "view": "one [[view]] table per camera",
+    "view.name": 'a short name in quotes, such as "left"',
+    "view.source": "a file, a glob of images or a URL in quotes, or a camera number from 0",
+    "view.reference_points_px": "one pixel [u, v] per point of the plane, in its order",
+    "view.reference": '{ kind = "fixed" }, the only kind there is so far',
+    "view.lens": "{ fx = ..., fy = ..., cx = ..., cy = ..., k1 = ... }, and k2 where it is known",
+    "view.start": "one [view.start] table with tip_px, angle_deg, length_px and thumb",
+    "view.start.tip_px": "the tip of the index finger as one pixel [u, v]",
+    "view.start.angle_deg": "the direction of pointing in degrees: 0 is right, 90 is down",
+    "view.start.length_px": "the visible length of the index finger in px",
+    "view.start.thumb": '"left" or "right", seen along the pointing direction, or "none"',
+}
+
+_MAX_SHOWN = 60
+
+
+class _Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
+    """What all tables of a rig file share: no other keys, and no later change."""
+
+
+class Plane(_Table, kw_only=True, frozen=True):
+    """The working plane and its reference points.
+
+    Attributes
+    ----------
+    unit
+        Name of the plane's unit; a label, nothing is computed from it.
+    points
+        At least four reference points (X, Y), in that unit.
+    """
+
+    unit: str
+    points: tuple[Pair, ...]
+
+    def __post_init__(self) -> None:
+        _refuse_unprintable(self.unit, "unit")
+        finite_array(self.points, "points", ("N", 2))
+        if len(self.points) < MIN_REFERENCE_POINTS:
+            raise InvalidInputError(
+                f"points: {len(self.points)} found; at least {MIN_REFERENCE_POINTS} are needed"
+            )
+
+
+class FixedReference(_Table, frozen=True, tag_field="kind", tag="fixed"):
+    """The camera does not move: the reference points stay where the rig file says."""
+
+
+class LensParameters(_Table, kw_only=True, frozen=True):
+    """A view's lens, as `fingerpost.lens.Lens` takes it.
+
+    Attributes
+    ----------
+    fx, fy
+        Focal lengths in px, > 0.
+    cx, cy
+        Principal point in px.
+    k1, k2
+        Radial distortion, without unit.
+    """
+
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    k1: float
+    k2: float = 0.0
+
+    def __post_init__(self) -> None:
+        self.lens()
+
+    def lens(self) -> Lens:
+        """Return the model with these parameters."""
+        return Lens(**msgspec.structs.asdict(self))
+
+
+class Start(_Table, kw_only=True, frozen=True):
+    """Where in the image the template waits for the hand.
+
+    Attributes
+    ----------
+    tip_px
+        Tip of the index finger (u, v), in px.
+    angle_deg
+        Direction of pointing in the image, in degrees: 0 is +u (right), 90 is +v (down).
+    length_px
+        Visible length of the index finger, in px, > 0.
+    thumb
+        Side of the thumb, seen along the pointing direction; "none" for a finger alone.
+    """
+
+    tip_px: Pair
+    angle_deg: float
+    length_px: float
+    thumb: Literal["left", "right", "none"]
+
+    def __post_init__(self) -> None:
+        finite_array(self.tip_px, "tip_px", (2,))
+        finite_array(self.angle_deg, "angle_deg", ())
+        finite_array(self.length_px, "length_px", ())
+        if self.length_px <= 0:
+            raise InvalidInputError(f"length_px is {self.length_px}; above 0 is right")
+
+
+class View(_Table, kw_only=True, frozen=True):
+    """One camera's image stream, and what is known about it.
+
+    Attributes
+    ----------
+    name
+        What the view is called in files and messages; unique within the rig.
+    source
+        What `fingerpost.capture.open_source` opens.
+    reference_points_px
+        The reference points (u, v) in this view's image, in px: one per point of the plane, in
+        its order. They may lie outside the image.
+    reference
+        How the reference points are followed.
+    lens_parameters
+        The key `lens`: the view's lens, if known.
+    start
+        Where the template waits for the hand; None to find the hand.
+    """
+
+    name: str
+    source: str | int
+    reference_points_px: tuple[Pair, ...]
+    reference: FixedReference = FixedReference()
+    lens_parameters: LensParameters | None = msgspec.field(default=None, name="lens")
+    start: Start | None = None
+
+    def __post_init__(self) -> None:
+        _refuse_unprintable(self.name, "name")
+        if self.source == "" or (isinstance(self.source, int) and self.source < 0):
+            raise InvalidInputError(
+                f"source is {_shown(self.source)}; needed: {_RIGHT['view.source']}"
+            )
+        finite_array(self.reference_points_px, "reference_points_px", ("N", 2))
+
+    @property
+    def lens(self) -> Lens | None:
+        """The view's lens, if known."""
+        return self.lens_parameters.lens() if self.lens_parameters else None
+
+
+class Rig(_Table, kw_only=True, frozen=True):
+    """Cameras, working plane and start of the template: everything a set-up needs.
+
+    Attributes
+    ----------
+    plane
+        The working plane.
+    views
+        At least one view, in the order of the file (key `view`); pointing needs two or more.
+
+    Raises
+    ------
+    InvalidInputError
+        Values that cannot be used, or contradict each other: names that repeat, other than one
+        pixel per reference point, reference points that fix no homography.
+    """
+
+    plane: Plane
+    views: tuple[View, ...] = msgspec.field(name="view")
+
+    def __post_init__(self) -> None:
+        if not self.views:
+            raise InvalidInputError(f"view: none found; needed: {_RIGHT['view']}")
+        name, count = Counter(view.name for view in self.views).most_common(1)[0]
+        if count > 1:
+            raise InvalidInputError(
+                f"view: {count} views are called {_shown(name)}; each needs a name of its own"
+            )
+        for view in self.views:
+            self._refuse_undetermined(view)
+
+    def _refuse_undetermined(self, view: View) -> None:
+        points_px = finite_array(view.reference_points_px, "reference_points_px", ("N", 2))
+        if len(points_px) != len(self.plane.points):
+            raise InvalidInputError(
+                f"view {_shown(view.name)}: reference_points_px: {len(points_px)} found; "
+                f"one for each of the {len(self.plane.points)} points of the plane is needed"
+            )
+        try:
+            if view.lens is not None:
+                points_px = _undistorted(points_px, view.lens)
+            estimate_image_from_plane(self.plane.points, points_px)
+        except InvalidInputError as error:
+            # The file's words for what the geometry calls its arguments.
+            message = str(error).replace("image_points_px", "reference_points_px")
+            message = message.replace("plane_points", "plane.points")
+            raise type(error)(f"view {_shown(view.name)}: {message}") from error
+
+    @classmethod
+    def load(cls, path: str | Path) -> Self:
+        """Read a rig file; relative sources become relative to where the file lies.
+
+        Parameters
+        ----------
+        path
+            The file, TOML in UTF-8.
+
+        Raises
+        ------
+        RigError
+            The file cannot be read or used. The message is one line: the file, the key's path,
+            its value, and what would be right.
+        """
+        path = Path(path)
+        try:
+            tables = tomllib.loads(path.read_text(encoding="utf-8-sig"))
+        except OSError as error:
+            raise RigError(f"{path}: {error.strerror}; a rig file (TOML) is needed") from error
+        except UnicodeDecodeError as error:
+            raise RigError(f"{path}: not a text file in UTF-8 ({error.reason})") from error
+        except tomllib.TOMLDecodeError as error:
+            raise RigError(f"{path}: not valid TOML: {error}") from error
+        except RecursionError as error:
+            raise RigError(f"{path}: not a rig file: nested too deeply") from error
+        try:
+            rig = msgspec.convert(tables, cls)
+        except msgspec.ValidationError as error:
+            raise RigError(f"{path}: {_explained(error, tables)}") from error
+        views = (
+            msgspec.structs.replace(view, source=resolve_source(view.source, path.parent))
+            for view in rig.views
+        )
+        return msgspec.structs.replace(rig, views=tuple(views))
+
+    def save(self, path: str | Path) -> None:
+        """Write the rig to a file that `load` reads back as the same rig.
+
+        Sources below the file's directory are written relative to it, so that the directory can
+        be moved; all other files with their absolute path.
+
+        Raises
+        ------
+        RigError
+            The file cannot be written.
+        """
+        path = Path(path)
+        views = (
+            msgspec.structs.replace(view, source=source_relative_to(view.source, path.parent))
+            for view in self.views
+        )
+        text = msgspec.structs.replace(self, views=tuple(views)).dumps()
+        part = path.with_name(f"{path.name}.part")
+        try:
+            part.write_text(text, encoding="utf-8")
+            part.replace(path)  # at no moment is the old rig gone and the new one not there
+        except OSError as error:
+            raise RigError(f"{path}: cannot be written: {error.strerror}") from error
+
+    def dumps(self) -> str:
+        """Return the rig as TOML, with its sources as they are."""
+        tables = msgspec.to_builtins(self)
+        blocks = ["[plane]", *_lines(tables["plane"])]
+        for view in tables["view"]:
+            start = view.pop("start", None)
+            blocks += ["", "[[view]]", *_lines(view)]
+            if start is not None:
+                blocks += ["[view.start]", *_lines(start)]
+        return "\n".join(blocks) + "\n"
+
+
+_TABLES: dict[str, type[_Table]] = {
+    "": Rig,
+    "plane": Plane,
+    "view": View,
+    "view.reference": FixedReference,
+    "view.lens": LensParameters,
+    "view.start": Start,
+}
+
+
+def _undistorted(points_px: NDArray[np.float64], lens: Lens) -> NDArray[np.float64]:
+    undistorted = lens.undistort(points_px)
+    outside = np.flatnonzero(np.isnan(undistorted).any(axis=1))
+    if len(outside):
+        raise InvalidInputError(
+            f"reference_points_px[{outside[0]}] is where the lens model folds back; "
+            "k1 and k2 must hold as far out as the reference points"
+        )
+    return undistorted
+
+
+def _lines(table: dict[str, object]) -> list[str]:
+    return [f"{key} = {_toml(value)}" for key, value in table.items()]
+
+
+def _toml(value: object) -> str:
+    if isinstance(value, dict):
+        return f"{{ {', '.join(_lines(value))} }}"
+    if isinstance(value, (list, tuple)):
+        return f"[{', '.join(map(_toml, value))}]"
+    # JSON writes numbers and text as TOML does, but for one control character that it leaves bare.
+    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+
+
+def _refuse_unprintable(text: str, key: str) -> None:
+    if not text or not text.isprintable():
+        raise InvalidInputError(f"{key} is {_shown(text)}; one line of printable text is right")
+
+
+def _shown(value: object) -> str:
+    """Return a value as a TOML file would show it, cut to a length that fits one line."""
+    text = json.dumps(value, ensure_ascii=False, default=str)
+    return text if len(text) <= _MAX_SHOWN else f"{text[:_MAX_SHOWN]}..."
+
+
+def _explained(error: msgspec.ValidationError, tables: dict[str, object]) -> str:
+    """Say in the words of the rig file what msgspec found wrong with its tables."""
+    message, _, path = str(error).removesuffix("`").partition(" - at `$.")
+    if isinstance(error.__cause__, InvalidInputError):
+        return f"{path}: {message}" if path else message
+
+    steps = re.findall(r"\w+", path)
+    table = ".".join(step for step in steps if not step.isdecimal())
+    field = re.fullmatch(
+        r"Object (missing required|contains unknown) field `(.*?)`?", message, re.S
+    )
+    if field is None:
+        value: Any = tables
+        for step in steps:
+            value = value[int(step) if step.isdecimal() else step]
+        return f"{path} is {_shown(value)}; needed: {_right(table)}"
+    key = field[2] if field[2].isidentifier() else _shown(field[2])
+    place = f"{path}.{key}" if path else key
+    if field[1] == "missing required":
+        return f"{place} is missing; needed: {_right(f'{table}.{key}'.strip('.'))}"
+    schema = _TABLES[table]
+    known = [known.encode_name for known in msgspec.structs.fields(schema)]
+    if schema.__struct_config__.tag_field is not None:
+        known.append(schema.__struct_config__.tag_field)
+    close = difflib.get_close_matches(key, known, n=1)
+    advice = f"did you mean {close[0]}?" if close else f"known are {', '.join(known)}"
+    return f"{place} is not a key of a rig file; {advice}"
+
+
+def _right(key: str) -> str:
+    """Return what would be right for a key, or for the nearest table or list around it."""
+    while key not in _RIGHT:
+        key = key.rpartition(".")[0]
+    return _RIGHT[key]

@@ -1,0 +1,34 @@
+"""One tree of exceptions for the whole package.
+
+Every error that fingerpost raises on purpose is a `FingerpostError`; where a built-in fits as
+well (`ValueError`, `OSError`, `ImportError`), the class is that too. A lost hand is not an error
+but a status (`fingerpost.pointing.Status`).
+"""
+
+
+class FingerpostError(Exception):
+    """Base of every error that fingerpost raises on purpose."""
+
+
+class InvalidInputError(FingerpostError, ValueError):
+    """A value given by the caller cannot be used; the message names it and says what would be."""
+
+
+class DegenerateReferencePointsError(InvalidInputError):
+    """Reference points that fix no homography: collinear, repeated or not finite."""
+
+
+class RigError(InvalidInputError):
+    """A rig file that cannot be used; the message names the key's path and what would be right."""
+
+
+class CaptureError(FingerpostError, OSError):
+    """A view's source cannot be opened or read."""
+
+
+class RecordingError(FingerpostError, OSError):
+    """A table, a picture or a video cannot be written any further: a full disk, a lost drive."""
+
+
+class MissingExtraError(FingerpostError, ImportError):
+    """An optional part is not installed; the message holds the command that installs it."""

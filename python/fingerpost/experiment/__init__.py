@@ -1,0 +1,33 @@
+r"""The accuracy experiment of the paper's section 3.3, and beyond.
+
+    options = ExperimentOptions(targets=400, tracker={"model": "paper"})
+    result = run_experiment(options, progress=lambda done, of: print(done, "of", of))
+    print("\n".join(result.table()))
+    result.draw("experiment.png")
+
+A device at a random pose points at a random target. The views are pictured a few times with fresh
+noise, one tracker per view starts from a start pose that is off by some pixels, degrees and percent
+and settles, the reference points are off as well, and what the pointer (`fingerpost.Pointer`, the
+same as for real cameras) tells of the last pictures is compared with the exact truth.
+`run_recording` does the same on footage whose truth is known.
+
+`summary` says what each figure means, `bound` what the physics allows.
+"""
+
+from fingerpost.experiment.footage import run_recording
+from fingerpost.experiment.options import ExperimentOptions
+from fingerpost.experiment.result import ExperimentResult
+from fingerpost.experiment.run import Progress, run_experiment
+from fingerpost.experiment.summary import Summary
+from fingerpost.experiment.trial import LineTrial, Trial
+
+__all__ = [
+    "ExperimentOptions",
+    "ExperimentResult",
+    "LineTrial",
+    "Progress",
+    "Summary",
+    "Trial",
+    "run_experiment",
+    "run_recording",
+]

@@ -1,0 +1,222 @@
+"""The simulated test bench: a device points at a target, a pointer says where, truth is exact."""
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fingerpost._core import ContourTracker, StartPose, Template
+from fingerpost.capture import Frame
+from fingerpost.config import LensParameters, Plane, Rig, Start, View
+from fingerpost.experiment.bound import LineBound, edge_information, line_bound, point_bound
+from fingerpost.experiment.options import ExperimentOptions
+from fingerpost.experiment.trial import LineTrial, Trial, line_error, trial_of
+from fingerpost.pipeline import Observation, Pointer, steps
+from fingerpost.pointing import FingerLine, PlaneView, Status
+from fingerpost.simulate import (
+    Camera,
+    DevicePose,
+    FingerTruth,
+    Hand,
+    PointingDevice,
+    PoseSampler,
+    RodAndProng,
+    SimulatedRig,
+    StartError,
+)
+from fingerpost.simulate.truth import finger_truth
+
+Array = NDArray[np.float64]
+
+# Reference points that are known exactly have this standard deviation [px], for the pointer weighs
+# them by one: far below any noise.
+_EXACT_PX = 1e-6
+
+
+class Bench:
+    """Everything that is the same for all targets of an experiment.
+
+    Parameters
+    ----------
+    options
+        See `ExperimentOptions`.
+
+    Raises
+    ------
+    InvalidInputError
+        Options that contradict each other, or that the tracker refuses.
+    """
+
+    def __init__(self, options: ExperimentOptions) -> None:
+        self._options = options
+        self._rig = SimulatedRig(
+            options.cameras,
+            workspace=options.workspace,
+            background=options.background,
+            lighting=options.lighting,
+            sensor=options.sensor,
+        )
+        # Refuses the tracker's options here, not in the middle of the work.
+        ContourTracker(Template.pistol("none"), StartPose((0.0, 0.0), 0.0, 50.0), options.tracker)
+        self._sampler = PoseSampler(self._rig, options.limits)
+        told = options.lens == "known"
+        self._lenses = [_lens(camera) if told else None for camera in self._rig.cameras]
+        sigma = options.reference_noise_px
+        self._exact_views = tuple(
+            PlaneView.from_reference_points(
+                self._rig.plane_points,
+                points_px,
+                sigma**2 * np.eye(2) if sigma else None,
+                None if lens is None else lens.lens(),
+            )
+            for points_px, lens in zip(self._rig.reference_points_px, self._lenses, strict=True)
+        )
+        self._information = None
+        if options.sensor.noise > 0:
+            self._information = edge_information(
+                options.lighting.contrast, options.sensor.noise, options.sensor.blur_px
+            )
+
+    @property
+    def plane_size(self) -> float:
+        """Side of the working plane [mm]."""
+        return self._exact_views[0].plane_size
+
+    def trial(self, index: int) -> Trial:
+        """Point at one target.
+
+        Parameters
+        ----------
+        index
+            Number of the target, ≥ 0. Everything random about it comes from the experiment's seed
+            and this number alone.
+        """
+        rng = np.random.default_rng([self._options.seed, index])
+        device = self._device(rng)
+        pose = self._sampler.draw(rng, device=device)
+        fingers = [finger_truth(camera, device.body, pose) for camera in self._rig.cameras]
+        pointer = Pointer(
+            self._as_configured(fingers, rng),
+            tracker_options=self._options.tracker,
+            pointing_options=self._options.pointing,
+            reference_sigma_px=max(self._options.reference_noise_px, _EXACT_PX),
+        )
+        # Of all the frames only the last one's answer counts.
+        *_, last = steps(pointer, self._frames(pose, device, rng))
+        bounds = self._line_bounds(pose, device, fingers)
+        known = [bound for bound in bounds if bound is not None]
+        return trial_of(
+            last,
+            pointer.plane_views,
+            index=index,
+            target=np.asarray(pose.indicated_mm),  # poses that are drawn point down at the plane
+            bound=point_bound(self._exact_views, known) if len(known) == len(bounds) else None,
+            lines=_line_trials(last.observations, pointer.plane_views, fingers, bounds),
+        )
+
+    def _device(self, rng: np.random.Generator) -> PointingDevice:
+        options = self._options
+        length_mm = rng.uniform(*options.length_mm)
+        thumb_angle_deg = rng.uniform(*options.thumb_angle_deg)
+        side = rng.choice(["right", "left"])
+        if options.device == "rod":
+            return RodAndProng(
+                length_mm=length_mm, prong_angle_deg=thumb_angle_deg, taper=options.taper
+            )
+        return Hand(
+            side="right" if side == "right" else "left",
+            finger_length_mm=length_mm,
+            thumb_angle_deg=thumb_angle_deg,
+            taper=options.taper,
+        )
+
+    def _as_configured(self, fingers: Sequence[FingerTruth], rng: np.random.Generator) -> Rig:
+        """Rig file that a user would have written: nearly right."""
+        options = self._options
+        views = []
+        for camera, exact_px, lens, finger in zip(
+            self._rig.cameras, self._rig.reference_points_px, self._lenses, fingers, strict=True
+        ):
+            points_px = exact_px + rng.normal(0.0, options.reference_noise_px, exact_px.shape)
+            error = StartError(
+                offset_px=rng.uniform(*options.start_offset_px),
+                angle_deg=rng.uniform(*options.start_angle_deg),
+                scale=rng.uniform(*options.start_scale),
+            )
+            start = finger.start(error, rng)
+            views.append(
+                View(
+                    name=camera.name,
+                    source="simulated",
+                    reference_points_px=_pairs(points_px),
+                    lens_parameters=lens,
+                    start=Start(
+                        tip_px=start.tip_px,
+                        angle_deg=start.angle_deg,
+                        length_px=start.length_px,
+                        thumb=start.thumb,
+                    ),
+                )
+            )
+        return Rig(
+            plane=Plane(unit="mm", points=_pairs(self._rig.plane_points)), views=tuple(views)
+        )
+
+    def _frames(
+        self, pose: DevicePose, device: PointingDevice, rng: np.random.Generator
+    ) -> Iterator[tuple[Frame, ...]]:
+        for k in range(self._options.frames):
+            pictured = self._rig.render(
+                pose, time_s=k / self._options.frames_per_s, rng=rng, device=device
+            )
+            yield tuple(
+                Frame(k, view.time_s, image)
+                for view, image in zip(pictured.truth.views, pictured.images, strict=True)
+            )
+
+    def _line_bounds(
+        self, pose: DevicePose, device: PointingDevice, fingers: Sequence[FingerTruth]
+    ) -> list[LineBound | None]:
+        if self._information is None:
+            return [None] * len(fingers)
+        return [
+            line_bound(camera, device.body, pose, finger, self._information)
+            for camera, finger in zip(self._rig.cameras, fingers, strict=True)
+        ]
+
+
+def _line_trials(
+    observations: Sequence[Observation],
+    plane_views: Sequence[PlaneView],
+    fingers: Sequence[FingerTruth],
+    bounds: Sequence[LineBound | None],
+) -> tuple[LineTrial, ...]:
+    trials = []
+    for observation, plane_view, finger, bound in zip(
+        observations, plane_views, fingers, bounds, strict=True
+    ):
+        line = observation.finger
+        if isinstance(line, FingerLine):
+            line = plane_view.through_pinhole(line)
+        if isinstance(line, Status):
+            continue
+        trials.append(
+            LineTrial(
+                observation.view,
+                line_error(line, finger),
+                line.covariance,
+                None if bound is None else bound.at(line.anchor_px),
+            )
+        )
+    return tuple(trials)
+
+
+def _lens(camera: Camera) -> LensParameters | None:
+    if camera.k1 == 0:
+        return None
+    cx, cy = camera.principal_point_px.tolist()
+    return LensParameters(fx=camera.f_px, fy=camera.f_px, cx=cx, cy=cy, k1=camera.k1)
+
+
+def _pairs(points: Array) -> tuple[tuple[float, float], ...]:
+    return tuple((float(x), float(y)) for x, y in points)

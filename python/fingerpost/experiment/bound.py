@@ -1,0 +1,146 @@
+"""The Cramér–Rao bound: how small the error of an unbiased estimate can be in a given picture.
+
+A step edge of contrast A behind a Gaussian blur σ_b and a pixel's aperture, in white noise σ_n,
+tells its position across itself with the Fisher information, per pixel of contour,
+
+    I = A² / (2 √π · s · σ_n²),   s² = σ_b² + 1/12.
+
+The bound knows nothing of the hand but two straight flanks, each free: a flank on side σ = ±1 lies
+``σ (d + ϑ p) + w₀ + w₁ p`` outwards at the abscissa p along the finger, with the axis's offset d
+and angle ϑ wanted and the width w₀ and taper w₁ unknown. With ``J = (σ, σ p, 1, p)`` the
+information on the four is ``∫ I · J Jᵀ ds`` over both flanks as far as the picture shows them:
+neither outside the image nor where the thumb lies before or behind them. Its inverse bounds
+(d, ϑ). The axes of all views then bound the indicated point to first order, as in
+`fingerpost.uncertainty`, at the true point and with the reference points' covariance.
+
+It bounds one picture of each view and a uniformly bright finger on a plain table. A tracker that
+knows more (the finger's width, earlier pictures) may do better; with shading the true bound is
+another.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fingerpost.lines import constraint_line, line_at_angle
+from fingerpost.pointing import PlaneView
+from fingerpost.simulate import Camera, DevicePose, FingerTruth
+from fingerpost.simulate.device import Body
+from fingerpost.simulate.occlusion import CONTOUR_STEP_PX, visible_contour
+from fingerpost.uncertainty import constraint_line_covariance, image_line_covariance, intersect
+
+# Contour points this near a flank belong to it: a lens bends it by less between two vertices.
+_ON_FLANK_PX = 1e-3
+# A shorter piece of a flank fixes no direction.
+_LEAST_FLANK_PX = 2.0
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class LineBound:
+    """Least covariance of one view's finger line.
+
+    Attributes
+    ----------
+    anchor_px : (2,)
+        The middle of the flanks, on the exact axis [ideal px].
+    angle_rad
+        Of the exact axis [rad].
+    covariance : (2, 2)
+        Of offset [px] at the anchor and angle [rad].
+    """
+
+    anchor_px: NDArray[np.float64]
+    angle_rad: float
+    covariance: NDArray[np.float64]
+
+    def at(self, point_px: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Covariance of the offset abreast of another point, and of the angle."""
+        along = (point_px - self.anchor_px) @ (math.cos(self.angle_rad), math.sin(self.angle_rad))
+        shift = np.array([[1.0, along], [0.0, 1.0]])
+        return np.asarray(shift @ self.covariance @ shift.T)
+
+
+def edge_information(contrast: float, noise: float, blur_px: float) -> float:
+    """Fisher information on an edge's place across itself, per pixel of contour [px⁻³].
+
+    Parameters
+    ----------
+    contrast
+        Step of the edge [grey levels].
+    noise
+        Standard deviation of the white noise [grey levels], > 0.
+    blur_px
+        Standard deviation of the Gaussian point spread function [px], ≥ 0.
+    """
+    spread_px = math.hypot(blur_px, 12**-0.5)
+    return contrast**2 / (2.0 * math.sqrt(math.pi) * spread_px * noise**2)
+
+
+def line_bound(
+    camera: Camera, body: Body, pose: DevicePose, finger: FingerTruth, information: float
+) -> LineBound | None:
+    """Least covariance of the axis of a finger in one view.
+
+    Parameters
+    ----------
+    camera, body, pose
+        What is pictured.
+    finger
+        Its truth in this view.
+    information
+        As `edge_information` gives it.
+
+    Returns
+    -------
+    LineBound or None
+        None if the picture shows a stretch of only one flank, or of none.
+    """
+    contour = camera.ideal(visible_contour(camera, body, pose)[0])
+    anchor = finger.flanks_px.mean(axis=(0, 1))
+    along = np.array([math.cos(finger.axis_angle_rad), math.sin(finger.axis_angle_rad)])
+    total = np.zeros((4, 4))
+    for side, (base, tip) in zip((-1.0, 1.0), finger.flanks_px, strict=True):
+        flank = (tip - base) / np.linalg.norm(tip - base)
+        place, across = np.array([flank, (-flank[1], flank[0])]) @ (contour - base).T
+        within = (place >= 0.0) & ((contour - tip) @ flank <= 0.0)
+        on_flank = within & (abs(across) < _ON_FLANK_PX)
+        p = (contour[on_flank] - anchor) @ along
+        if len(p) * CONTOUR_STEP_PX < _LEAST_FLANK_PX:
+            return None
+        J = np.stack([np.full_like(p, side), side * p, np.ones_like(p), p])
+        # A flank at an angle to the axis moves across itself by the cosine of what it moves
+        # across the axis.
+        total += information * (flank @ along) ** 2 * CONTOUR_STEP_PX * (J @ J.T)
+    covariance = np.asarray(np.linalg.inv(total), dtype=np.float64)[:2, :2]
+    return LineBound(anchor, finger.axis_angle_rad, covariance)
+
+
+def point_bound(
+    plane_views: Sequence[PlaneView], line_bounds: Sequence[LineBound]
+) -> NDArray[np.float64] | None:
+    """Least covariance of the indicated point.
+
+    Parameters
+    ----------
+    plane_views
+        The N ≥ 2 views, from exact reference points with the covariance of the noisy ones.
+    line_bounds
+        One per view.
+
+    Returns
+    -------
+    (2, 2) or None
+        Plane units²; None if the exact constraint lines are parallel.
+    """
+    T = np.array([view.image_from_plane for view in plane_views])
+    Σ_T = np.array([view.entries_covariance for view in plane_views])
+    anchor = np.array([bound.anchor_px for bound in line_bounds])
+    angle = np.array([bound.angle_rad for bound in line_bounds])
+    covariance = np.array([bound.covariance for bound in line_bounds])
+    l_i = line_at_angle(anchor, angle)
+    Σ_gp = constraint_line_covariance(T, Σ_T, l_i, image_line_covariance(anchor, angle, covariance))
+    least = intersect(constraint_line(T, l_i), Σ_gp).covariance
+    return least if np.isfinite(least).all() else None

@@ -1,0 +1,145 @@
+"""Run an experiment on all cores."""
+
+import os
+import signal
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import fields
+from multiprocessing import get_context
+
+from fingerpost.errors import FingerpostError, InvalidInputError
+from fingerpost.experiment.bench import Bench
+from fingerpost.experiment.options import ExperimentOptions
+from fingerpost.experiment.result import ExperimentResult
+from fingerpost.experiment.trial import Trial
+
+Progress = Callable[[int, int], None]
+"""Called with the number of targets done and of all."""
+
+# Targets that a worker takes at a time: a second's work or less, so that progress is seen.
+_CHUNK = 4
+
+
+def run_experiment(
+    options: ExperimentOptions | None = None,
+    *,
+    workers: int | None = None,
+    progress: Progress | None = None,
+) -> ExperimentResult:
+    """Point at random targets and compare the answers with the truth: section 3.3 of the paper.
+
+    Parameters
+    ----------
+    options
+        What to vary; default: the paper's rig with the default tracker.
+    workers
+        Processes to share the work, ≥ 1; 1 works in this process, None uses all cores. The result
+        is the same to the last bit. More than one are started afresh ("spawn"), so a script needs
+        the usual ``if __name__ == "__main__":``.
+    progress
+        Called in this process as targets are done: ``progress(done, targets)``.
+
+    Returns
+    -------
+    ExperimentResult
+
+    Raises
+    ------
+    InvalidInputError
+        Options that contradict each other, that the tracker refuses, or under which no pose is
+        seen well by every camera.
+    FingerpostError
+        A worker died.
+    """
+    options = options or ExperimentOptions()
+    if workers is not None and workers < 1:
+        raise InvalidInputError(f"workers is {workers}; 1 or more, or None for all cores, is right")
+    workers = workers or os.cpu_count() or 1
+    bench = Bench(options)  # refuses what cannot be before any process is started
+    trials: list[Trial] = []
+    chunks = _inline(bench, options) if workers == 1 else _shared_out(options, workers)
+    for chunk in chunks:
+        trials += chunk
+        if progress is not None:
+            progress(len(trials), options.targets)
+    trials.sort(key=lambda trial: trial.index)
+    return ExperimentResult(
+        title=_title(options),
+        settings={field.name: getattr(options, field.name) for field in fields(options)},
+        unit="mm",
+        plane_size=bench.plane_size,
+        plane_points=options.workspace.points_mm,
+        trials=tuple(trials),
+    )
+
+
+def _inline(bench: Bench, options: ExperimentOptions) -> Iterator[list[Trial]]:
+    for index in range(options.targets):
+        yield [bench.trial(index)]
+
+
+def _shared_out(options: ExperimentOptions, workers: int) -> Iterator[list[Trial]]:
+    starts = range(0, options.targets, _CHUNK)
+    with ProcessPoolExecutor(
+        min(workers, len(starts)),
+        mp_context=get_context("spawn"),
+        initializer=_start_worker,
+        initargs=(options,),
+    ) as pool:
+        try:
+            futures = [
+                pool.submit(_work, range(start, min(start + _CHUNK, options.targets)))
+                for start in starts
+            ]
+            for future in as_completed(futures):
+                yield future.result()
+        except BrokenProcessPool as error:
+            raise FingerpostError(
+                "a worker process died, perhaps for want of memory; try fewer workers"
+            ) from error
+        finally:
+            pool.shutdown(wait=False, cancel_futures=True)
+
+
+# The worker's own bench: the table of a cluttered scene takes longer to paint than many trials.
+_bench: Bench | None = None
+
+
+def _start_worker(options: ExperimentOptions) -> None:
+    import cv2
+
+    global _bench
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent stops the workers
+    cv2.setNumThreads(1)  # the workers share the cores among themselves
+    _bench = Bench(options)
+
+
+def _work(indices: range) -> list[Trial]:
+    assert _bench is not None, "the worker was not started"
+    return [_bench.trial(index) for index in indices]
+
+
+def _title(options: ExperimentOptions) -> tuple[str, ...]:
+    cameras, lighting, sensor = options.cameras, options.lighting, options.sensor
+    tracker = ", ".join(f"{key} {value}" for key, value in options.tracker.items()) or "defaults"
+    conditions = [
+        f"{cameras.width_px} × {cameras.height_px} px",
+        f"contrast {lighting.contrast:g}",
+        f"noise {sensor.noise:g}",
+        f"blur {sensor.blur_px:g} px",
+        f"taper {100 * options.taper:g} %",
+        f"references ± {options.reference_noise_px:g} px",
+    ]
+    if lighting.side_light:
+        conditions.append(f"side light {100 * lighting.side_light:g} %")
+    if lighting.limb_darkening:
+        conditions.append(f"limb darkening {100 * lighting.limb_darkening:g} %")
+    if options.background.clutter:
+        conditions.append(f"clutter ± {options.background.clutter:g}")
+    if any(cameras.k1):
+        conditions.append(f"k1 {', '.join(f'{k1:g}' for k1 in cameras.k1)}, {options.lens}")
+    return (
+        f"{options.targets} targets, {options.device}, tracker: {tracker}; seed {options.seed}",
+        ", ".join(conditions),
+    )

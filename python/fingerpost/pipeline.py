@@ -1,0 +1,368 @@
+"""The main loop: frames of all views in, fixes out.
+
+    rig = Rig.load("rig.toml")
+    for fix in track(rig):
+        print(fix.time_s, fix.status, fix.point)
+
+One step reads like the paper: track the hand in every view (section 3.2), bring the finger lines
+to one time, turn each into its constraint line on the plane and intersect them (section 2.2). The
+loop exists once; whatever plays, draws, records or drives stands around it.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from itertools import islice
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fingerpost._core import ContourTracker, StartPose, Template, Track
+from fingerpost.capture import Frame, open_source, read_views
+from fingerpost.config import Rig, View
+from fingerpost.errors import InvalidInputError
+from fingerpost.pointing import (
+    DEFAULT_OPTIONS,
+    AlignmentState,
+    FingerLine,
+    Fix,
+    PlaneView,
+    PointingOptions,
+    Status,
+    align,
+    indicated_point,
+)
+from fingerpost.recording import PointRow, TrackRow
+
+DEFAULT_REFERENCE_SIGMA_PX = 0.5
+"""Standard deviation of a reference point that a person clicked or a line fit gave [px]."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Observation:
+    """What one view saw in one frame.
+
+    Attributes
+    ----------
+    view
+        The view's name.
+    frame
+        The frame; None where it could not be read.
+    track
+        What the tracker made of it; None without a frame.
+    contour_px
+        The template's outline after the frame, (N, 2) [px].
+    edges_px
+        The edges that the last search found, (M, 2) [px].
+    """
+
+    view: str
+    frame: Frame | None
+    track: Track | None
+    contour_px: NDArray[np.float64]
+    edges_px: NDArray[np.float64]
+
+    @property
+    def finger(self) -> FingerLine | Status:
+        """The finger line, or why there is none."""
+        if self.frame is None or self.track is None:
+            return Status.LOST
+        line = self.track.finger_line
+        if line is not None:
+            return FingerLine(
+                np.array(line.anchor_px),
+                line.angle_rad,
+                line.covariance,
+                np.array(line.tip_px),
+                self.frame.time_s,
+            )
+        return Status.ACQUIRING if self.track.status == "acquiring" else Status.LOST
+
+    def track_row(self) -> TrackRow | None:
+        """Return the row of `tracks.csv`; None for a frame that could not be read."""
+        if self.frame is None or self.track is None:
+            return None
+        cells: dict[str, float] = {}
+        status = str(self.finger) if isinstance(self.finger, Status) else "tracking"
+        line = self.track.finger_line
+        if line is not None:
+            sigma_offset_px, sigma_angle_rad = np.sqrt(np.diag(line.covariance)).tolist()
+            cells = {
+                "tip_u": line.tip_px[0],
+                "tip_v": line.tip_px[1],
+                "angle_rad": line.angle_rad,
+                "sigma_angle_rad": sigma_angle_rad,
+                "sigma_offset_px": sigma_offset_px,
+            }
+        return TrackRow(
+            frame=self.frame.index,
+            time_s=self.frame.time_s,
+            view=self.view,
+            status=status,
+            **cells,
+        )
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Step:
+    """One frame of the first view, what all views saw at it, and the fix.
+
+    Attributes
+    ----------
+    index
+        The frame's index in the source of the first view.
+    observations
+        One per view, in the rig's order, of the frames that were captured together.
+    fix
+        Where the hand points at the time of the first view's frame.
+    """
+
+    index: int
+    observations: tuple[Observation, ...]
+    fix: Fix
+
+    def point_row(self) -> PointRow:
+        """Return the row of `points.csv`; a covariance without bound is left empty."""
+        fix = self.fix
+        cells: dict[str, float] = {}
+        if fix.crossing_angle_rad is not None:
+            cells["crossing_angle_deg"] = float(np.degrees(fix.crossing_angle_rad))
+        if fix.covariance is not None and np.isfinite(fix.covariance).all():
+            (cells["cov_xx"], cells["cov_xy"]), (_, cells["cov_yy"]) = fix.covariance.tolist()
+        if fix.point is not None:
+            cells["x"], cells["y"] = fix.point.tolist()
+        return PointRow(frame=self.index, time_s=fix.time_s, status=fix.status.value, **cells)
+
+
+class HandView:
+    """One view of the hand: its tracker, and how it sees the plane.
+
+    Parameters
+    ----------
+    view
+        The view of the rig; it needs a start pose.
+    plane_points : (N, 2)
+        The plane's reference points.
+    tracker_options
+        What differs from the tracker's defaults; see `fingerpost.ContourTracker`.
+    reference_sigma_px
+        Standard deviation of the view's reference points [px], > 0.
+    """
+
+    def __init__(
+        self,
+        view: View,
+        plane_points: Sequence[tuple[float, float]],
+        tracker_options: Mapping[str, Any] | None,
+        reference_sigma_px: float,
+    ) -> None:
+        if view.start is None:
+            raise InvalidInputError(
+                f'view "{view.name}" has no [view.start]; the template needs a place to wait'
+            )
+        self.name = view.name
+        self.plane_view = PlaneView.from_reference_points(
+            plane_points,
+            view.reference_points_px,
+            reference_sigma_px**2 * np.eye(2),
+            view.lens,
+        )
+        start = StartPose(view.start.tip_px, np.radians(view.start.angle_deg), view.start.length_px)
+        template = Template.pistol(view.start.thumb)
+        self._tracker = ContourTracker(template, start, tracker_options)
+
+    def observe(self, frame: Frame | None) -> Observation:
+        """Track the hand in a frame; None stands for one that could not be read."""
+        if frame is None:
+            nothing = np.empty((0, 2))
+            return Observation(self.name, None, None, nothing, nothing)
+        colour = frame.image if frame.image.ndim == 3 else None
+        track = self._tracker.update(frame.grey(), frame.time_s, colour)
+        lines = self._tracker.search_lines()
+        found = np.isfinite(lines.offset_px)
+        edges = (lines.position_px + lines.normal * lines.offset_px[:, None])[found]
+        return Observation(self.name, frame, track, self._tracker.contour(), edges)
+
+
+@dataclass(slots=True)
+class _Pending:
+    """A frame of the first view that waits for the other views to reach its time."""
+
+    index: int
+    time_s: float
+    observations: tuple[Observation, ...]
+
+
+@dataclass(slots=True)
+class _History:
+    """The latest entries of one view, oldest first: a finger line or a status, and its time."""
+
+    entries: deque[tuple[float, FingerLine | Status]] = field(
+        default_factory=lambda: deque(maxlen=16)
+    )
+
+    def add(self, observation: Observation) -> None:
+        if observation.frame is not None:
+            self.entries.append((observation.frame.time_s, observation.finger))
+
+    def at(self, time_s: float, options: PointingOptions) -> FingerLine | Status | None:
+        """Tell what the view has at a time; None if its next frame is needed for that."""
+        before: FingerLine | Status = Status.ACQUIRING
+        for entry_time_s, entry in self.entries:
+            if entry_time_s == time_s:
+                return entry
+            if entry_time_s > time_s:
+                return _between(before, entry, time_s, options)
+            before = entry
+        return None
+
+
+def _between(
+    before: FingerLine | Status,
+    after: FingerLine | Status,
+    time_s: float,
+    options: PointingOptions,
+) -> FingerLine | Status:
+    """Finger line between two neighbours in time; the status of the one that has none."""
+    if isinstance(before, Status):
+        return before
+    if isinstance(after, Status):
+        return after
+    aligned = align([before, after], time_s, options)
+    if aligned.state is AlignmentState.ALIGNED and aligned.line is not None:
+        return aligned.line
+    return Status.LOST
+
+
+class Pointer:
+    """All views of a rig: frames in, fixes out.
+
+    Parameters
+    ----------
+    rig
+        At least two views, each with a start pose.
+    tracker_options
+        What differs from the tracker's defaults, for all views.
+    pointing_options
+        When a point counts as one.
+    reference_sigma_px
+        Standard deviation of the reference points [px], > 0.
+
+    Raises
+    ------
+    InvalidInputError
+        A rig that cannot point, or an option out of range.
+    """
+
+    def __init__(
+        self,
+        rig: Rig,
+        *,
+        tracker_options: Mapping[str, Any] | None = None,
+        pointing_options: PointingOptions = DEFAULT_OPTIONS,
+        reference_sigma_px: float = DEFAULT_REFERENCE_SIGMA_PX,
+    ) -> None:
+        if len(rig.views) < 2:
+            raise InvalidInputError(
+                f"the rig has {len(rig.views)} view; pointing needs two or more"
+            )
+        self.views = tuple(
+            HandView(view, rig.plane.points, tracker_options, reference_sigma_px)
+            for view in rig.views
+        )
+        self._options = pointing_options
+        self._histories = tuple(_History() for _ in self.views)
+        self._pending: deque[_Pending] = deque()
+
+    @property
+    def plane_views(self) -> tuple[PlaneView, ...]:
+        """How each view sees the plane."""
+        return tuple(view.plane_view for view in self.views)
+
+    def update(self, frames: Sequence[Frame | None]) -> Iterator[Step]:
+        """Take one frame of every view; yield the steps that can be told from them.
+
+        Views that are captured at one time give their step at once. Where a view lags behind, the
+        step of the first view's frame comes when the others have passed its time, one call later.
+
+        Parameters
+        ----------
+        frames
+            One per view, in the rig's order; None where a frame could not be read.
+        """
+        observations = tuple(
+            view.observe(frame) for view, frame in zip(self.views, frames, strict=True)
+        )
+        for history, observation in zip(self._histories, observations, strict=True):
+            history.add(observation)
+        first = frames[0]
+        if first is not None:
+            self._pending.append(_Pending(first.index, first.time_s, observations))
+        yield from self._ready()
+
+    def finish(self) -> Iterator[Step]:
+        """Yield the last steps, whose time not every view has reached."""
+        while self._pending:
+            pending = self._pending.popleft()
+            fingers = [
+                history.at(pending.time_s, self._options) or Status.LOST
+                for history in self._histories
+            ]
+            yield self._step(pending, fingers)
+
+    def _ready(self) -> Iterator[Step]:
+        while self._pending:
+            oldest = self._pending[0]
+            fingers = [history.at(oldest.time_s, self._options) for history in self._histories]
+            if any(finger is None for finger in fingers):
+                return
+            self._pending.popleft()
+            yield self._step(oldest, [finger for finger in fingers if finger is not None])
+
+    def _step(self, pending: _Pending, fingers: Sequence[FingerLine | Status]) -> Step:
+        fix = indicated_point(
+            fingers, self.plane_views, time_s=pending.time_s, options=self._options
+        )
+        return Step(pending.index, pending.observations, fix)
+
+
+def steps(pointer: Pointer, frames: Iterable[Sequence[Frame | None]]) -> Iterator[Step]:
+    """Feed a pointer with frames and yield its steps to the last."""
+    for together in frames:
+        yield from pointer.update(together)
+    yield from pointer.finish()
+
+
+def track(rig: Rig, *, max_frames: int | None = None, **options: Any) -> Iterator[Fix]:
+    """Yield the fixes of a rig, live or recorded, in the order of the first view's frames.
+
+    Parameters
+    ----------
+    rig
+        At least two views, each with a start pose.
+    max_frames
+        Stop after as many frames of each view; None reads on to the end.
+    **options
+        Those of `Pointer`.
+
+    Yields
+    ------
+    Fix
+        One per frame of the first view.
+
+    Raises
+    ------
+    InvalidInputError
+        A rig that cannot point, or an option out of range.
+    CaptureError
+        A source that cannot be opened or read.
+    """
+    pointer = Pointer(rig, **options)
+    with ExitStack() as stack:
+        sources = [stack.enter_context(open_source(view.source)) for view in rig.views]
+        for step in steps(pointer, islice(read_views(sources), max_frames)):
+            yield step.fix

@@ -1,0 +1,23 @@
+"""What a run leaves behind: tables of points and tracks, and a video with the overlay."""
+
+from fingerpost.recording.tables import (
+    PointRow,
+    TableWriter,
+    TrackRow,
+    read_points,
+    read_tracks,
+    write_points,
+    write_tracks,
+)
+from fingerpost.recording.video import VideoWriter
+
+__all__ = [
+    "PointRow",
+    "TableWriter",
+    "TrackRow",
+    "VideoWriter",
+    "read_points",
+    "read_tracks",
+    "write_points",
+    "write_tracks",
+]

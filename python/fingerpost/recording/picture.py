@@ -1,0 +1,674 @@
+"""Pictures of a run: what every view sees, and the plan of the working plane, as in the paper.
+
+Figure 2 of Cipolla, Hadfield & Hollinghurst 1994 in one image: each view with the template's
+outline, its finger line and the indicated point projected back into it; beside them the plan, on
+which the constraint lines of the views meet in that point, with its 95 % ellipse (figure 4). A view
+keeps its colour everywhere, so that its finger line in the picture and its constraint line on the
+plan are seen to be one thing. Under all of it stands one line with the numbers.
+
+Colour-blind people can tell the colours apart, and no meaning rests on colour alone: an outline is
+solid while it tracks, dashed while it waits and dotted when it has lost the hand, and the status
+stands above it in words.
+
+What cannot be drawn (no fix, no bound on it, points beyond the horizon or far outside the picture)
+is left out.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fingerpost.checks import finite_array
+from fingerpost.errors import InvalidInputError
+from fingerpost.homography import transfer_jacobian_by_point
+from fingerpost.lines import clip_to_rectangle, line_at_angle
+from fingerpost.pointing import ConstraintLine, FingerLine, Fix, PlaneView, Status
+from fingerpost.recording.sheet import CASING, Colour, Image, Points, Sheet, affine
+
+
+def _colour(red_green_blue: int) -> Colour:
+    return red_green_blue & 255, red_green_blue >> 8 & 255, red_green_blue >> 16
+
+
+PAGE = CASING
+PANEL = _colour(0x1B222A)
+PLANE = _colour(0x26303A)
+GRID = _colour(0x37434F)
+MUTED = _colour(0x93A0AD)
+INK = _colour(0xECF0F3)
+POINT = _colour(0xFF1473)
+"""The indicated point, its ellipse and its trail."""
+TRUTH = INK
+"""Where the hand truly points, where that is known."""
+VIEWS = (_colour(0x56B4E9), _colour(0xF2A33A), _colour(0xF0E442), _colour(0x9A4DFF))
+"""One per view, from the first again when there are more views."""
+STATUSES = {
+    "tracking": _colour(0x4FDBA5),
+    "ok": _colour(0x4FDBA5),
+    "acquiring": INK,
+    "lost": _colour(0xFF6B52),
+    "ill_conditioned": _colour(0xF2A33A),
+}
+
+# Dash and gap of an outline [px]; a tracked one is solid.
+_DASHES = {"acquiring": (7.0, 5.0), "lost": (0.5, 6.5)}
+
+# Points of an outline further apart than so many of its usual steps belong to different fingers.
+_OUTLINE_GAP = 5.0
+
+# Edges are marked about so far apart, to leave the outline's colour to be seen.
+_EDGE_SPACING_PX = 7.0
+
+MAX_WIDTH_PX = 1728
+"""Widest composition: it fits a screen, and its words stay legible where it is shown smaller."""
+
+_MARGIN_PX = 20
+_GAP_PX = 16
+_TITLE_PX = 38
+_FOOTER_PX = 48
+_KEY_PX = 460
+_CELL_PX = (16, 640)
+_ASPECTS = (1.0, 16.0 / 9.0)
+_USUAL_ASPECT = 4.0 / 3.0
+
+# The plan shows this share of the reference points' extent around them, and about so many ticks.
+_PLAN_BORDER = 0.09
+_TICKS = 5
+
+
+class Pictured(Protocol):
+    """A frame; `fingerpost.capture.Frame` is one."""
+
+    @property
+    def image(self) -> Image:
+        """(height, width) grey or (height, width, 3) blue-green-red."""
+
+
+class Observed(Protocol):
+    """What one view saw in one frame; `fingerpost.pipeline.Observation` is one."""
+
+    @property
+    def view(self) -> str:
+        """The view's name."""
+
+    @property
+    def frame(self) -> Pictured | None:
+        """The frame; None where it could not be read."""
+
+    @property
+    def contour_px(self) -> Points:
+        """(N, 2) outline of the template [px]."""
+
+    @property
+    def edges_px(self) -> Points:
+        """(M, 2) edges found around it [px]."""
+
+    @property
+    def finger(self) -> FingerLine | Status:
+        """The finger line, or why there is none."""
+
+
+def draw_view(
+    observed: Observed,
+    plane_views: Sequence[PlaneView],
+    index: int,
+    fix: Fix,
+    *,
+    size_px: tuple[int, int],
+    truth: ArrayLike | None = None,
+    edges: bool = False,
+) -> Image:
+    """Draw one view: figure 2a of the paper, with the ellipse of figure 4.
+
+    The frame, scaled to fit; the reference points with their numbers; the template's outline in
+    the colour of its status; the finger line; the indicated point and its 95 % ellipse, projected
+    back; and, thin, the other views' constraint lines, which cross the finger line there.
+
+    Parameters
+    ----------
+    observed
+        What the view saw.
+    plane_views
+        How all views see the plane.
+    index
+        Which of them this view is.
+    fix
+        Where the hand points.
+    size_px
+        Width and height of the picture, 1 to 32767; a frame of other proportions leaves bars.
+    truth : (2,)
+        Where the hand truly points [plane units], if known.
+    edges
+        Whether to mark edges that the tracker found.
+
+    Returns
+    -------
+    (height, width, 3) of uint8
+        Blue-green-red.
+
+    Raises
+    ------
+    InvalidInputError
+        An image that is not uint8 of one or three channels, a size out of range, or a truth that
+        is no point.
+    """
+    sheet = Sheet.blank(size_px, PANEL)
+    if observed.frame is None or observed.frame.image.size == 0:
+        sheet.text("no frame", np.array(size_px) / 2, 18, MUTED, anchor=0.5)
+        return sheet.pixels
+    view = plane_views[index]
+    sheet = sheet.with_image(observed.frame.image)
+    _draw_references(sheet, view.plane_points, view.project)
+    for k, line in enumerate(fix.constraint_lines):
+        if line is not None and k != index:
+            sheet.line(view.project(_near_references(line, view.plane_points)), _of_view(k), 1)
+    status = _status(observed)
+    outline = _with_gaps(observed.contour_px)
+    sheet.line(outline, STATUSES[status], 2, dash=_DASHES.get(status), cased=True)
+    if edges:
+        for edge in _thinned(sheet.place(observed.edges_px)):
+            sheet.dot(edge, 1.5, INK)
+    if isinstance(observed.finger, FingerLine):
+        sheet.line(_ahead(observed.finger, sheet.corners()), _of_view(index), 2, cased=True)
+    _draw_fix(sheet, fix, truth, view.project)
+    return sheet.pixels
+
+
+def draw_plan(
+    plane_views: Sequence[PlaneView],
+    fix: Fix,
+    *,
+    unit: str,
+    size_px: tuple[int, int],
+    truth: ArrayLike | None = None,
+    trail: ArrayLike = (),
+    truth_trail: ArrayLike = (),
+) -> Image:
+    """Draw the plan of the working plane: figure 2c of the paper.
+
+    Axes in plane units, of one scale and never mirrored against what the views show; reference
+    points, constraint lines in the band of one standard deviation, indicated point with its 95 %
+    ellipse. A point outside the plan becomes an arrow at its border.
+
+    Parameters
+    ----------
+    plane_views
+        How all views see the plane.
+    fix
+        Where the hand points.
+    unit
+        Name of the plane's unit.
+    size_px
+        Width and height of the picture, 1 to 32767.
+    truth : (2,)
+        Where the hand truly points [plane units], if known.
+    trail : (N, 2)
+        Points indicated before, oldest first [plane units].
+    truth_trail : (N, 2)
+        Where the hand truly pointed before; NaN breaks it.
+
+    Returns
+    -------
+    (height, width, 3) of uint8
+        Blue-green-red.
+
+    Raises
+    ------
+    InvalidInputError
+        A size out of range, or a truth that is no point.
+    """
+    points = plane_views[0].plane_points
+    plan = Plan.of(plane_views[0], size_px)
+    sheet = Sheet.blank(size_px, PANEL)
+    _draw_axes(sheet, plan, unit)
+    window = Sheet(sheet.pixels[plan.rows, plan.columns], plan.window_from_plane)
+    window.area(points[_hull(points)], PLANE)
+    _draw_grid(window, plan)
+    _draw_references(window, points, _as_they_are)
+    for k, line in enumerate(fix.constraint_lines):
+        if line is not None:
+            _draw_constraint_line(window, plan, line, _of_view(k))
+    window.line(_rows(truth_trail), TRUTH, 1)
+    _draw_trail(window, _rows(trail))
+    _draw_fix(window, fix, truth, _as_they_are)
+    if fix.point is not None:
+        _draw_arrow(window, plan, fix.point)
+    return sheet.pixels
+
+
+class Composition:
+    """Pictures of a run, all of one size: every view, the plan, and a line with the numbers.
+
+    The layout follows the number of views and the proportions of the first frames; later pictures
+    keep it, so that they make a video.
+
+    Parameters
+    ----------
+    plane_views
+        How the views see the plane, in the rig's order; at least one.
+    unit
+        Name of the plane's unit.
+    edges
+        Whether to mark edges that the tracker found.
+
+    Raises
+    ------
+    InvalidInputError
+        No view.
+    """
+
+    def __init__(self, plane_views: Sequence[PlaneView], *, unit: str, edges: bool = False) -> None:
+        if not plane_views:
+            raise InvalidInputError("plane_views is empty; a picture shows one view or more")
+        self._views = tuple(plane_views)
+        self._unit = unit
+        self._edges = edges
+        self._layout: _Layout | None = None
+
+    def draw(
+        self,
+        observations: Sequence[Observed],
+        fix: Fix,
+        *,
+        truth: ArrayLike | None = None,
+        trail: ArrayLike = (),
+        truth_trail: ArrayLike = (),
+    ) -> Image:
+        """Draw one moment.
+
+        Parameters
+        ----------
+        observations
+            One per view, in the rig's order.
+        fix
+            Where the hand points.
+        truth, trail, truth_trail
+            As for `draw_plan`.
+
+        Returns
+        -------
+        (height, width, 3) of uint8
+            Blue-green-red; of one size, with even sides, at every call.
+
+        Raises
+        ------
+        InvalidInputError
+            Another number of observations than views, an image that is none, or a truth that is
+            no point.
+        """
+        if len(observations) != len(self._views):
+            raise InvalidInputError(
+                f"{len(observations)} observations; one for each of {len(self._views)} views "
+                "is needed"
+            )
+        if self._layout is None:
+            self._layout = _Layout.of(observations)
+        layout, plan = self._layout, len(observations)
+        size_px = layout.cell_px
+        page = Sheet.blank(layout.page_px, PAGE)
+        for k, observed in enumerate(observations):
+            _draw_view_title(page, layout, k, observed)
+            page.pixels[layout.cell(k)] = draw_view(
+                observed, self._views, k, fix, size_px=size_px, truth=truth, edges=self._edges
+            )
+        page.text("working plane", layout.title(plan), 19, INK, bold=True, room=size_px[0])
+        page.pixels[layout.cell(plan)] = draw_plan(
+            self._views,
+            fix,
+            unit=self._unit,
+            size_px=size_px,
+            truth=truth,
+            trail=trail,
+            truth_trail=truth_trail,
+        )
+        self._draw_footer(page, fix, with_truth=truth is not None)
+        return page.pixels
+
+    def _draw_footer(self, page: Sheet, fix: Fix, *, with_truth: bool) -> None:
+        """Time, status and numbers from the left; at the right, what the marks mean."""
+        width, height = page.size_px
+        baseline = height - _FOOTER_PX / 2 + 6
+        right = width - _MARGIN_PX
+        colour, words = STATUSES[fix.status], fix.status.replace("_", "-")
+        _, end = page.text(f"{fix.time_s:.2f} s", (_MARGIN_PX, baseline), 20, INK)
+        begin = max(end + 24, _MARGIN_PX + 100)  # the words after it keep their place
+        page.dot(np.array([begin, baseline - 6]), 5, colour)
+        _, end = page.text(words, (begin + 13, baseline), 20, colour, bold=True)
+        begin = end + 28
+        said = _in_numbers(fix, self._unit, self._views[0].plane_size)
+        _, end = page.text(said, (begin, baseline), 20, INK, room=right - begin)
+        if right - end > _KEY_PX:
+            _draw_key(page, right, baseline, with_truth=with_truth)
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """Where the plan shows what: a window onto the plane inside a picture, axes around it."""
+
+    rows: slice
+    columns: slice
+    lower: Points
+    """(2,) least coordinates in the window [plane units]."""
+    upper: Points
+    """(2,) largest coordinates in the window [plane units]."""
+    window_from_plane: Points
+    """(2, 3) plane units → pixels of the window."""
+
+    @classmethod
+    def of(cls, view: PlaneView, size_px: tuple[int, int]) -> Plan:
+        """Plan of a view's plane for a picture of a given size.
+
+        X points to the right. Y points up, or down where the view sees it so: from the side of
+        the cameras, nothing is mirrored.
+        """
+        columns = _inner(size_px[0], before=66, after=18)
+        rows = _inner(size_px[1], before=18, after=46)
+        window_px = np.array([columns.stop - columns.start, rows.stop - rows.start])
+        lower, upper = view.plane_points.min(axis=0), view.plane_points.max(axis=0)
+        scale = float((window_px / ((upper - lower) * (1.0 + 2.0 * _PLAN_BORDER))).min())
+        middle, reach = (lower + upper) / 2, window_px / scale / 2
+        turn = transfer_jacobian_by_point(view.image_from_plane, view.plane_points.mean(axis=0))
+        clockwise = np.linalg.det(turn) > 0.0
+        stretch = np.array([scale, scale if clockwise else -scale])
+        offset = (window_px - 1) / 2 - stretch * middle
+        window_from_plane = np.column_stack([np.diag(stretch), offset])
+        return cls(rows, columns, middle - reach, middle + reach, window_from_plane)
+
+    def place(self, points: ArrayLike) -> Points:
+        """Pixels (..., 2) of the whole picture that show points of the plane."""
+        corner = np.array([self.columns.start, self.rows.start])
+        return np.asarray(affine(self.window_from_plane, np.asarray(points, np.float64)) + corner)
+
+    def ticks(self, axis: int) -> list[tuple[float, float]]:
+        """Round numbers along an axis (0 or 1), each with its pixel in the window."""
+        rough = float((self.upper - self.lower).min()) / _TICKS
+        power = 10.0 ** math.floor(math.log10(rough))
+        steps = [power, 2.0 * power, 5.0 * power, 10.0 * power]
+        step = min(steps, key=lambda nice: abs(math.log(nice / rough)))
+        first, last = math.ceil(self.lower[axis] / step), math.floor(self.upper[axis] / step)
+        stretch, offset = self.window_from_plane[axis, axis], self.window_from_plane[axis, 2]
+        return [(k * step, float(stretch * k * step + offset)) for k in range(first, last + 1)]
+
+
+# --- what is drawn ----------------------------------------------------------------------------
+
+
+def _draw_references(
+    sheet: Sheet, plane_points: Points, project: Callable[[Points], Points]
+) -> None:
+    """Draw the outline around the reference points, and their numbers, which start at 1."""
+    corners = plane_points[_hull(plane_points)]
+    along = np.linspace(0.0, 1.0, 16, endpoint=False)[:, None]  # a lens bends straight sides
+    sides = [
+        a + along * (b - a) for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True)
+    ]
+    sheet.line(project(np.concatenate([*sides, corners[:1]])), INK, 1, cased=True)
+    places = sheet.place(project(plane_points))
+    if np.isnan(places).all():
+        return
+    middle, to_baseline = np.nanmean(places, axis=0), np.array([1.0, 6.0])
+    for number, place in enumerate(places, start=1):
+        outwards = place - middle
+        label = place + 16.0 * outwards / max(math.hypot(*outwards), 1.0)
+        sheet.dot(place, 3.0, INK)
+        sheet.dot(label, 9.0, CASING)
+        sheet.text(str(number), label + to_baseline, 14, INK, anchor=0.5)
+
+
+def _draw_fix(
+    sheet: Sheet, fix: Fix, truth: ArrayLike | None, project: Callable[[Points], Points]
+) -> None:
+    """Draw the 95 % ellipse, where the hand truly points, and the indicated point."""
+    ellipse = fix.ellipse(0.95)
+    if ellipse is not None:
+        outline = project(ellipse.polygon(72))
+        sheet.area(outline, POINT, 0.4)
+        sheet.line(np.concatenate([outline, outline[:1]]), POINT, 1)
+    if truth is not None:
+        sheet.cross(sheet.place(project(finite_array(truth, "truth", (2,)))), 8.0, TRUTH)
+    if fix.point is not None:
+        _draw_point(sheet, sheet.place(project(fix.point)))
+
+
+def _draw_point(sheet: Sheet, place: Points) -> None:
+    sheet.dot(place, 5.5, CASING)
+    sheet.dot(place, 4.5, INK)
+    sheet.dot(place, 3.0, POINT)
+
+
+def _draw_constraint_line(
+    window: Sheet, plan: Plan, constraint: ConstraintLine, colour: Colour
+) -> None:
+    """Draw the line through the whole window, in its band of one standard deviation."""
+    ends = clip_to_rectangle(constraint.line, plan.lower, plan.upper)
+    if ends is None:
+        return
+    points = _between(ends, 33)
+    with np.errstate(invalid="ignore"):  # the variance of an exact line may round to below zero
+        away = constraint.sigma_at(points)[:, None] * constraint.line[:2]
+    window.area(np.concatenate([points + away, (points - away)[::-1]]), colour, 0.25)
+    window.line(ends, colour, 2)
+
+
+def _draw_trail(window: Sheet, trail: Points) -> None:
+    """Draw dots that fade with age."""
+    for place, youth in zip(window.place(trail), np.linspace(0.3, 0.8, len(trail)), strict=True):
+        window.dot(place, 2.5, _mixed(PLANE, POINT, youth))
+
+
+def _draw_arrow(window: Sheet, plan: Plan, point: Points) -> None:
+    """Draw an arrow at the border towards a point outside the window."""
+    centre = (np.array(window.size_px) - 1) / 2
+    away = affine(plan.window_from_plane, point) - centre
+    if (np.abs(away) <= centre).all():
+        return
+    tip = centre + away / (np.abs(away) / np.maximum(centre - 4.0, 1.0)).max()
+    along = away / math.hypot(*away)
+    back, across = tip - 16.0 * along, 8.0 * along[::-1] * (-1.0, 1.0)
+    window.on_pixels().area(np.array([tip, back + across, back - across]), POINT)
+
+
+def _draw_axes(sheet: Sheet, plan: Plan, unit: str) -> None:
+    """Draw ticks with numbers at the left and the lower side, and name the axes."""
+    left, top, right, bottom = (
+        plan.columns.start,
+        plan.rows.start,
+        plan.columns.stop,
+        plan.rows.stop,
+    )
+    for value, x in plan.ticks(0):
+        sheet.line(np.array([[left + x, bottom], [left + x, bottom + 5]]), MUTED, 1)
+        sheet.text(f"{value:g}", (left + x, bottom + 21), 15, MUTED, anchor=0.5)
+    for value, y in plan.ticks(1):
+        sheet.line(np.array([[left - 6, top + y], [left - 1, top + y]]), MUTED, 1)
+        sheet.text(f"{value:g}", (left - 10, top + y + 5), 15, MUTED, anchor=1.0)
+    sheet.text(f"X / {unit}", (right, bottom + 38), 15, MUTED, anchor=1.0)
+    sheet.text(f"Y / {unit}", (8, top - 2), 15, MUTED)
+
+
+def _draw_grid(window: Sheet, plan: Plan) -> None:
+    (width, height), pixels = window.size_px, window.on_pixels()
+    for _, x in plan.ticks(0):
+        pixels.line(np.array([[x, 0.0], [x, height]]), GRID, 1)
+    for _, y in plan.ticks(1):
+        pixels.line(np.array([[0.0, y], [width, y]]), GRID, 1)
+
+
+def _draw_view_title(page: Sheet, layout: _Layout, index: int, observed: Observed) -> None:
+    """Write the view's name beside a mark in its colour; at the right, its status."""
+    x, baseline = layout.title(index)
+    status = _status(observed)
+    right = x + layout.cell_px[0]
+    begin, _ = page.text(status, (right, baseline), 18, STATUSES[status], anchor=1.0)
+    page.dot(np.array([begin - 12, baseline - 6]), 5, STATUSES[status])
+    page.pixels[baseline - 14 : baseline + 1, x : x + 6] = _of_view(index)
+    page.text(observed.view, (x + 16, baseline), 19, INK, bold=True, room=begin - 40 - x)
+
+
+def _draw_key(page: Sheet, right: float, baseline: float, *, with_truth: bool) -> None:
+    """Say what the marks of a fix mean."""
+    middle = baseline - 6
+    if with_truth:
+        begin, _ = page.text("truth", (right, baseline), 18, MUTED, anchor=1.0)
+        page.cross(np.array([begin - 16, middle]), 8.0, TRUTH)
+        right = begin - 44
+    words = "indicated point, 95 % ellipse"
+    begin, _ = page.text(words, (right, baseline), 18, MUTED, anchor=1.0)
+    centre, turn = np.array([begin - 28, middle]), np.linspace(0.0, 2.0 * np.pi, 49)
+    ring = centre + np.column_stack([16.0 * np.cos(turn), 9.0 * np.sin(turn)])
+    page.area(ring, POINT, 0.4)
+    page.line(ring, POINT, 1)
+    _draw_point(page, centre)
+
+
+def _in_numbers(fix: Fix, unit: str, plane_size: float) -> str:
+    """Give the fix to a thousandth of the plane; without one, say why."""
+    if fix.point is None or fix.covariance is None:
+        return fix.reason
+    digits = max(0, -math.floor(math.log10(plane_size / 1000.0)))
+    axes = [
+        f"{axis} {value:.{digits}f} ± {sigma:.{digits}f}"
+        for axis, value, sigma in zip(
+            "XY", fix.point, np.sqrt(np.diag(fix.covariance)), strict=True
+        )
+    ]
+    crossing = math.degrees(fix.crossing_angle_rad or 0.0)
+    return f"{'   '.join(axes)} {unit}   lines cross at {crossing:.0f}°"
+
+
+# --- where it is drawn ------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Layout:
+    """A grid of equal cells, one per view and the last for the plan, each with a title above."""
+
+    columns: int
+    rows: int
+    cell_px: tuple[int, int]
+
+    @classmethod
+    def of(cls, observations: Sequence[Observed]) -> _Layout:
+        cells = len(observations) + 1
+        columns = cells if cells <= 3 else math.ceil(math.sqrt(cells))
+        space = MAX_WIDTH_PX - 2 * _MARGIN_PX - (columns - 1) * _GAP_PX
+        least, largest = _CELL_PX
+        width = max(least, min(space // columns, largest))
+        aspect = _middle_aspect(observed.frame for observed in observations)
+        return cls(columns, math.ceil(cells / columns), (width, round(width / aspect)))
+
+    @property
+    def page_px(self) -> tuple[int, int]:
+        """Width and height of the whole, even as videos want them."""
+        width = 2 * _MARGIN_PX + self.columns * (self.cell_px[0] + _GAP_PX) - _GAP_PX
+        height = self.rows * (_TITLE_PX + self.cell_px[1]) + _FOOTER_PX
+        return width + width % 2, height + height % 2
+
+    def title(self, index: int) -> tuple[int, int]:
+        """Where the baseline of a cell's title starts."""
+        x, y = self._corner(index)
+        return x, y - 12
+
+    def cell(self, index: int) -> tuple[slice, slice]:
+        """Rows and columns of a cell."""
+        x, y = self._corner(index)
+        return slice(y, y + self.cell_px[1]), slice(x, x + self.cell_px[0])
+
+    def _corner(self, index: int) -> tuple[int, int]:
+        row, column = divmod(index, self.columns)
+        x = _MARGIN_PX + column * (self.cell_px[0] + _GAP_PX)
+        return x, row * (_TITLE_PX + self.cell_px[1]) + _TITLE_PX
+
+
+def _middle_aspect(frames: Iterable[Pictured | None]) -> float:
+    """Middle of the frames' proportions, within what suits a plan."""
+    shapes = [frame.image.shape for frame in frames if frame is not None and frame.image.size]
+    if not shapes:
+        return _USUAL_ASPECT
+    return float(np.clip(np.median([shape[1] / shape[0] for shape in shapes]), *_ASPECTS))
+
+
+def _inner(length: int, *, before: int, after: int) -> slice:
+    """Take a length between two borders, which give way where it is too short for them."""
+    if length < 2 * (before + after):
+        before = after = length // 4
+    return slice(before, length - after)
+
+
+def _ahead(finger: FingerLine, corners: Points) -> Points:
+    """Give the finger line from the tip on, as far as it lies between two corners."""
+    ends = clip_to_rectangle(line_at_angle(finger.anchor_px, finger.angle_rad), *corners)
+    if ends is None:
+        return np.empty((0, 2))
+    along = np.array([math.cos(finger.angle_rad), math.sin(finger.angle_rad)])
+    reach = np.sort((ends - finger.anchor_px) @ along)
+    tip = float((finger.tip_px - finger.anchor_px) @ along)
+    if reach[1] <= tip:
+        return np.empty((0, 2))
+    return np.asarray(finger.anchor_px + np.outer([max(tip, reach[0]), reach[1]], along))
+
+
+def _near_references(line: ConstraintLine, plane_points: Points) -> Points:
+    """Give the part of a constraint line around the reference points, in small steps."""
+    lower, upper = plane_points.min(axis=0), plane_points.max(axis=0)
+    border = 0.25 * (upper - lower)
+    ends = clip_to_rectangle(line.line, lower - border, upper + border)
+    return np.empty((0, 2)) if ends is None else _between(ends, 65)
+
+
+def _between(ends: Points, count: int) -> Points:
+    return np.asarray(ends[0] + np.linspace(0.0, 1.0, count)[:, None] * (ends[1] - ends[0]))
+
+
+def _with_gaps(outline: Points) -> Points:
+    """Put a row of NaN between two fingers of an outline, so that no line joins them."""
+    if len(outline) < 3:
+        return outline
+    steps = np.hypot(*np.diff(outline, axis=0).T)
+    jumps = np.flatnonzero(steps > _OUTLINE_GAP * np.median(steps)) + 1
+    return np.insert(outline, jumps, np.nan, axis=0)
+
+
+def _thinned(edges: Points) -> Points:
+    """Leave out edges that cannot be seen, or stand too close together along the outline."""
+    edges = edges[np.isfinite(edges).all(axis=1)]
+    if len(edges) < 2:
+        return edges
+    spacing = float(np.median(np.hypot(*np.diff(edges, axis=0).T)))
+    return edges[:: max(1, round(_EDGE_SPACING_PX / max(spacing, 0.5)))]
+
+
+def _hull(points: Points) -> NDArray[np.intp]:
+    """Give the indices of the corners of the convex hull, in order."""
+    import cv2
+
+    lower, upper = points.min(axis=0), points.max(axis=0)
+    unit = ((points - lower) / (upper - lower)).astype(np.float32)
+    return np.asarray(cv2.convexHull(unit, returnPoints=False), np.intp).ravel()
+
+
+def _status(observed: Observed) -> str:
+    return "tracking" if isinstance(observed.finger, FingerLine) else observed.finger.value
+
+
+def _of_view(index: int) -> Colour:
+    return VIEWS[index % len(VIEWS)]
+
+
+def _as_they_are(points: Points) -> Points:
+    return points
+
+
+def _rows(points: ArrayLike) -> Points:
+    return np.asarray(points, np.float64).reshape(-1, 2)
+
+
+def _mixed(ground: Colour, colour: Colour, share: float) -> Colour:
+    blue, green, red = (round(a + share * (b - a)) for a, b in zip(ground, colour, strict=True))
+    return blue, green, red

@@ -1,0 +1,143 @@
+"""Overlay videos.
+
+The codec follows from the file's suffix: MPEG-4 for `.mp4` and `.mkv`, motion JPEG for `.avi`.
+Frames go to `name.part.suffix`, which takes its final name when it is closed: a file under the
+final name is always whole. A run that is killed leaves the part behind: `.avi` and `.mkv` can be
+played up to their last seconds, while an `.mp4` cannot, because its index comes at the end.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fingerpost.errors import InvalidInputError, RecordingError
+
+if TYPE_CHECKING:
+    import cv2
+
+_CODECS = {".mp4": "mp4v", ".mkv": "mp4v", ".avi": "MJPG"}
+
+
+class VideoWriter:
+    """A video of constant frame rate, opened at the size of its first frame.
+
+    Parameters
+    ----------
+    path
+        The file; an existing one is replaced when the video is complete. Suffix `.mp4`, `.mkv`
+        or `.avi`.
+    fps
+        Frames per second, > 0.
+
+    Raises
+    ------
+    InvalidInputError
+        The suffix is another, the folder does not exist, or `fps` is not above 0.
+    """
+
+    def __init__(self, path: str | Path, *, fps: float) -> None:
+        self.path = Path(path)
+        if self.path.suffix.lower() not in _CODECS:
+            raise InvalidInputError(f"{path}: a name ending in {', '.join(_CODECS)} is needed")
+        if not self.path.parent.is_dir():
+            raise InvalidInputError(f"{path}: the folder {self.path.parent} does not exist")
+        if self.path.is_dir():
+            raise InvalidInputError(f"{path}: is a folder; the name of a video is needed")
+        if not 0 < fps < float("inf"):
+            raise InvalidInputError(f"fps = {fps}: must be a finite number above 0")
+        self._part = self.path.with_suffix(f".part{self.path.suffix}")
+        self._fps = fps
+        self._writer: cv2.VideoWriter | None = None
+        self._size = (0, 0)
+        self._count = 0
+
+    def write(self, image: NDArray[np.uint8]) -> None:
+        """Append a frame.
+
+        Codecs want even sizes: an odd last row or column is written twice.
+
+        Parameters
+        ----------
+        image : (height, width) or (height, width, 3), uint8
+            Grey, or blue-green-red; all of one size.
+
+        Raises
+        ------
+        InvalidInputError
+            Not such an image, or not of the first one's size.
+        RecordingError
+            The encoder refuses to open the file at this size.
+        """
+        import cv2
+
+        if image.dtype != np.uint8 or image.ndim not in (2, 3) or image.shape[2:] not in ((), (3,)):
+            raise InvalidInputError(
+                f"image of shape {image.shape} and type {image.dtype}: "
+                "(height, width) or (height, width, 3) of uint8 is needed"
+            )
+        size = image.shape[1], image.shape[0]
+        if self._writer is None:
+            self._size, self._writer = size, self._open(size)
+        if size != self._size:
+            raise InvalidInputError(
+                f"image of {size[0]} x {size[1]} pixels: "
+                f"the video's first one has {self._size[0]} x {self._size[1]}"
+            )
+        if image.ndim == 2:
+            image = np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR), dtype=np.uint8)
+        if size[0] % 2 or size[1] % 2:
+            image = np.pad(image, ((0, size[1] % 2), (0, size[0] % 2), (0, 0)), mode="edge")
+        self._writer.write(image)
+        self._count += 1
+
+    def _open(self, size: tuple[int, int]) -> cv2.VideoWriter:
+        import cv2
+
+        even = size[0] + size[0] % 2, size[1] + size[1] % 2
+        codec = _CODECS[self.path.suffix.lower()]
+        writer = cv2.VideoWriter(str(self._part), cv2.VideoWriter.fourcc(*codec), self._fps, even)
+        if not writer.isOpened():
+            raise RecordingError(
+                f"{self.path}: the encoder {codec} does not open for {size[0]} x {size[1]} pixels "
+                f"at {self._fps:g} frames a second; is the folder writable?"
+            )
+        return writer
+
+    def close(self) -> None:
+        """Complete the video and give it its name; without a frame there is no file.
+
+        Raises
+        ------
+        RecordingError
+            Frames are missing in the file: most often, the disk is full.
+        """
+        if self._writer is None:
+            return
+        import cv2
+
+        self._writer.release()
+        self._writer = None
+        written = cv2.VideoCapture(str(self._part))
+        count = written.get(cv2.CAP_PROP_FRAME_COUNT)
+        written.release()
+        if count != self._count:
+            raise RecordingError(
+                f"{self._part}: not all of {self._count} frames could be written; is the disk full?"
+            )
+        self._part.replace(self.path)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()

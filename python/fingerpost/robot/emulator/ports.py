@@ -1,0 +1,402 @@
+"""Where an emulated controller is plugged in: a pseudo-terminal or a TCP port, and its thread."""
+
+from __future__ import annotations
+
+import math
+import os
+import pty
+import select
+import socket
+import tempfile
+import threading
+import time
+import tty
+from abc import ABC, abstractmethod
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Protocol, Self
+
+import numpy as np
+
+from fingerpost.errors import InvalidInputError
+from fingerpost.robot.emulator.faults import LINE_FAULTS, Fault, LineFaults
+from fingerpost.robot.errors import RobotTimeoutError
+
+READ_SIZE = 4096
+
+
+class ArmTime:
+    """The clock of an arm that lives faster than we do; give it to the driver as well.
+
+    Parameters
+    ----------
+    scale : float
+        Seconds of the arm per second of ours, > 0.
+
+    Raises
+    ------
+    InvalidInputError
+        The scale is not above 0.
+    """
+
+    def __init__(self, scale: float = 1.0) -> None:
+        if not (math.isfinite(scale) and scale > 0):
+            raise InvalidInputError(f"time scale is {scale}; a number above 0 is needed")
+        self.scale = scale
+
+    def __call__(self) -> float:
+        """Return the arm's time [s]."""
+        return time.monotonic() * self.scale
+
+    def sleep(self, span_s: float) -> None:
+        """Wait for a span of the arm's time [s]."""
+        time.sleep(span_s / self.scale)
+
+
+class Controller(Protocol):
+    """What sits behind a port: bytes in, bytes out, at given times."""
+
+    def receive(self, data: bytes, now_s: float) -> None:
+        """Take bytes from the line."""
+
+    def poll(self, now_s: float) -> bytes:
+        """Return what it has to send by now."""
+
+    def next_due_s(self) -> float | None:
+        """Return when it will next send something by itself [s], or None."""
+
+    def inject(self, fault: Fault, now_s: float) -> None:
+        """Have a fault."""
+
+
+class Port(ABC):
+    """One end of a line that can be pulled out and put back."""
+
+    @property
+    @abstractmethod
+    def address(self) -> str:
+        """What a driver opens."""
+
+    @abstractmethod
+    def plug(self) -> None:
+        """Make the port; harmless when it is there."""
+
+    @abstractmethod
+    def unplug(self) -> None:
+        """Take the port away; harmless when it is gone."""
+
+    def close(self) -> None:
+        """Take the port away for good."""
+        self.unplug()
+
+    @abstractmethod
+    def descriptors(self) -> list[int]:
+        """Return the file descriptors to wait for."""
+
+    @abstractmethod
+    def read(self, ready: int) -> bytes:
+        """Read from a descriptor that is ready."""
+
+    @abstractmethod
+    def write(self, data: bytes) -> None:
+        """Send; what the line does not take is lost."""
+
+
+class PtyPort(Port):
+    """A pseudo-terminal behind a link, so that its name outlives the cable being pulled.
+
+    Parameters
+    ----------
+    link : path, optional
+        Where to put the link; a fresh directory by default.
+    """
+
+    def __init__(self, link: str | os.PathLike[str] | None = None) -> None:
+        self._directory: tempfile.TemporaryDirectory[str] | None = None
+        self._link = None if link is None else Path(link)
+        self._master: int | None = None
+        self._slave: int | None = None
+
+    @property
+    def address(self) -> str:
+        """Path of the link; empty until it is first plugged in, unless it was given."""
+        return str(self._link or "")
+
+    def plug(self) -> None:
+        """Make the pseudo-terminal and the link to it."""
+        if self._master is not None:
+            return
+        if self._link is None:
+            self._directory = tempfile.TemporaryDirectory(prefix="fingerpost-")
+            self._link = Path(self._directory.name) / "port"
+        self._master, self._slave = pty.openpty()
+        tty.setraw(self._slave)
+        os.set_blocking(self._master, False)
+        self._link.unlink(missing_ok=True)
+        self._link.symlink_to(os.ttyname(self._slave))
+
+    def unplug(self) -> None:
+        """Close it, as when a USB adapter is pulled out."""
+        for descriptor in (self._slave, self._master):
+            if descriptor is not None:
+                os.close(descriptor)
+        self._master = self._slave = None
+        if self._link is not None:
+            self._link.unlink(missing_ok=True)
+
+    def close(self) -> None:
+        """Close it and remove its directory."""
+        self.unplug()
+        if self._directory is not None:
+            self._directory.cleanup()
+            self._directory = self._link = None
+
+    def descriptors(self) -> list[int]:
+        """Return the controller's end."""
+        return [] if self._master is None else [self._master]
+
+    def read(self, ready: int) -> bytes:
+        """Read what the driver sent."""
+        with suppress(OSError):
+            return os.read(ready, READ_SIZE)
+        return b""
+
+    def write(self, data: bytes) -> None:
+        """Send to the driver."""
+        if self._master is not None:
+            with suppress(OSError):
+                os.write(self._master, data)
+
+
+class TcpPort(Port):
+    """A TCP port that serves one driver at a time, as serial servers do.
+
+    Parameters
+    ----------
+    host : str
+        Address to listen on.
+    port : int
+        Port to listen on; 0 picks a free one.
+    """
+
+    def __init__(self, host: str = "127.0.0.1", port: int = 0) -> None:
+        self._wanted = (host, port)
+        self._listener: socket.socket | None = None
+        self._peer: socket.socket | None = None
+
+    @property
+    def address(self) -> str:
+        """URL of the port."""
+        return f"socket://{self._wanted[0]}:{self._wanted[1]}"
+
+    def plug(self) -> None:
+        """Listen."""
+        if self._listener is None:
+            self._listener = socket.create_server(self._wanted)
+            self._wanted = self._listener.getsockname()[:2]
+
+    def unplug(self) -> None:
+        """Hang up and stop listening."""
+        for end in (self._peer, self._listener):
+            if end is not None:
+                end.close()
+        self._peer = self._listener = None
+
+    def descriptors(self) -> list[int]:
+        """Return the listener and the driver's end."""
+        return [end.fileno() for end in (self._listener, self._peer) if end is not None]
+
+    def read(self, ready: int) -> bytes:
+        """Accept a driver, or read what it sent."""
+        if self._listener is not None and ready == self._listener.fileno():
+            if self._peer is not None:
+                self._peer.close()
+            self._peer, _ = self._listener.accept()
+            self._peer.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            return b""
+        if self._peer is None or self._peer.fileno() != ready:
+            return b""
+        data = b""
+        with suppress(OSError):
+            data = self._peer.recv(READ_SIZE)
+        if not data:
+            self._peer.close()
+            self._peer = None
+        return data
+
+    def write(self, data: bytes) -> None:
+        """Send to the driver, if there is one."""
+        if self._peer is not None:
+            with suppress(OSError):
+                self._peer.sendall(data)
+
+
+@dataclass(frozen=True, slots=True)
+class WireEvent:
+    """One transfer as the controller's port saw it.
+
+    Attributes
+    ----------
+    time_s : float
+        When, by `time.monotonic` [s].
+    sent : bool
+        True from the controller to the driver.
+    data : bytes
+        The bytes.
+    """
+
+    time_s: float
+    sent: bool
+    data: bytes
+
+
+class Emulator:
+    """A controller on a port, served by a thread.
+
+    Parameters
+    ----------
+    controller : Controller
+        What answers.
+    port : Port
+        Where it is plugged in.
+    clock : ArmTime, optional
+        The arm's clock; ours by default.
+    rng : numpy.random.Generator, optional
+        For the noise of faults; seeded with 0 by default.
+    slow_s : float
+        How late a slow answer is, by the arm's clock [s].
+
+    Attributes
+    ----------
+    wire : list of WireEvent
+        Every transfer so far.
+    """
+
+    def __init__(
+        self,
+        controller: Controller,
+        port: Port,
+        *,
+        clock: ArmTime | None = None,
+        rng: np.random.Generator | None = None,
+        slow_s: float = 0.3,
+    ) -> None:
+        self._controller = controller
+        self._port = port
+        self._clock = clock or ArmTime()
+        self._faults = LineFaults(rng or np.random.default_rng(0), slow_s)
+        self._orders: list[Fault] = []
+        self._late: list[tuple[float, bytes]] = []
+        self._wake_out, self._wake_in = os.pipe()
+        self._changed = threading.Condition()
+        self._closing = False
+        self._thread = threading.Thread(target=self._serve, name="emulator", daemon=True)
+        self.wire: list[WireEvent] = []
+
+    @property
+    def address(self) -> str:
+        """What a driver opens."""
+        return self._port.address
+
+    @property
+    def now_s(self) -> float:
+        """The arm's own time [s]."""
+        return self._clock()
+
+    def __enter__(self) -> Self:
+        self._port.plug()
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._closing = True
+        os.write(self._wake_in, b"x")
+        self._thread.join()
+        self._port.close()
+        os.close(self._wake_out)
+        os.close(self._wake_in)
+
+    def inject(self, fault: Fault, *, count: int = 1) -> None:
+        """Have a fault; returns when the controller has it.
+
+        Parameters
+        ----------
+        fault : Fault
+            Which.
+        count : int
+            How many transfers or commands it spoils, where that means something.
+
+        Raises
+        ------
+        RobotTimeoutError
+            The emulator's thread does not run.
+        """
+        with self._changed:
+            self._orders += [fault] * count
+            os.write(self._wake_in, b"x")
+            if not self._changed.wait_for(lambda: not self._orders, timeout=5.0):
+                raise RobotTimeoutError("the emulator is not running")
+
+    def heal(self) -> None:
+        """Take the noise off the line."""
+        self._faults.clear()
+
+    def _serve(self) -> None:
+        while not self._closing:
+            ready = self._await_something()
+            if self._wake_out in ready:
+                os.read(self._wake_out, READ_SIZE)
+                self._obey()
+            for descriptor in self._port.descriptors():
+                if descriptor in ready and (data := self._port.read(descriptor)):
+                    self.wire.append(WireEvent(time.monotonic(), False, data))
+                    self._controller.receive(self._faults.on_input(data), self.now_s)
+            self._send()
+
+    def _await_something(self) -> list[int]:
+        due_s = [late_s - self._clock() for late_s, _ in self._late]
+        if (next_s := self._controller.next_due_s()) is not None:
+            due_s.append(next_s - self._clock())
+        wait_s = max(0.0, min(due_s)) / self._clock.scale if due_s else None
+        ready, _, _ = select.select([self._wake_out, *self._port.descriptors()], [], [], wait_s)
+        return list(ready)
+
+    def _obey(self) -> None:
+        with self._changed:
+            for fault in self._orders:
+                if fault is Fault.UNPLUG:
+                    self._port.unplug()
+                elif fault is Fault.PLUG:
+                    self._port.plug()
+                elif fault in LINE_FAULTS:
+                    self._faults.inject(fault, 1)
+                else:
+                    self._controller.inject(fault, self.now_s)
+            self._orders.clear()
+            self._changed.notify_all()
+
+    def _send(self) -> None:
+        now_s = self._clock()
+        for late_s, data in self._late[:]:
+            if late_s <= now_s:
+                self._late.remove((late_s, data))
+                self._write(data)
+        if data := self._controller.poll(self.now_s):
+            data, delay_s = self._faults.on_output(data)
+            if self._late or delay_s:  # nothing overtakes on a line
+                last_s = self._late[-1][0] if self._late else now_s
+                self._late.append((max(last_s, now_s + delay_s), data))
+            else:
+                self._write(data)
+
+    def _write(self, data: bytes) -> None:
+        if data:
+            self.wire.append(WireEvent(time.monotonic(), True, data))
+            self._port.write(data)

@@ -1,0 +1,129 @@
+"""Plugging an emulated controller in and serving it, with faults on demand and at random."""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Callable, Iterable
+
+import numpy as np
+
+from fingerpost.checks import in_range
+from fingerpost.errors import InvalidInputError
+from fingerpost.robot.emulator.acl import AclController, AclStyle
+from fingerpost.robot.emulator.faults import Fault
+from fingerpost.robot.emulator.gcode import MarlinController, UarmController
+from fingerpost.robot.emulator.ports import ArmTime, Controller, Emulator, PtyPort, TcpPort
+
+EMULATED = ("acl", "dobot", "marlin", "uarm")
+"""Controllers that can be emulated, by the names of their drivers."""
+
+UNPLUGGED_S = 0.5
+"""How long a cable that is pulled at random stays out [s]."""
+
+
+def make_emulator(
+    name: str,
+    *,
+    link: str | os.PathLike[str] | None = None,
+    tcp_port: int | None = None,
+    time_scale: float = 1.0,
+    homing_s: float = 60.0,
+    echo: bool = True,
+    seed: int = 0,
+) -> Emulator:
+    """Make an emulated controller, to be plugged in by a `with` block.
+
+    Parameters
+    ----------
+    name : str
+        One of `EMULATED`.
+    link : path, optional
+        Where to put the link to the pseudo-terminal; a fresh directory by default.
+    tcp_port : int, optional
+        Serve this TCP port of the loopback instead, 0 for a free one.
+    time_scale : float
+        Seconds of the arm per second of ours, > 0.
+    homing_s : float
+        How long homing takes [s of the arm], > 0.
+    echo : bool
+        Whether an ACL controller echoes.
+    seed : int
+        Of the faults' noise.
+
+    Returns
+    -------
+    Emulator
+        Its `address` is what a driver opens.
+
+    Raises
+    ------
+    InvalidInputError
+        No such controller, or a value out of its range.
+    """
+    homing_s = in_range(homing_s, "homing_s", np.finfo(np.float64).tiny)
+    controllers: dict[str, Callable[[], Controller]] = {
+        "acl": lambda: AclController(AclStyle(echo=echo, homing_s=homing_s)),
+        "dobot": lambda: MarlinController(home_command="M1112", homing_s=homing_s),
+        "marlin": lambda: MarlinController(homing_s=homing_s),
+        "uarm": UarmController,
+    }
+    if name not in controllers:
+        raise InvalidInputError(f"{name!r} is not emulated; {', '.join(EMULATED)} are")
+    return Emulator(
+        controllers[name](),
+        PtyPort(link) if tcp_port is None else TcpPort(port=tcp_port),
+        clock=ArmTime(time_scale),
+        rng=np.random.default_rng(seed),
+    )
+
+
+def serve(
+    emulator: Emulator,
+    announce: Callable[[str], None],
+    stop: threading.Event,
+    *,
+    orders: Iterable[str] = (),
+    faults_per_s: float = 0.0,
+    seed: int = 0,
+) -> None:
+    """Serve a controller until told to stop.
+
+    Parameters
+    ----------
+    emulator : Emulator
+        Not yet plugged in.
+    announce : callable
+        Called with the address once a driver can open it, and with every fault.
+    stop : threading.Event
+        Ends it.
+    orders : iterable of str
+        Faults to have as they come, by name: lines of a terminal, say. Read in a thread.
+    faults_per_s : float
+        Faults at random, on average [1/s of ours], ≥ 0.
+    seed : int
+        Of these.
+    """
+    faults_per_s = in_range(faults_per_s, "faults_per_s", 0.0)
+    rng = np.random.default_rng(seed)
+    with emulator:
+        announce(emulator.address)
+        reader = threading.Thread(target=_obey, args=(emulator, orders, announce), daemon=True)
+        reader.start()
+        while not stop.wait(rng.exponential(1 / faults_per_s) if faults_per_s else None):
+            fault = Fault(rng.choice([one.value for one in Fault if one is not Fault.PLUG]))
+            announce(fault.value)
+            emulator.inject(fault)
+            if fault is Fault.UNPLUG:
+                stop.wait(UNPLUGGED_S)
+                emulator.inject(Fault.PLUG)
+
+
+def _obey(emulator: Emulator, orders: Iterable[str], announce: Callable[[str], None]) -> None:
+    for order in orders:
+        word = order.strip().lower()
+        if word in set(Fault):
+            emulator.inject(Fault(word))
+            announce(word)
+        elif word:
+            announce(f"{word!r} is no fault; there are {', '.join(Fault)}")

@@ -1,0 +1,299 @@
+"""The robot follows the pointing hand, and the hand selects by staying where it is.
+
+Section 3.4 of the paper: "the robot is instructed to move repeatedly to where the hand is
+pointing, providing the operator with direct feedback of the system's output." Here the indicated
+point is smoothed, and the arm goes after it in strides no longer than it covers in a fraction of a
+second: a stride is the most that is left to run when the hand turns or vanishes, even on a
+controller that only queues.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Annotated
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from fingerpost.checks import in_range
+from fingerpost.pointing import Fix
+from fingerpost.robot.errors import NotArrivedError, RefusedError, StoppedError
+from fingerpost.robot.guard import Guard, Presence
+from fingerpost.robot.protocol import Pose
+from fingerpost.robot.smoothing import OneEuroFilter
+
+OVERDUE, OVERDUE_S = 3.0, 2.0
+"""A stride is overdue after so many times its own time, and so long [s]."""
+
+
+class FollowOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """How the robot follows.
+
+    Attributes
+    ----------
+    above_m : float
+        Height above the plane [m].
+    speed_m_s : float
+        Greatest speed [m/s].
+    stride_s : float
+        Time of a stride at that speed [s].
+    dead_band_m : float
+        The arm stays where it is for less than this [m].
+    min_cutoff_hz, slope_hz_m, speed_cutoff_hz : float
+        Of the `OneEuroFilter`, the slope per metre per second of the robot's frame.
+    """
+
+    above_m: float = 0.05
+    speed_m_s: Annotated[float, msgspec.Meta(gt=0)] = 0.1
+    stride_s: Annotated[float, msgspec.Meta(gt=0)] = 0.3
+    dead_band_m: Annotated[float, msgspec.Meta(ge=0)] = 0.003
+    min_cutoff_hz: Annotated[float, msgspec.Meta(gt=0)] = 1.0
+    slope_hz_m: Annotated[float, msgspec.Meta(ge=0)] = 20.0
+    speed_cutoff_hz: Annotated[float, msgspec.Meta(gt=0)] = 1.0
+
+
+class FollowState(StrEnum):
+    """What the follower did with a fix."""
+
+    MOVING = "moving"
+    """Sent the arm a stride."""
+    UNDER_WAY = "under_way"
+    """The last stride is not done yet."""
+    THERE = "there"
+    """The arm is where the hand points."""
+    HOLDING = "holding"
+    """The fix will not do; the arm stands."""
+
+
+@dataclass(frozen=True, slots=True)
+class FollowReport:
+    """What the follower did with a fix, and why.
+
+    Attributes
+    ----------
+    state : FollowState
+        What it did.
+    reason : str
+        Why it holds; else empty.
+    target : (2,) or None
+        Smoothed point of the plane, inside the safe region.
+    lag_s : float
+        How late the smoothing makes it [s].
+    goal : Pose or None
+        The stride that was sent.
+    """
+
+    state: FollowState
+    reason: str = ""
+    target: NDArray[np.float64] | None = None
+    lag_s: float = 0.0
+    goal: Pose | None = None
+
+
+class Follower:
+    """Follow mode.
+
+    `update` reads the arm's pose, which takes a slow controller a while: run it on the newest fix
+    in a thread of its own, and hand every fix to `Guard.observe` as it comes.
+
+    Parameters
+    ----------
+    guard : Guard
+        Armed.
+    options : FollowOptions
+        How to follow.
+    """
+
+    def __init__(self, guard: Guard, options: FollowOptions | None = None) -> None:
+        self._guard = guard
+        self._options = options = options or FollowOptions()
+        self._filter = OneEuroFilter(
+            options.min_cutoff_hz, options.slope_hz_m, options.speed_cutoff_hz
+        )
+        self._goal: Pose | None = None
+        self._smooth_m: NDArray[np.float64] | None = None
+        self._smooth_s = 0.0
+        self._interruptions = 0
+        self._sent_s = 0.0
+
+    def update(self, fix: Fix) -> FollowReport:
+        """Act on a fix.
+
+        Raises
+        ------
+        NotArmedError, RobotError
+            As for `Guard.move`; a fix that will not do is no error.
+        """
+        self._guard.observe(fix)
+        if self._goal is not None and self._guard.interruptions != self._interruptions:
+            self._restart()  # somebody else has stopped the arm on its way
+        try:
+            point = self._guard.accept(fix)
+        except RefusedError as error:
+            return self._hold(str(error))
+        target, above_m = self._guard.clamp(self._smooth(point, fix.time_s), self._options.above_m)
+        lag_s = self._filter.lag_s
+        here, here_above_m = self._guard.where()
+        at = self._guard.plane.pose(here, here_above_m)
+        stride_m = self._options.speed_m_s * self._options.stride_s
+        if self._goal is not None and at.distance_m(self._goal) > stride_m / 2:
+            self._need_progress(at)
+            return FollowReport(FollowState.UNDER_WAY, "", target, lag_s)
+        start = self._goal or at
+        way_m = start.distance_m(self._guard.plane.pose(target, above_m))
+        if way_m <= self._options.dead_band_m:
+            return FollowReport(FollowState.THERE, "", target, lag_s)
+        goal_point, goal_above_m = self._stride(start, target, above_m, min(1.0, stride_m / way_m))
+        self._interruptions = self._guard.interruptions
+        self._sent_s = self._guard.time_s
+        try:
+            self._goal = self._guard.move(
+                goal_point,
+                goal_above_m,
+                fix=fix,
+                needs=Presence.FIX,
+                speed_m_s=self._options.speed_m_s,
+                wait=False,
+            )
+        except StoppedError as error:
+            return self._hold(str(error))
+        return FollowReport(FollowState.MOVING, "", target, lag_s, self._goal)
+
+    def _smooth(self, point: NDArray[np.float64], time_s: float) -> NDArray[np.float64]:
+        """Return the smoothed point; a fix that comes twice is smoothed once."""
+        if self._smooth_m is None or time_s > self._smooth_s:
+            self._smooth_m = self._filter(self._guard.plane.position_m(point), time_s)
+            self._smooth_s = time_s
+        return self._guard.plane.point(self._smooth_m)
+
+    def _stride(
+        self, start: Pose, target: NDArray[np.float64], above_m: float, share: float
+    ) -> tuple[NDArray[np.float64], float]:
+        """Return a share of the way from a pose to a place over the plane."""
+        plane = self._guard.plane
+        end = plane.pose(target, above_m)
+        position = start.position_m + share * (end.position_m - start.position_m)
+        step = Pose(*(float(value) for value in position))
+        return plane.point(position[:2]), plane.above_m(step)
+
+    def _hold(self, reason: str) -> FollowReport:
+        """Stand still until the fix is back, and start smoothing anew then."""
+        if self._goal is not None:
+            self._guard.hold(reason)
+        self._restart()
+        return FollowReport(FollowState.HOLDING, reason)
+
+    def _restart(self) -> None:
+        self._goal = None
+        self._smooth_m = None
+        self._filter.reset()
+
+    def _need_progress(self, at: Pose) -> None:
+        """Halt an arm that has not come through a stride long after it should have."""
+        waited_s = self._guard.time_s - self._sent_s
+        if waited_s > OVERDUE * self._options.stride_s + OVERDUE_S:
+            message = f"the arm is at {at}, {waited_s:.1f} s after it was sent to {self._goal}"
+            self._guard.halt(message)
+            raise NotArrivedError(message)
+
+
+@dataclass(frozen=True, slots=True)
+class Selection:
+    """A point of the plane that the operator has chosen, and the fix that shows it."""
+
+    point: NDArray[np.float64]
+    fix: Fix
+
+
+class DwellSelector:
+    """Selects the point at which the hand stays.
+
+    After a selection the hand must leave the place before it can select again.
+
+    Parameters
+    ----------
+    guard : Guard
+        Says which fixes are good enough.
+    dwell_s : float
+        How long it must stay [s], > 0.
+    radius_m : float
+        Within this distance of where it began to stay [m], > 0.
+
+    Raises
+    ------
+    InvalidInputError
+        A time or radius that is not above 0.
+    """
+
+    def __init__(self, guard: Guard, *, dwell_s: float = 1.0, radius_m: float = 0.01) -> None:
+        smallest = np.finfo(np.float64).tiny
+        self._guard = guard
+        self._dwell_s = in_range(dwell_s, "dwell_s", smallest)
+        self._radius_m = in_range(radius_m, "radius_m", smallest)
+        self._stay: _Stay | None = None
+        self._selected: NDArray[np.float64] | None = None
+
+    @property
+    def progress(self) -> float:
+        """How much of the dwell time has passed, 0 … 1."""
+        return 0.0 if self._stay is None else min(1.0, self._stay.span_s / self._dwell_s)
+
+    def update(self, fix: Fix) -> Selection | None:
+        """Take the next fix; return the selection when the hand has stayed long enough.
+
+        The selected point is the mean of the points during the stay.
+        """
+        try:
+            point = self._guard.accept(fix)
+        except RefusedError:
+            self._stay = None
+            return None
+        if self._selected is not None:
+            if self._distance_m(self._selected, point) <= self._radius_m:
+                return None
+            self._selected = None
+        if self._stay is None or self._distance_m(self._stay.first, point) > self._radius_m:
+            self._stay = _Stay(point, fix.time_s)
+        self._stay.add(point, fix.time_s)
+        if self.progress < 1.0:
+            return None
+        self._selected, self._stay = self._stay.mean, None
+        return Selection(self._selected, fix)
+
+    def select(self, fix: Fix) -> Selection:
+        """Select the point of a fix at once, as on a key.
+
+        Raises
+        ------
+        RefusedError
+            The fix is not good enough; the message says why.
+        """
+        return Selection(self._guard.accept(fix), fix)
+
+    def _distance_m(self, first: NDArray[np.float64], second: NDArray[np.float64]) -> float:
+        positions = self._guard.plane.position_m(np.array([first, second]))
+        return float(np.linalg.norm(positions[1] - positions[0]))
+
+
+class _Stay:
+    """A hand that stays: where it began to, since when, and the mean since."""
+
+    def __init__(self, first: NDArray[np.float64], time_s: float) -> None:
+        self.first = first
+        self.span_s = 0.0
+        self._since_s = time_s
+        self._sum = np.zeros(2)
+        self._count = 0
+
+    def add(self, point: NDArray[np.float64], time_s: float) -> None:
+        """Count one more point."""
+        self.span_s = time_s - self._since_s
+        self._sum = self._sum + point
+        self._count += 1
+
+    @property
+    def mean(self) -> NDArray[np.float64]:
+        """Mean of the points (2,)."""
+        return np.asarray(self._sum / self._count)

@@ -1,0 +1,162 @@
+"""How an arm without metal moves: queued paths, each run with a trapezoidal speed.
+
+Everything is a function of time: a position is computed for the moment it is asked for, so an
+emulator may run a thousand times faster than its arm would.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+Vector: TypeAlias = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Ramp:
+    """A trapezoidal run: speed up, hold, slow down; a triangle when the way is short.
+
+    Parameters
+    ----------
+    length : float
+        Way to go, ≥ 0, in any unit.
+    speed : float
+        Greatest speed [unit/s], > 0.
+    acceleration : float
+        Up and down alike [unit/s²], > 0.
+    """
+
+    length: float
+    speed: float
+    acceleration: float
+
+    @property
+    def peak(self) -> float:
+        """Greatest speed that is reached."""
+        return min(self.speed, math.sqrt(self.length * self.acceleration))
+
+    @property
+    def duration_s(self) -> float:
+        """Time from start to standstill [s]."""
+        if self.peak == 0:  # no way, or one lost in rounding
+            return 0.0
+        return self.length / self.peak + self.peak / self.acceleration
+
+    def at(self, time_s: float) -> float:
+        """Return the way gone after a time, from 0 to `length`."""
+        if time_s >= self.duration_s:
+            return self.length
+        if time_s <= 0:
+            return 0.0
+        rise_s = self.peak / self.acceleration
+        left_s = self.duration_s - time_s
+        if time_s < rise_s:
+            return self.acceleration * time_s**2 / 2
+        if left_s < rise_s:
+            return self.length - self.acceleration * left_s**2 / 2
+        return self.peak * (time_s - rise_s / 2)
+
+
+@dataclass(frozen=True, slots=True)
+class Path:
+    """A way from one configuration to another.
+
+    Attributes
+    ----------
+    at : callable
+        Configuration at a share 0 … 1 of the way.
+    goal : ndarray
+        Configuration at its end.
+    length : float
+        Its length, in the unit of the speeds it is run with.
+    """
+
+    at: Callable[[float], Vector]
+    goal: Vector
+    length: float
+
+
+@dataclass(frozen=True, slots=True)
+class _Run:
+    start_s: float
+    path: Path
+    ramp: Ramp
+
+    @property
+    def end_s(self) -> float:
+        return self.start_s + self.ramp.duration_s
+
+    def at(self, now_s: float) -> Vector:
+        if self.ramp.length == 0 or now_s >= self.end_s:
+            return self.path.goal
+        return self.path.at(self.ramp.at(now_s - self.start_s) / self.ramp.length)
+
+
+class MotionQueue:
+    """Paths run one after the other.
+
+    Parameters
+    ----------
+    position : ndarray
+        Configuration at the beginning.
+    """
+
+    def __init__(self, position: Vector) -> None:
+        self._rest = position
+        self._runs: list[_Run] = []
+
+    @property
+    def end(self) -> Vector:
+        """Configuration when everything queued is done."""
+        return self._runs[-1].path.goal if self._runs else self._rest
+
+    @property
+    def queued(self) -> int:
+        """Number of paths not yet finished when the queue was last looked at."""
+        return len(self._runs)
+
+    def add(self, path: Path, speed: float, acceleration: float, now_s: float) -> float:
+        """Queue a path from `end`; return when it will be done [s]."""
+        self.position(now_s)
+        start_s = max(now_s, self._runs[-1].end_s) if self._runs else now_s
+        self._runs.append(_Run(start_s, path, Ramp(path.length, speed, acceleration)))
+        return self._runs[-1].end_s
+
+    def position(self, now_s: float) -> Vector:
+        """Return the configuration now."""
+        while self._runs and self._runs[0].end_s <= now_s:
+            self._rest = self._runs.pop(0).path.goal
+        return self._runs[0].at(now_s) if self._runs else self._rest
+
+    def is_moving(self, now_s: float) -> bool:
+        """Whether something is still being run."""
+        self.position(now_s)
+        return bool(self._runs)
+
+    def abort(self, now_s: float) -> None:
+        """Stand still where the arm is, and forget the rest."""
+        self._rest = self.position(now_s)
+        self._runs.clear()
+
+
+def straight(start: Vector, goal: Vector, *, lengths: slice) -> Path:
+    """Return the straight path between two configurations.
+
+    Parameters
+    ----------
+    start, goal : ndarray
+        Its ends.
+    lengths : slice
+        The components that make its length; where they do not change, the greatest change of any
+        other does, so that a turn on the spot takes its time too.
+    """
+    change = goal - start
+    length = float(np.linalg.norm(change[lengths]))
+    if length == 0:
+        length = float(np.max(np.abs(change), initial=0.0))
+    return Path(lambda share: start + share * change, goal, length)

@@ -1,0 +1,263 @@
+"""Picking a block up and placing it elsewhere, as a small machine of explicit steps.
+
+    approach → descend → grip → lift → go → lower → release → retreat
+
+Every step can be undone and every step can be aborted. A step goes to a place that is fixed when
+the machine is made, so an interrupted step can simply be taken again; what undoes it leads back to
+where it began, from wherever it was interrupted.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Annotated
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from fingerpost.errors import InvalidInputError
+from fingerpost.robot.errors import NotReadyError
+from fingerpost.robot.follow import Selection
+from fingerpost.robot.guard import Guard, Presence
+from fingerpost.robot.protocol import GripperTarget
+
+
+class PickPlaceOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Heights, speeds and grip.
+
+    Attributes
+    ----------
+    travel_m : float
+        Height above the plane on the way [m]; above everything that stands there.
+    grip_m, release_m : float
+        Heights at which the block is gripped and let go [m].
+    grip : float, "open" or "close"
+        What the gripper does to hold the block.
+    speed_m_s, slow_m_s : float
+        Speed on the way, and up and down [m/s].
+    needs : Presence
+        What must last throughout: the operator, or a live fix as well.
+    """
+
+    travel_m: float = 0.1
+    grip_m: float = 0.015
+    release_m: float = 0.017
+    grip: GripperTarget = "close"
+    speed_m_s: Annotated[float, msgspec.Meta(gt=0)] = 0.1
+    slow_m_s: Annotated[float, msgspec.Meta(gt=0)] = 0.03
+    needs: Presence = Presence.OPERATOR
+
+
+class Step(StrEnum):
+    """The steps, in their order."""
+
+    APPROACH = "approach"
+    DESCEND = "descend"
+    GRIP = "grip"
+    LIFT = "lift"
+    GO = "go"
+    LOWER = "lower"
+    RELEASE = "release"
+    RETREAT = "retreat"
+
+
+STEPS = tuple(Step)
+
+
+@dataclass(frozen=True, slots=True)
+class _Action:
+    do: Callable[[], None]
+    undo: Callable[[], None]
+
+
+class PickPlace:
+    """One block from one place to another.
+
+    Parameters
+    ----------
+    guard : Guard
+        Armed, the gripper inside the safe region.
+    pick, place : Selection
+        Where the block is and where it shall go.
+    options : PickPlaceOptions
+        Heights, speeds and grip.
+
+    Raises
+    ------
+    InvalidInputError
+        A height or place that the safe region does not allow: for a block, the nearest permitted
+        place is the wrong one.
+    """
+
+    def __init__(
+        self,
+        guard: Guard,
+        pick: Selection,
+        place: Selection,
+        options: PickPlaceOptions | None = None,
+    ) -> None:
+        self._guard = guard
+        self._options = options = options or PickPlaceOptions()
+        self._pick = pick
+        self._place = place
+        self._start: tuple[NDArray[np.float64], float] | None = None
+        self._completed = 0
+        self._interrupted = False
+        self._busy = threading.Lock()
+        for name, selection, low_m in (
+            ("pick", pick, options.grip_m),
+            ("place", place, options.release_m),
+        ):
+            for above_m in (low_m, options.travel_m):
+                _need_allowed(guard, name, selection, above_m)
+        self._actions = self._plan()
+
+    @property
+    def next_step(self) -> Step | None:
+        """The step that `advance` takes; None when all are done."""
+        return STEPS[self._completed] if self._completed < len(STEPS) else None
+
+    @property
+    def interrupted(self) -> bool:
+        """Whether `next_step` was begun and not finished."""
+        return self._interrupted
+
+    @property
+    def done(self) -> bool:
+        """Whether all steps have been taken."""
+        return self._completed == len(STEPS)
+
+    def advance(self) -> Step:
+        """Take the next step, or take an interrupted one again, and return it.
+
+        Raises
+        ------
+        NotReadyError
+            All steps have been taken, or one is being taken.
+        RobotError
+            It was stopped or failed; it counts as interrupted.
+        """
+        step = self.next_step
+        if step is None:
+            raise NotReadyError("all steps have been taken")
+        self._run(self._actions[step].do)
+        self._completed += 1
+        return step
+
+    def run(self) -> None:
+        """Take all steps that are left.
+
+        Raises
+        ------
+        RobotError
+            As for `advance`.
+        """
+        while not self.done:
+            self.advance()
+
+    def undo(self) -> Step:
+        """Undo what was begun last and return it; it becomes the next step.
+
+        Raises
+        ------
+        NotReadyError
+            Nothing has been done yet, or a step is being taken.
+        RobotError
+            It was stopped or failed; undo again to go on.
+        """
+        if not self._interrupted:
+            if self._completed == 0:
+                raise NotReadyError("there is nothing to undo")
+            self._completed -= 1
+        step = STEPS[self._completed]
+        self._run(self._actions[step].undo)
+        return step
+
+    def abort(self) -> None:
+        """Stop at once and disarm; the gripper keeps what it holds. From any thread.
+
+        Afterwards, arm the guard again and `undo` or `advance`.
+        """
+        self._guard.halt("pick and place aborted")
+
+    def _run(self, action: Callable[[], None]) -> None:
+        if not self._busy.acquire(blocking=False):
+            raise NotReadyError("a step is being taken")
+        try:
+            self._interrupted = True
+            action()
+            self._interrupted = False
+        finally:
+            self._busy.release()
+
+    def _plan(self) -> dict[Step, _Action]:
+        options = self._options
+        pick_high, pick_low = self._up_down(self._pick, options.travel_m, options.grip_m)
+        place_high, place_low = self._up_down(self._place, options.travel_m, options.release_m)
+        return {
+            Step.APPROACH: _Action(self._approach, self._return),
+            Step.DESCEND: _Action(pick_low, pick_high),
+            Step.GRIP: _Action(self._grip(self._pick), self._let_go(self._pick)),
+            Step.LIFT: _Action(pick_high, pick_low),
+            Step.GO: _Action(self._carry(self._place), self._carry(self._pick)),
+            Step.LOWER: _Action(place_low, place_high),
+            Step.RELEASE: _Action(self._let_go(self._place), self._grip(self._place)),
+            Step.RETREAT: _Action(place_high, place_low),
+        }
+
+    def _approach(self) -> None:
+        """Open the gripper, go straight up, then over the block."""
+        here, above_m = self._guard.where()
+        if self._start is None:
+            self._start = (here, above_m)
+        self._guard.gripper("open", fix=self._pick.fix)
+        self._move(here, self._options.travel_m, self._pick, self._options.slow_m_s)
+        self._move(self._pick.point, self._options.travel_m, self._pick, self._options.speed_m_s)
+
+    def _return(self) -> None:
+        """Go back over where the approach began, then down to its height."""
+        if self._start is None:
+            return
+        point, above_m = self._start
+        self._move(point, self._options.travel_m, self._pick, self._options.speed_m_s)
+        self._move(point, above_m, self._pick, self._options.slow_m_s)
+        self._start = None
+
+    def _carry(self, to: Selection) -> Callable[[], None]:
+        return lambda: self._move(to.point, self._options.travel_m, to, self._options.speed_m_s)
+
+    def _up_down(
+        self, at: Selection, high_m: float, low_m: float
+    ) -> tuple[Callable[[], None], Callable[[], None]]:
+        slow = self._options.slow_m_s
+        return (
+            lambda: self._move(at.point, high_m, at, slow),
+            lambda: self._move(at.point, low_m, at, slow),
+        )
+
+    def _grip(self, at: Selection) -> Callable[[], None]:
+        return lambda: self._guard.gripper(self._options.grip, fix=at.fix)
+
+    def _let_go(self, at: Selection) -> Callable[[], None]:
+        return lambda: self._guard.gripper("open", fix=at.fix)
+
+    def _move(
+        self, point: NDArray[np.float64], above_m: float, cause: Selection, speed_m_s: float
+    ) -> None:
+        self._guard.move(
+            point, above_m, fix=cause.fix, needs=self._options.needs, speed_m_s=speed_m_s
+        )
+
+
+def _need_allowed(guard: Guard, name: str, selection: Selection, above_m: float) -> None:
+    allowed, allowed_above_m = guard.clamp(selection.point, above_m)
+    if not np.array_equal(allowed, selection.point) or allowed_above_m != above_m:
+        x, y = selection.point
+        raise InvalidInputError(
+            f"{name} at ({x:g}, {y:g}), {above_m:g} m above the plane, is outside the safe region; "
+            f"({allowed[0]:g}, {allowed[1]:g}) at {allowed_above_m:g} m is the nearest inside"
+        )

@@ -1,0 +1,179 @@
+"""Robots by name: those of this package, and whatever else is installed.
+
+A package adds a robot by an entry point of the group `fingerpost.robots`, whose name is the
+robot's and whose object is a `RobotFactory`:
+
+    [project.entry-points."fingerpost.robots"]
+    myarm = "mypackage.robot:open_arm"
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from importlib.metadata import EntryPoint, entry_points
+from typing import TypeAlias, TypeVar
+from urllib.parse import parse_qsl, urlsplit
+
+import msgspec
+
+from fingerpost.errors import InvalidInputError
+from fingerpost.robot.gcode import DOBOT, MARLIN, UARM, Dialect, GcodeArm, GcodeOptions
+from fingerpost.robot.protocol import Robot
+from fingerpost.robot.scorbot import Scorbot, ScorbotOptions
+from fingerpost.robot.simulated import SimulatedOptions, SimulatedRobot
+from fingerpost.robot.ur import UniversalRobot, UrOptions
+from fingerpost.robot.xarm import Xarm, XarmOptions
+
+ENTRY_POINT_GROUP = "fingerpost.robots"
+
+RobotFactory: TypeAlias = Callable[[str, Mapping[str, object]], Robot]
+"""Makes a robot, not yet connected, from its address and its options by name. Options that come
+from a URL are text, or a list of texts where there was a comma."""
+
+_Options = TypeVar("_Options", bound=msgspec.Struct)
+
+
+def open_robot(target: str, **options: object) -> Robot:
+    """Make a robot by URL or by name; `connect` or a `with` block opens it.
+
+    Parameters
+    ----------
+    target : str
+        `name://address?option=value&…`, or a name alone. A serial arm's address is a device
+        (`acl:///dev/ttyUSB0`, `acl://COM3`) or, after a plus, a serial server
+        (`acl+socket://host:4001`, `acl+rfc2217://host:2217`); others have a host (`ur://10.0.0.5`)
+        or none (`sim://`). Numbers in a row are separated by commas.
+    **options
+        Options by name; `address` goes with a name alone. They win over those of the URL.
+
+    Returns
+    -------
+    Robot
+        Not yet connected.
+
+    Raises
+    ------
+    InvalidInputError
+        No such robot, no such option, or a value that the option does not take.
+    MissingExtraError
+        The robot needs a library that is not installed.
+
+    Examples
+    --------
+    >>> robot = open_robot("sim://?homing_s=0")
+    >>> robot.status().state
+    <RobotState.DISCONNECTED: 'disconnected'>
+    """
+    name, address, from_url = _split(target)
+    address = str(options.pop("address", address))
+    robot = _factory(name)(address, {**from_url, **options})
+    if not isinstance(robot, Robot):
+        raise InvalidInputError(
+            f"the plug-in for {name!r} returned {type(robot).__name__}, which is no Robot"
+        )
+    return robot
+
+
+def robot_names() -> list[str]:
+    """Return the names of all robots that can be opened."""
+    return sorted({*BUILT_IN, *(point.name for point in _plug_ins())})
+
+
+def read_options(kind: type[_Options], options: Mapping[str, object], robot: str) -> _Options:
+    """Read options given by name, text or not, into a driver's own struct.
+
+    Parameters
+    ----------
+    kind : type
+        A `msgspec.Struct`.
+    options : mapping
+        Options by name.
+    robot : str
+        The robot's name, for the message.
+
+    Raises
+    ------
+    InvalidInputError
+        An option is not known, or its value is not what it takes; the message says which.
+    """
+    try:
+        return msgspec.convert(dict(options), type=kind, strict=False)
+    except msgspec.ValidationError as error:
+        known = ", ".join(field.name for field in msgspec.structs.fields(kind))
+        raise InvalidInputError(f"options of {robot}: {error}; it takes {known}") from error
+
+
+def _split(target: str) -> tuple[str, str, dict[str, object]]:
+    """Take a URL apart into name, address and options."""
+    if "://" not in target:
+        return target, "", {}
+    parts = urlsplit(target)
+    name, plus, transport = parts.scheme.partition("+")
+    address = parts.netloc + parts.path
+    try:
+        pairs = parse_qsl(parts.query, keep_blank_values=True, strict_parsing=bool(parts.query))
+    except ValueError as error:
+        raise InvalidInputError(f"{target}: {error}; name=value&… is needed") from error
+    options: dict[str, object] = {
+        key: value.split(",") if "," in value else value for key, value in pairs
+    }
+    return name, f"{transport}://{address}" if plus else address, options
+
+
+def _factory(name: str) -> RobotFactory:
+    if name in BUILT_IN:
+        return BUILT_IN[name]
+    for point in _plug_ins():
+        if point.name == name:
+            factory: RobotFactory = point.load()
+            return factory
+    raise InvalidInputError(
+        f"there is no robot {name!r}; there are {', '.join(robot_names())}. "
+        f"Others are added by the entry point group {ENTRY_POINT_GROUP!r}"
+    )
+
+
+def _plug_ins() -> list[EntryPoint]:
+    return list(entry_points(group=ENTRY_POINT_GROUP))
+
+
+def _scorbot(address: str, options: Mapping[str, object]) -> Robot:
+    return Scorbot(address, read_options(ScorbotOptions, options, "acl"))
+
+
+def _gcode(name: str, dialect: Dialect) -> RobotFactory:
+    return lambda address, options: GcodeArm(
+        address, dialect, read_options(GcodeOptions, options, name)
+    )
+
+
+def _ur(address: str, options: Mapping[str, object]) -> Robot:
+    return UniversalRobot(_host(address, "ur"), read_options(UrOptions, options, "ur"))
+
+
+def _xarm(address: str, options: Mapping[str, object]) -> Robot:
+    return Xarm(_host(address, "xarm"), read_options(XarmOptions, options, "xarm"))
+
+
+def _simulated(address: str, options: Mapping[str, object]) -> Robot:
+    if address:
+        raise InvalidInputError(f"sim takes no address, but {address!r} is given")
+    return SimulatedRobot(read_options(SimulatedOptions, options, "sim"))
+
+
+def _host(address: str, name: str) -> str:
+    if not address:
+        raise InvalidInputError(f"{name} needs an address: {name}://host")
+    return address
+
+
+BUILT_IN: dict[str, RobotFactory] = {
+    "acl": _scorbot,
+    "dobot": _gcode("dobot", DOBOT),
+    "marlin": _gcode("marlin", MARLIN),
+    "sim": _simulated,
+    "uarm": _gcode("uarm", UARM),
+    "ur": _ur,
+    "xarm": _xarm,
+}
+"""The robots of this package; no plug-in can take their names."""

@@ -1,0 +1,249 @@
+"""One serial line by URL: a device, `socket://host:port` or `rfc2217://host:port`.
+
+Commands and the stop share the line but not its queues: `send_now` throws away what the operating
+system still holds back and lifts a software hold (XOFF) first, so that a stop never stands behind
+a command, and it waits only a moment for a write that another thread has begun.
+"""
+
+from __future__ import annotations
+
+import os
+import select
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from enum import StrEnum
+from typing import Any, TypeAlias
+
+import serial
+
+from fingerpost.errors import InvalidInputError
+from fingerpost.robot.errors import ConnectionLostError, RobotTimeoutError
+
+Tap: TypeAlias = Callable[[str, bytes], None]
+"""Sees every transfer: `tap("out" or "in", data)`."""
+
+WRITE_TIMEOUT_S = 0.25
+"""A command of some 30 bytes that the line does not take within this is stuck [s]."""
+
+URGENT_PATIENCE_S = 0.002
+"""How long `send_now` lets another thread finish its write [s]."""
+
+
+RECEIVE_WAIT_S = 0.02
+"""Longest wait of one `receive`; fixed, as changing it would talk to an RFC 2217 server [s]."""
+
+
+def _port_errors() -> tuple[type[Exception], ...]:
+    """Return what pyserial lets through when a port vanishes or another thread closes it."""
+    errors: tuple[type[Exception], ...] = (OSError, TypeError, AttributeError, ValueError)
+    with suppress(ImportError):  # not on Windows
+        import termios
+
+        errors += (termios.error,)
+    return errors
+
+
+PORT_ERRORS = _port_errors()
+
+
+def _write_to_device(descriptor: int, data: bytes) -> None:
+    """Write without ever spinning: while a device is held back, pyserial's own write does.
+
+    A thread that spins keeps the interpreter to itself for some 5 ms at a time, and a stop in
+    another thread from getting through.
+    """
+    end_s = time.monotonic() + WRITE_TIMEOUT_S
+    while data:
+        try:
+            data = data[os.write(descriptor, data) :]
+        except BlockingIOError:
+            left_s = end_s - time.monotonic()
+            if left_s <= 0 or not select.select([], [descriptor], [], left_s)[1]:
+                raise serial.SerialTimeoutException("write timeout") from None
+
+
+class Flow(StrEnum):
+    """Flow control; programs for the same controller disagree, so it is an option."""
+
+    NONE = "none"
+    XON_XOFF = "xonxoff"
+    RTS_CTS = "rtscts"
+
+
+class SerialLine:
+    """A serial line with time-outs on everything.
+
+    Parameters
+    ----------
+    url : str
+        Device (`/dev/ttyUSB0`, `COM3`) or pyserial URL.
+    baud : int
+        Bits per second; 8 data bits, no parity, 1 stop bit.
+    flow : Flow
+        Flow control.
+    tap : callable, optional
+        Sees every transfer, for logs and tests.
+
+    Raises
+    ------
+    InvalidInputError
+        The address is empty.
+    """
+
+    def __init__(
+        self, url: str, *, baud: int = 9600, flow: Flow = Flow.NONE, tap: Tap | None = None
+    ) -> None:
+        if not url:
+            raise InvalidInputError("the port is empty; a device such as /dev/ttyUSB0 is needed")
+        self.url = url
+        self._baud = baud
+        self._flow = flow
+        self._tap = tap or (lambda _way, _data: None)
+        self._port: Any = None  # pyserial has no types
+        self._write_lock = threading.Lock()
+        self._purgeable = False
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the line is open."""
+        return self._port is not None
+
+    def open(self) -> None:
+        """Open the line, closing it first if it is open.
+
+        Raises
+        ------
+        ConnectionLostError
+            There is no such port, or it cannot be opened.
+        """
+        self.close()
+        try:
+            self._port = serial.serial_for_url(
+                self.url,
+                baudrate=self._baud,
+                xonxoff=self._flow is Flow.XON_XOFF,
+                rtscts=self._flow is Flow.RTS_CTS,
+                timeout=RECEIVE_WAIT_S,
+                # An RFC 2217 server takes no write time-out; its socket has one of 5 s.
+                write_timeout=None if self.url.startswith("rfc2217:") else WRITE_TIMEOUT_S,
+            )
+        except (OSError, ValueError) as error:
+            raise ConnectionLostError(f"{self.url} cannot be opened: {error}") from error
+
+    def close(self) -> None:
+        """Close the line; harmless when closed."""
+        with self._write_lock:
+            port, self._port = self._port, None
+            if port is not None:
+                with suppress(*PORT_ERRORS):
+                    port.close()
+
+    def send(self, data: bytes) -> None:
+        """Send a command.
+
+        Raises
+        ------
+        ConnectionLostError
+            The line is closed or its cable is out.
+        RobotTimeoutError
+            The line takes no bytes.
+        """
+        with self._write_lock:
+            self._purgeable = True
+            self._write(data)
+
+    def send_now(self, data: bytes, *, purge: bool = True) -> None:
+        """Send ahead of everything that waits.
+
+        Parameters
+        ----------
+        data : bytes
+            What to send.
+        purge : bool
+            Throw away what the operating system has not sent yet, unless that is urgent too.
+            Only for a controller that understands `data` after any part of a command.
+
+        Raises
+        ------
+        ConnectionLostError
+            The line is closed or its cable is out.
+        RobotTimeoutError
+            The line takes no bytes.
+        """
+        held = self._write_lock.acquire(timeout=URGENT_PATIENCE_S)
+        try:
+            if purge and self._purgeable and isinstance(self._port, serial.Serial):
+                with self._translated():
+                    self._port.reset_output_buffer()
+            self._purgeable = False  # from here on only an urgent message is in there
+            self.release()
+            self._write(data)
+        finally:
+            if held:
+                self._write_lock.release()
+
+    def release(self) -> None:
+        """Let output flow again if an XOFF has stopped it, real or noise.
+
+        Raises
+        ------
+        ConnectionLostError
+            The line is closed or its cable is out.
+        """
+        if self._flow is Flow.XON_XOFF and isinstance(self._port, serial.Serial):
+            with self._translated():
+                # Linux lets go of an XOFF that came only by one of its own: off, then on.
+                self._port.set_output_flow_control(False)
+                self._port.set_output_flow_control(True)
+
+    def receive(self) -> bytes:
+        """Return what has come, waiting up to `RECEIVE_WAIT_S` for the first byte.
+
+        Raises
+        ------
+        ConnectionLostError
+            The line is closed or its cable is out.
+        """
+        with self._translated():
+            data: bytes = self._port.read(1)
+        if data:
+            self._tap("in", data)
+            data += self.drain()
+        return data
+
+    def drain(self) -> bytes:
+        """Return what has come already, without waiting.
+
+        Raises
+        ------
+        ConnectionLostError
+            The line is closed or its cable is out.
+        """
+        data = b""
+        with self._translated():
+            while waiting := self._port.in_waiting:
+                data += self._port.read(waiting)
+        if data:
+            self._tap("in", data)
+        return data
+
+    def _write(self, data: bytes) -> None:
+        with self._translated():
+            if os.name == "posix" and isinstance(self._port, serial.Serial):
+                _write_to_device(self._port.fd, data)
+            else:
+                self._port.write(data)
+        self._tap("out", data)
+
+    @contextmanager
+    def _translated(self) -> Iterator[None]:
+        try:
+            yield
+        except serial.SerialTimeoutException as error:
+            raise RobotTimeoutError(
+                f"{self.url} takes no bytes: held by flow control, or unplugged"
+            ) from error
+        except PORT_ERRORS as error:
+            raise ConnectionLostError(f"{self.url} is closed or unplugged: {error}") from error

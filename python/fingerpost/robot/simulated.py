@@ -1,0 +1,123 @@
+"""A robot without metal: moves along straight lines at its speed, in no other time than is given.
+
+For demonstrations and for trying guidance out. It follows the protocol to the letter, homing and
+limits included, but nothing about it is a particular arm; for the dialogue of one, see
+`fingerpost.robot.emulator`.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from typing import Annotated
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from fingerpost.robot.arm import Arm, ArrivalRule, Turn
+from fingerpost.robot.motion import MotionQueue, straight
+from fingerpost.robot.protocol import TOOL_DOWN_RAD, Angle, GripperKind, Limits, Pose
+
+HOME = (0.3, 0.0, 0.3, TOOL_DOWN_RAD, 0.0)
+"""Where it stands after homing: x, y, z [m], pitch, roll [rad]."""
+
+SIMULATED_LIMITS = Limits(
+    lower_m=(-0.7, -0.7, 0.0),
+    upper_m=(0.7, 0.7, 0.6),
+    max_speed_m_s=0.5,
+    angles=frozenset({Angle.PITCH, Angle.ROLL}),
+    gripper=GripperKind.WIDTH,
+    gripper_opening_m=0.08,
+)
+
+
+class SimulatedOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """How a simulated robot behaves.
+
+    Attributes
+    ----------
+    acceleration_m_s2 : float
+        Of every move [m/s²].
+    homing_s, gripper_s : float
+        Time that homing and the gripper take [s].
+    """
+
+    acceleration_m_s2: Annotated[float, msgspec.Meta(gt=0)] = 2.0
+    homing_s: Annotated[float, msgspec.Meta(ge=0)] = 1.0
+    gripper_s: Annotated[float, msgspec.Meta(ge=0)] = 0.3
+
+
+class SimulatedRobot(Arm):
+    """A simulated robot.
+
+    Parameters
+    ----------
+    options : SimulatedOptions
+        How it behaves.
+    limits : Limits
+        What it may be asked for.
+    clock, sleep : callable
+        Monotonic time [s], and a wait of so many seconds of it.
+    """
+
+    def __init__(
+        self,
+        options: SimulatedOptions | None = None,
+        *,
+        limits: Limits = SIMULATED_LIMITS,
+        clock: Callable[[], float] = time.monotonic,
+        sleep: Callable[[float], None] = time.sleep,
+    ) -> None:
+        rule = ArrivalRule(poll_s=0.01, still_m=0.0, still_rad=0.0)  # its readings are exact
+        super().__init__(limits, arrival=rule, clock=clock, sleep=sleep)
+        self._options = options or SimulatedOptions()
+        self._motion = MotionQueue(np.array(HOME))
+        self._opening = 1.0
+
+    @property
+    def opening(self) -> float:
+        """How far the gripper is open: 0 closed … 1 open."""
+        return self._opening
+
+    def _open(self) -> None:
+        self._motion.abort(self._clock())
+
+    def _close(self) -> None:
+        pass
+
+    def _home(self, turn: Turn, report: Callable[[str], None]) -> None:
+        report("homing")
+        self._pause(self._options.homing_s, turn)
+        self._motion = MotionQueue(np.array(HOME))
+
+    def _start_move(self, pose: Pose, speed_m_s: float, turn: Turn) -> None:
+        goal = self._motion.end.copy()
+        goal[:3] = pose.position_m
+        for place, angle in ((3, pose.pitch_rad), (4, pose.roll_rad)):
+            if angle is not None:
+                goal[place] = angle
+        path = straight(self._motion.end, goal, lengths=slice(0, 3))
+        acceleration = self._options.acceleration_m_s2
+
+        def start() -> None:
+            self._motion.add(path, speed_m_s, acceleration, self._clock())
+
+        self._issue(start, turn)
+
+    def _read_pose(self, turn: Turn) -> Pose:
+        self._check(turn)
+        x, y, z, pitch, roll = self._position()
+        return Pose(x, y, z, pitch_rad=pitch, roll_rad=math.remainder(roll, 2 * math.pi))
+
+    def _send_stop(self) -> None:
+        self._motion.abort(self._clock())
+
+    def _move_gripper(self, opening: float, turn: Turn) -> None:
+        self._pause(self._options.gripper_s, turn)
+        self._opening = opening
+
+    def _position(self) -> list[float]:
+        position: NDArray[np.float64] = self._motion.position(self._clock())
+        return [float(value) for value in position]

@@ -1,0 +1,92 @@
+"""The One-Euro filter (Casiez, Roussel & Vogel 2012) for a point, and what it costs in time.
+
+A low-pass filter of first order whose cutoff rises with speed: still hands are smoothed hard,
+quick ones hardly. Here the speed is that of the point, not of each coordinate, so that the result
+does not depend on how the axes lie. Its price is delay, which `OneEuroFilter.lag_s` tells.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fingerpost.checks import finite_array, in_range
+from fingerpost.errors import InvalidInputError
+
+
+class OneEuroFilter:
+    """A One-Euro filter of a point.
+
+    Parameters
+    ----------
+    min_cutoff_hz : float
+        Cutoff for a point at rest [Hz], > 0. Lower is smoother and later.
+    slope_hz_s : float
+        Rise of the cutoff with speed [Hz per unit/s], ≥ 0: the paper's β.
+    speed_cutoff_hz : float
+        Cutoff of the speed's own low-pass [Hz], > 0.
+
+    Raises
+    ------
+    InvalidInputError
+        A parameter is out of its range.
+    """
+
+    def __init__(
+        self,
+        min_cutoff_hz: float = 1.0,
+        slope_hz_s: float = 0.0,
+        speed_cutoff_hz: float = 1.0,
+    ) -> None:
+        smallest = np.finfo(np.float64).tiny
+        self._min_cutoff_hz = in_range(min_cutoff_hz, "min_cutoff_hz", smallest)
+        self._slope_hz_s = in_range(slope_hz_s, "slope_hz_s", 0.0)
+        self._speed_cutoff_hz = in_range(speed_cutoff_hz, "speed_cutoff_hz", smallest)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything: the next point passes unchanged."""
+        self._time_s: float | None = None
+        self._point: NDArray[np.float64] | None = None
+        self._velocity: NDArray[np.float64] | None = None
+        self._lag_s = 0.0
+
+    @property
+    def lag_s(self) -> float:
+        """How far the result is behind a steadily moving point, at the present cutoff [s].
+
+        The filter ``y ← y + α (x − y)`` follows a ramp at a distance of (1 − α) / α steps.
+        """
+        return self._lag_s
+
+    def __call__(self, point: ArrayLike, time_s: float) -> NDArray[np.float64]:
+        """Return the smoothed point (N,) at a time [s].
+
+        Raises
+        ------
+        InvalidInputError
+            The time is not after the last one.
+        """
+        point = finite_array(point, "point", ("N",))
+        if self._time_s is None or self._point is None or self._velocity is None:
+            self._time_s, self._point, self._velocity = time_s, point, np.zeros_like(point)
+            return point
+        step_s = time_s - self._time_s
+        if not step_s > 0:
+            raise InvalidInputError(f"time_s is {time_s}; a time after {self._time_s} is needed")
+        measured = (point - self._point) / step_s
+        self._velocity = self._velocity + _share(self._speed_cutoff_hz, step_s) * (
+            measured - self._velocity
+        )
+        speed = float(np.linalg.norm(self._velocity))
+        share = _share(self._min_cutoff_hz + self._slope_hz_s * speed, step_s)
+        self._point = self._point + share * (point - self._point)
+        self._time_s, self._lag_s = time_s, step_s * (1 - share) / share
+        return self._point
+
+
+def _share(cutoff_hz: float, step_s: float) -> float:
+    """Return α of a first-order low-pass sampled at a step [s]."""
+    return 1.0 / (1.0 + 1.0 / (2 * math.pi * cutoff_hz * step_s))

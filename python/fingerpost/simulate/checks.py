@@ -1,0 +1,90 @@
+"""Checks of what the caller gives to the simulated rig.
+
+Each returns the value in the type the rest of the package works with, or raises
+`InvalidInputError` with the value's name, the value, and what would be right.
+"""
+
+import math
+import numbers
+from collections.abc import Sequence
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fingerpost.errors import InvalidInputError
+
+Kind = TypeVar("Kind")
+
+
+def number(name: str, value: object, low: float, high: float) -> float:
+    """Return a finite real number that lies in [low, high]."""
+    if isinstance(value, numbers.Real) and not isinstance(value, bool):
+        real = float(value)
+        if math.isfinite(real) and low <= real <= high:
+            return real
+    raise InvalidInputError(f"{name} is {value!r}; it must be a number from {low:g} to {high:g}")
+
+
+def whole(name: str, value: object, low: int, high: int) -> int:
+    """Return a whole number that lies in [low, high]."""
+    if isinstance(value, numbers.Integral) and not isinstance(value, bool):
+        integer = int(value)
+        if low <= integer <= high:
+            return integer
+    raise InvalidInputError(f"{name} is {value!r}; it must be a whole number from {low} to {high}")
+
+
+def interval(name: str, value: object, low: float, high: float) -> tuple[float, float]:
+    """Return an ordered pair of numbers in [low, high]; the two may be equal."""
+    if isinstance(value, Sequence | np.ndarray) and len(value) == 2:
+        first = number(f"{name}[0]", value[0], low, high)
+        last = number(f"{name}[1]", value[1], low, high)
+        if first <= last:
+            return first, last
+    raise InvalidInputError(
+        f"{name} is {value!r}; it must be two numbers from {low:g} to {high:g}, the smaller first"
+    )
+
+
+def choice(name: str, value: object, allowed: Sequence[str]) -> str:
+    """Return a string that is one of `allowed`."""
+    if isinstance(value, str) and value in allowed:
+        return value
+    raise InvalidInputError(f"{name} is {value!r}; it must be one of {', '.join(allowed)}")
+
+
+def instance(name: str, value: object, kind: type[Kind]) -> Kind:
+    """Return a value of the given class."""
+    if isinstance(value, kind):
+        return value
+    raise InvalidInputError(f"{name} is {value!r}; it must be a {kind.__name__}")
+
+
+def finite_array(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> NDArray[np.float64]:
+    """Return a finite float array of the given shape, where None stands for any length ≥ 1."""
+    wanted = " × ".join("any" if length is None else str(length) for length in shape) or "a number"
+    try:
+        array = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InvalidInputError(f"{name} is {value!r}; it must be numbers, {wanted}") from None
+    fits = array.ndim == len(shape) and all(
+        have >= 1 and want in (None, have) for have, want in zip(array.shape, shape, strict=True)
+    )
+    if not fits:
+        raise InvalidInputError(f"{name} has the shape {array.shape}; it must be {wanted}")
+    if not np.isfinite(array).all():
+        place = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
+        raise InvalidInputError(f"{name}{list(place)} is {array[place]}; it must be finite")
+    return array
+
+
+def generator(name: str, value: object) -> np.random.Generator:
+    """Return a random generator from a generator or from a seed ≥ 0."""
+    if isinstance(value, np.random.Generator):
+        return value
+    if isinstance(value, numbers.Integral) and not isinstance(value, bool) and int(value) >= 0:
+        return np.random.default_rng(int(value))
+    raise InvalidInputError(
+        f"{name} is {value!r}; it must be a numpy.random.Generator or a seed, a whole number ≥ 0"
+    )

@@ -1,0 +1,262 @@
+"""Thousands of moves with random faults; `python tests/robot/soak.py 10000 --jobs 3` reports.
+
+Every call must end with the truth or with a typed error within its time-out, and a stop must reach
+the controller's port within 20 ms at any moment. On a crowded machine, run it at a priority of its
+own (`chrt -f 10`): a thread may wait for a processor for longer than that.
+"""
+
+import argparse
+import itertools
+import json
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, field
+
+import numpy as np
+from robot_rig import REPLY_S, STOP_S, TIME_SCALE, Rig, fast_options, random_goal, scorbot_rig
+
+from fingerpost.robot.acl import ABORT
+from fingerpost.robot.emulator.acl import AclStyle
+from fingerpost.robot.emulator.faults import Fault
+from fingerpost.robot.errors import ConnectionLostError, RobotError, StoppedError
+from fingerpost.robot.protocol import Pose, RobotState
+
+FAULT_SHARE = 0.3
+"""So many moves meet a fault."""
+
+STOP_SHARE = 0.05
+"""So many moves are stopped."""
+
+WITHIN_S = 0.02
+"""Faults and stops come so long after the move begins: a move lasts about 15 ms."""
+
+STOP_SEEN_S = 0.1
+"""After an error the controller must have been told to stop within this."""
+
+LIMIT_S = 3.0
+"""No call may last longer; the longest time-out, of finding the prompt again, is 0.6 s."""
+
+NEAR_M = 1.2e-3
+"""The arrival tolerance of 1 mm, and rounding."""
+
+READING_M = 2.5e-4
+"""Rounding of a reading: 0.1 mm in each coordinate, and the encoders'."""
+
+SLOW_S = 1.5 * REPLY_S
+"""A slow answer comes after its time-out."""
+
+FAULTS = (
+    [Fault.GARBAGE] * 4
+    + [Fault.CUT] * 3
+    + [Fault.SILENT] * 2
+    + [Fault.GARBLED_INPUT] * 3
+    + [
+        Fault.SLOW,
+        Fault.XOFF,
+        Fault.OUT_OF_RANGE,
+        Fault.IMPACT,
+        Fault.OVERLOAD,
+        Fault.ECHO_OFF,
+        Fault.PAGING,
+        Fault.STICK,
+        Fault.UNPLUG,
+        Fault.HOME_FAILURE,
+    ]
+)
+
+
+@dataclass
+class SoakReport:
+    """What happened."""
+
+    moves: int = 0
+    arrived: int = 0
+    readings: int = 0
+    faults: Counter[str] = field(default_factory=Counter)
+    errors: Counter[str] = field(default_factory=Counter)
+    wrong_positions: list[str] = field(default_factory=list)
+    not_stopped: list[str] = field(default_factory=list)
+    stops: int = 0
+    late_stops: list[float] = field(default_factory=list)
+    slowest_stop_ms: float = 0.0
+    slowest_stop_call_ms: float = 0.0
+    slowest_call_s: float = 0.0
+    homings: int = 0
+    reconnects: int = 0
+
+    def add(self, other: "SoakReport") -> None:
+        """Take another report in."""
+        for name, value in vars(other).items():
+            if name.startswith("slowest"):
+                setattr(self, name, max(getattr(self, name), value))
+            else:
+                setattr(self, name, getattr(self, name) + value)
+
+
+def soak(moves: int, seed: int) -> SoakReport:
+    """Make so many moves under random faults."""
+    rng = np.random.default_rng(seed)
+    report = SoakReport()
+    style, options = AclStyle(homing_s=2.0), fast_options(max_speed_m_s=1.0)
+    with scorbot_rig(style, options=options, slow_s=SLOW_S * TIME_SCALE, seed=seed) as rig:
+        for _ in range(moves):
+            _recover(rig, report)
+            _move(rig, rng, report)
+    return report
+
+
+def _move(rig: Rig, rng: np.random.Generator, report: SoakReport) -> None:
+    goal = random_goal(rng)
+    report.moves += 1
+    meddlers = []
+    if rng.random() < FAULT_SHARE:
+        fault = FAULTS[rng.integers(len(FAULTS))]
+        report.faults[fault] += 1
+        count = int(rng.integers(1, 4))
+        meddlers.append(_later(rng, lambda: rig.emulator.inject(fault, count=count)))
+    if rng.random() < STOP_SHARE:
+        meddlers.append(_later(rng, lambda: _stop(rig, report)))
+    aborts = rig.controller.aborts
+    start_s = time.monotonic()
+    try:
+        if rng.random() < 0.7:
+            rig.robot.move_to(goal, timeout_s=2.0 * TIME_SCALE)
+            _compare(goal, rig.true_pose(), NEAR_M, "arrived", report)
+            report.arrived += 1
+        else:
+            rig.robot.move_to(goal, wait=False, timeout_s=2.0 * TIME_SCALE)
+            _read_on_the_way(rig, report)
+    except ConnectionLostError:
+        report.errors["ConnectionLostError"] += 1
+    except RobotError as error:
+        report.errors[type(error).__name__] += 1
+        if not _within(STOP_SEEN_S, lambda: _told_to_stop(rig, aborts)):
+            report.not_stopped.append(str(error))
+    report.slowest_call_s = max(report.slowest_call_s, time.monotonic() - start_s)
+    for meddler in meddlers:
+        meddler.join()
+
+
+def _told_to_stop(rig: Rig, aborts: int) -> bool:
+    return rig.controller.aborts > aborts or not rig.plugged
+
+
+def _later(rng: np.random.Generator, act: Callable[[], None]) -> threading.Thread:
+    delay_s = float(rng.uniform(0.0, WITHIN_S))
+
+    def run() -> None:
+        time.sleep(delay_s)
+        act()
+
+    thread = threading.Thread(target=run)
+    thread.start()
+    return thread
+
+
+def _stop(rig: Rig, report: SoakReport) -> None:
+    """Stop, and look in the controller's log when it arrived."""
+    seen = len(rig.emulator.wire)
+    called_s = time.monotonic()
+    try:
+        rig.robot.stop()
+    except ConnectionLostError:
+        return  # the cable is out
+    returned_s = time.monotonic()
+    arrived_s = _abort_seen(rig, seen, called_s)
+    if arrived_s is None:
+        return  # unplugged in between
+    report.stops += 1
+    took_ms = 1000 * (arrived_s - called_s)
+    report.slowest_stop_ms = max(report.slowest_stop_ms, took_ms)
+    report.slowest_stop_call_ms = max(report.slowest_stop_call_ms, 1000 * (returned_s - called_s))
+    if took_ms > 1000 * STOP_S:
+        report.late_stops.append(took_ms)
+
+
+def _within(span_s: float, true: Callable[[], bool]) -> bool:
+    end_s = time.monotonic() + span_s
+    while not true():
+        if time.monotonic() > end_s:
+            return False
+        time.sleep(0.001)
+    return True
+
+
+def _abort_seen(rig: Rig, seen: int, called_s: float) -> float | None:
+    """When the controller's port read the first abort after a moment, waiting half a second."""
+    end_s = time.monotonic() + 0.5
+    while time.monotonic() < end_s:
+        for event in itertools.islice(rig.emulator.wire, seen, None):
+            if not event.sent and event.time_s >= called_s and ABORT[:1] in event.data:
+                return event.time_s
+        time.sleep(0.001)
+    return None
+
+
+def _read_on_the_way(rig: Rig, report: SoakReport) -> None:
+    """Read the pose of a moving arm; it must lie where the arm has been meanwhile."""
+    before = rig.true_pose()
+    try:
+        pose = rig.robot.pose()
+    except RobotError:
+        rig.robot.stop()  # a reading that fails stops nothing by itself
+        raise
+    after = rig.true_pose()
+    report.readings += 1
+    low = np.minimum(before.position_m, after.position_m) - READING_M
+    high = np.maximum(before.position_m, after.position_m) + READING_M
+    if not ((low <= pose.position_m) & (pose.position_m <= high)).all():
+        report.wrong_positions.append(f"read {pose} between {before} and {after}")
+
+
+def _compare(believed: Pose, true: Pose, within_m: float, what: str, report: SoakReport) -> None:
+    if believed.distance_m(true) > within_m:
+        report.wrong_positions.append(f"{what}: believed {believed}, true {true}")
+
+
+def _recover(rig: Rig, report: SoakReport) -> None:
+    """Do what an operator does after an error, faults of the line still going on."""
+    while True:
+        state = rig.robot.status().state
+        start_s = time.monotonic()
+        try:
+            if state is RobotState.DISCONNECTED:
+                rig.emulator.inject(Fault.PLUG)
+                report.reconnects += 1
+                rig.robot.reconnect(timeout_s=2.0 * TIME_SCALE)
+            elif state in (RobotState.FAULT, RobotState.NOT_HOMED):
+                report.homings += 1
+                rig.robot.home(timeout_s=0.5 * TIME_SCALE)
+            else:
+                rig.robot.wait(timeout_s=1.0 * TIME_SCALE)
+                return
+        except StoppedError:
+            pass
+        except RobotError as error:
+            report.errors[f"recovering: {type(error).__name__}"] += 1
+        report.slowest_call_s = max(report.slowest_call_s, time.monotonic() - start_s)
+
+
+def main() -> None:
+    """Run from a shell and print the report as JSON."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("moves", type=int, nargs="?", default=10_000)
+    parser.add_argument("--jobs", type=int, default=1, help="rigs side by side")
+    parser.add_argument("--seed", type=int, default=0, help="of the first rig")
+    given = parser.parse_args()
+    start_s = time.monotonic()
+    report = SoakReport()
+    shares = [given.moves // given.jobs] * given.jobs
+    shares[0] += given.moves - sum(shares)
+    with ProcessPoolExecutor(given.jobs) as pool:
+        seeds = range(given.seed, given.seed + given.jobs)
+        for part in pool.map(soak, shares, seeds):
+            report.add(part)
+    print(json.dumps({**vars(report), "duration_s": time.monotonic() - start_s}, indent=1))
+
+
+if __name__ == "__main__":
+    main()

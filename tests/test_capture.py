@@ -1,0 +1,657 @@
+"""Sources: every frame once and in order, newest frame of live ones, and what goes wrong said.
+
+Each frame carries its number painted as bars, so that what arrives is read from its pixels.
+"""
+
+import errno
+import http.server
+import logging
+import struct
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from itertools import pairwise
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from fingerpost.capture import SourceKind, open_source, read_views
+from fingerpost.capture.live import LiveSource
+from fingerpost.capture.opening import STILL_FRAMES
+from fingerpost.capture.video import FrameTimes
+from fingerpost.errors import CaptureError, InvalidInputError
+
+WIDTH, HEIGHT, BARS = 160, 120, 8
+PATIENCE_S = 30.0  # for another thread on a busy machine; no test waits it out when it passes
+
+
+def painted(number: int) -> np.ndarray:
+    """An image whose eight bars spell `number` in binary, black for 0 and white for 1."""
+    bits = [number >> bar & 1 for bar in range(BARS)]
+    row = np.repeat(np.array(bits, np.uint8) * 255, WIDTH // BARS)
+    return np.ascontiguousarray(np.broadcast_to(row[None, :, None], (HEIGHT, WIDTH, 3)))
+
+
+def number_in(image: np.ndarray) -> int:
+    width = image.shape[1] // BARS
+    centres = image.reshape(*image.shape[:2], -1)[HEIGHT // 2, width // 2 :: width, 0]
+    return sum(int(grey > 127) << bar for bar, grey in enumerate(centres))
+
+
+def write_video(path: Path, count: int, *, fourcc: str = "mp4v", fps: float = 25) -> Path:
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*fourcc), fps, (WIDTH, HEIGHT))
+    assert writer.isOpened()
+    for number in range(count):
+        writer.write(painted(number))
+    writer.release()
+    return path
+
+
+def write_images(folder: Path, names: list[str]) -> None:
+    for number, name in enumerate(names):
+        assert cv2.imwrite(str(folder / name), painted(number))
+
+
+def numbers(source: str | Path, **options: float) -> list[int]:
+    with open_source(str(source), **options) as frames:
+        return [number_in(frame.image) for frame in frames]
+
+
+def wait_until(condition) -> None:
+    end = time.monotonic() + PATIENCE_S
+    while not condition():
+        assert time.monotonic() < end, "waited in vain"
+        time.sleep(0.002)
+
+
+# --- video files -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "fourcc"), [("a.mp4", "mp4v"), ("a.avi", "MJPG"), ("a.mkv", "mp4v")]
+)
+def test_a_video_gives_every_frame_once_with_its_time(tmp_path, caplog, name, fourcc):
+    path = write_video(tmp_path / name, 40, fourcc=fourcc, fps=20)
+    with open_source(str(path)) as source:
+        assert source.kind is SourceKind.RECORDED
+        assert source.frame_count == 40
+        frames = list(source)
+        assert list(source) == []
+    assert [number_in(frame.image) for frame in frames] == list(range(40))
+    assert [frame.index for frame in frames] == list(range(40))
+    np.testing.assert_allclose([frame.time_s for frame in frames], np.arange(40) / 20, atol=1e-3)
+    assert {(frame.image.shape, frame.image.dtype.name) for frame in frames} == {
+        ((HEIGHT, WIDTH, 3), "uint8")
+    }
+    assert caplog.records == []
+
+
+def boxes(data: bytes, start: int, end: int) -> Iterator[tuple[bytes, int, int]]:
+    """Kind, start and end of each MP4 box between two positions."""
+    while start < end:
+        size, kind = struct.unpack_from(">I4s", data, start)
+        yield kind, start, start + size
+        start += size
+
+
+def replace_box(data: bytes, path: list[bytes], change) -> bytes:
+    """Replace the content of one box, found by its path, in all enclosing sizes."""
+
+    def inside(start: int, end: int, path: list[bytes]) -> bytes:
+        out = b""
+        for kind, first, last in boxes(data, start, end):
+            content = data[first + 8 : last]
+            if kind == path[0]:
+                content = inside(first + 8, last, path[1:]) if path[1:] else change(content)
+            out += struct.pack(">I4s", len(content) + 8, kind) + content
+        return out
+
+    return inside(0, len(data), path)
+
+
+def test_a_video_of_variable_rate_keeps_the_times_of_its_file(tmp_path, caplog):
+    path = write_video(tmp_path / "a.mp4", 6, fps=25)
+    steps = [300, 700, 256, 600, 400, 512]  # the writer counts 12800 to the second
+    table = struct.pack(">II", 0, len(steps)) + b"".join(
+        struct.pack(">II", 1, step) for step in steps
+    )
+    media = [b"moov", b"trak", b"mdia", b"minf", b"stbl", b"stts"]
+    path.write_bytes(replace_box(path.read_bytes(), media, lambda _: table))
+    with open_source(str(path)) as source:
+        frames = list(source)
+    expected = np.cumsum([0, *steps[:-1]]) / 12800
+    np.testing.assert_allclose([frame.time_s for frame in frames], expected, atol=1e-6)
+    assert [frame.index for frame in frames] == list(range(6))
+    assert caplog.records == []
+
+
+def test_a_video_filmed_upright_stands_upright(tmp_path):
+    path = write_video(tmp_path / "a.mp4", 2)
+    quarter_turn = struct.pack(">9i", 0, 1 << 16, 0, -(1 << 16), 0, 0, 0, 0, 1 << 30)
+    turned = replace_box(
+        path.read_bytes(),
+        [b"moov", b"trak", b"tkhd"],
+        lambda content: content[:40] + quarter_turn + content[76:],
+    )
+    path.write_bytes(turned)
+    with open_source(str(path)) as source:
+        assert next(source).image.shape == (WIDTH, HEIGHT, 3)
+
+
+@pytest.mark.parametrize(("name", "resumed"), [("a.mp4", 48), ("a.mkv", 56)])
+def test_a_damaged_middle_is_stepped_over_and_reported(tmp_path, caplog, name, resumed):
+    path = write_video(tmp_path / name, 60)
+    data = bytearray(path.read_bytes())
+    damage = slice(int(len(data) * 0.4), int(len(data) * 0.6))
+    rng = np.random.default_rng(0)
+    data[damage] = rng.integers(0, 256, damage.stop - damage.start, dtype=np.uint8).tobytes()
+    path.write_bytes(data)
+
+    with open_source(str(path)) as source:
+        frames = list(source)
+    indices = [frame.index for frame in frames]
+    assert indices[:20] == list(range(20))
+    assert indices[indices.index(resumed) :] == list(range(resumed, 60))
+    assert len(indices) < 60
+    # Next to a hole the decoder guesses, until a key frame or an intact cluster comes.
+    sure = [frame for frame in frames if frame.index < 20 or frame.index >= resumed]
+    assert [number_in(frame.image) for frame in sure] == [frame.index for frame in sure]
+    assert all(frame.time_s == pytest.approx(frame.index / 25) for frame in frames)
+    assert f"{path}: " in caplog.text
+    assert "damaged or missing frames between" in caplog.text
+
+
+def test_a_cut_off_video_gives_what_is_there_and_says_so(tmp_path, caplog):
+    path = write_video(tmp_path / "a.avi", 60, fourcc="MJPG")
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    found = numbers(path)
+    assert found == list(range(len(found)))
+    assert 20 < len(found) < 50
+    assert (
+        f"{path}: ends at {len(found) / 25:.3f} s although its header says 2.400 s" in caplog.text
+    )
+
+
+def test_frame_times_never_stand_still(caplog):
+    times = FrameTimes(0.1, "a.avi")
+    placed = [times.place(time_s, 0) for time_s in (0.0, 0.0, 0.0, float("nan"), 0.4, 0.55)]
+    assert [index for index, _ in placed] == list(range(6))
+    np.testing.assert_allclose([s for _, s in placed], [0, 0.1, 0.2, 0.3, 0.4, 0.55])
+    assert caplog.text.count("a.avi: frame 1 has no time after its predecessor's") == 1
+
+
+def test_a_leap_means_missing_frames_only_at_a_constant_rate():
+    steady = FrameTimes(0.1, "a.avi")
+    assert [steady.place(s, 0)[0] for s in (0.0, 0.1, 0.2, 0.6, 0.7)] == [0, 1, 2, 6, 7]
+    variable = FrameTimes(0.1, "a.avi")
+    assert [variable.place(s, 0)[0] for s in (0.0, 0.13, 0.2, 0.6, 0.7)] == [0, 1, 2, 3, 4]
+    assert variable.place(1.0, 2)[0] == 7
+
+
+# --- still images ----------------------------------------------------------------------------
+
+
+def test_images_come_in_natural_order_at_the_given_rate(tmp_path):
+    names = ["img1.png", "img2.png", "img9.png", "img10.png", "img100.png"]
+    write_images(tmp_path, names)
+    (tmp_path / "img5.png").mkdir()
+    with open_source(str(tmp_path / "img*.png"), fps=10) as source:
+        assert source.frame_count == 5
+        frames = list(source)
+    assert [number_in(frame.image) for frame in frames] == [0, 1, 2, 3, 4]
+    assert [(frame.index, frame.time_s) for frame in frames] == [
+        (0, 0.0),
+        (1, 0.1),
+        (2, 0.2),
+        (3, 0.3),
+        (4, 0.4),
+    ]
+    assert numbers(tmp_path / "**" / "img9.png") == [2]
+
+
+def test_one_still_image_is_shown_again_and_again(tmp_path):
+    write_images(tmp_path, ["a [1].png"])
+    assert numbers(tmp_path / "a [1].png") == [0] * STILL_FRAMES
+
+
+def test_a_glob_of_one_image_is_one_frame(tmp_path):
+    write_images(tmp_path, ["a1.png"])
+    assert numbers(tmp_path / "a*.png") == [0]
+
+
+def test_every_pixel_format_becomes_eight_bits_in_a_stated_way(tmp_path):
+    def read(name: str, stored: np.ndarray) -> np.ndarray:
+        assert cv2.imwrite(str(tmp_path / name), stored)
+        with open_source(str(tmp_path / name)) as source:
+            return next(source).image
+
+    rng = np.random.default_rng(1)
+    grey = rng.integers(0, 256, (6, 5), dtype=np.uint8)
+    deep = rng.integers(0, 65536, (6, 5, 3), dtype=np.uint16)
+    clear = rng.integers(0, 256, (6, 5, 4), dtype=np.uint8)
+    np.testing.assert_array_equal(read("grey.png", grey), grey)
+    np.testing.assert_array_equal(read("deep.png", deep), np.rint(deep * (255 / 65535)))
+    np.testing.assert_array_equal(read("deep_grey.png", deep[..., 0]), np.rint(deep[..., 0] / 257))
+    np.testing.assert_array_equal(read("clear.png", clear), clear[..., :3])
+    with pytest.raises(CaptureError, match=r"float\.tiff: pixels are stored as float32; 8 or 16"):
+        read("float.tiff", grey.astype(np.float32))
+
+
+def test_grey_is_the_luma_of_colour_and_the_image_itself_of_grey(tmp_path):
+    cv2.imwrite(str(tmp_path / "colour.png"), np.full((4, 4, 3), (10, 100, 200), np.uint8))
+    cv2.imwrite(str(tmp_path / "grey.png"), np.full((4, 4), 77, np.uint8))
+    with open_source(str(tmp_path / "colour.png")) as source:
+        luma = 0.114 * 10 + 0.587 * 100 + 0.299 * 200
+        assert np.abs(next(source).grey() - luma).max() <= 0.51
+    with open_source(str(tmp_path / "grey.png")) as source:
+        frame = next(source)
+        assert frame.grey() is frame.image
+
+
+def test_a_photo_taken_upright_stands_upright(tmp_path):
+    ok, jpeg = cv2.imencode(".jpg", painted(0))
+    assert ok
+    # EXIF with one entry: orientation (0x112), type short, one value, 6 = turn right.
+    exif = b"Exif\0\0II*\0" + struct.pack("<IHHHIII", 8, 1, 0x112, 3, 1, 6, 0)
+    segment = b"\xff\xe1" + struct.pack(">H", len(exif) + 2) + exif
+    data = jpeg.tobytes()
+    (tmp_path / "a.jpg").write_bytes(data[:2] + segment + data[2:])
+    with open_source(str(tmp_path / "a.jpg")) as source:
+        assert next(source).image.shape == (WIDTH, HEIGHT, 3)
+
+
+@pytest.mark.parametrize("suffix", ["png", "jpg", "bmp"])
+@pytest.mark.parametrize("kept", [0.9, 0.5, 0.1])
+def test_a_cut_off_image_is_named(tmp_path, suffix, kept):
+    write_images(tmp_path, [f"{number}.{suffix}" for number in range(3)])
+    broken = tmp_path / f"1.{suffix}"
+    broken.write_bytes(broken.read_bytes()[: int(broken.stat().st_size * kept)])
+    with open_source(str(tmp_path / f"*.{suffix}")) as source:
+        assert number_in(next(source).image) == 0
+        with pytest.raises(CaptureError, match=rf"1\.{suffix}: cannot be decoded"):
+            next(source)
+
+
+def test_a_cut_off_jpeg_is_seen_behind_its_thumbnail(tmp_path):
+    ok, jpeg = cv2.imencode(".jpg", painted(5))
+    assert ok
+    data = jpeg.tobytes()
+    thumbnail = b"\xff\xe1" + struct.pack(">H", len(data) + 2) + data
+    whole = data[:2] + thumbnail + data[2:]
+    (tmp_path / "whole.jpg").write_bytes(whole)
+    assert set(numbers(tmp_path / "whole.jpg")) == {5}
+    (tmp_path / "cut.jpg").write_bytes(whole[: int(len(whole) * 0.9)])
+    with pytest.raises(CaptureError, match=r"cut\.jpg: cannot be decoded"):
+        numbers(tmp_path / "cut.jpg")
+
+
+def test_images_of_another_size_or_kind_are_named(tmp_path):
+    write_images(tmp_path, ["1.png", "2.png", "3.png"])
+    cv2.imwrite(str(tmp_path / "2.png"), np.zeros((10, 20), np.uint8))
+    with pytest.raises(CaptureError, match=r"2\.png: 20 x 10 pixels.*160 x 120"):
+        numbers(tmp_path / "*.png")
+    (tmp_path / "2.png").write_text("hello")
+    with pytest.raises(CaptureError, match=r"2\.png: cannot be decoded"):
+        numbers(tmp_path / "*.png")
+    (tmp_path / "2.png").write_bytes(b"")
+    with pytest.raises(CaptureError, match=r"2\.png: the file is empty"):
+        numbers(tmp_path / "*.png")
+
+
+# --- what cannot be opened -------------------------------------------------------------------
+
+
+def test_what_cannot_be_opened_is_named_with_what_would_be_right(tmp_path):
+    (tmp_path / "empty.mp4").touch()
+    (tmp_path / "text.mp4").write_text("no video " * 1000)
+    header_only = write_video(tmp_path / "none.avi", 0, fourcc="MJPG")
+    for source, said in [
+        (tmp_path / "none.mp4", "no such file"),
+        (tmp_path / "*.png", "no file matches"),
+        (tmp_path, r"is a folder; name the images in it, as in .*\*\.png"),
+        (tmp_path / "empty.mp4", "the file is empty; a video or an image is needed"),
+        (tmp_path / "text.mp4", "no frame can be read"),
+        (header_only, "no frame can be read|the file is empty"),
+        ("a" * 5000, "File name too long"),
+        ("[a]" * 2000, "File name too long"),
+        ("7", "no such file; a camera's number goes without quotes"),
+    ]:
+        with pytest.raises(CaptureError, match=said) as raised:
+            open_source(str(source))
+        assert str(raised.value).startswith(f"{source}: ")
+        assert "\n" not in str(raised.value)
+
+
+@pytest.mark.parametrize(
+    ("source", "options", "said"),
+    [
+        (-1, {}, "cameras are numbered 0, 1"),
+        (True, {}, "cameras are numbered 0, 1"),
+        ("", {}, "must name a file"),
+        ("a\0b", {}, "must name a file"),
+        ("file:///a.mp4", {}, "give the file's path instead"),
+        ("a.mp4", {"fps": 0.0}, "fps = 0.0"),
+        ("a.mp4", {"fps": float("nan")}, "fps = nan"),
+        ("a.mp4", {"timeout_s": -1.0}, "timeout_s = -1.0"),
+    ],
+)
+def test_what_is_no_source_at_all_is_refused(source, options, said):
+    with pytest.raises(InvalidInputError, match=said):
+        open_source(source, **options)
+
+
+def test_a_file_that_may_not_be_read_is_named(tmp_path, monkeypatch):
+    path = write_video(tmp_path / "a.mp4", 1)
+
+    def forbidden(*_, **__):  # file permissions would not stop the superuser
+        raise PermissionError(errno.EACCES, "Permission denied")
+
+    monkeypatch.setattr(Path, "open", forbidden)
+    with pytest.raises(CaptureError, match=r"a\.mp4: Permission denied"):
+        open_source(str(path))
+
+
+# --- live sources ----------------------------------------------------------------------------
+
+
+class HandFedDevice:
+    """A camera whose frames come when the test says so; one that is not fed blocks or fails."""
+
+    def __init__(self, *, opened: bool = True) -> None:
+        self.opened = opened
+        self.released = threading.Event()
+        self.unplugged = False
+        self._fed = threading.Condition()
+        self._waiting = 0
+        self._number = -1
+
+    def feed(self, count: int) -> None:
+        with self._fed:
+            self._waiting += count
+            self._fed.notify_all()
+
+    def isOpened(self) -> bool:  # noqa: N802 - OpenCV's name
+        return self.opened
+
+    def grab(self) -> bool:
+        with self._fed:
+            self._fed.wait_for(lambda: self._waiting, timeout=0.01)
+            if self.unplugged or not self._waiting:
+                return False
+            self._waiting -= 1
+            self._number += 1
+            return True
+
+    def retrieve(self):
+        return True, painted(self._number)
+
+    def release(self) -> None:
+        self.released.set()
+
+
+def live(device, *, timeout_s: float = PATIENCE_S, clock=time.monotonic_ns) -> LiveSource:
+    return LiveSource(0, timeout_s=timeout_s, clock=clock, connect=lambda *_: device)
+
+
+def test_a_slow_consumer_gets_the_newest_frame_with_its_grab_time():
+    device = HandFedDevice()
+    device.feed(1)
+    ticks = iter(range(10**9, 10**12, 10**9))
+    with live(device, clock=lambda: next(ticks)) as source:
+        assert source.kind is SourceKind.LIVE
+        first = next(source)
+        assert (first.index, number_in(first.image)) == (0, 0)
+        for newest in (10, 20, 30):
+            device.feed(10)
+            wait_until(lambda newest=newest: source.frames_grabbed == newest + 1)
+            frame = next(source)
+            assert (frame.index, number_in(frame.image)) == (newest, newest)
+            if newest == 10:
+                start_s = frame.time_s
+        assert frame.time_s >= start_s + 20
+        assert frame.time_s % 1 == 0
+    assert device.released.is_set()
+    assert list(source) == []
+
+
+def test_no_frame_is_given_twice():
+    device = HandFedDevice()
+    device.feed(1)
+    with live(device) as source:
+        next(source)
+        late = threading.Timer(0.1, device.feed, [1])
+        late.start()
+        assert next(source).index == 1
+        late.join()
+
+
+def test_a_camera_that_is_lost_is_an_error_and_not_a_wait_for_ever():
+    device = HandFedDevice()
+    device.feed(2)
+    with live(device, timeout_s=0.5) as source:
+        next(source)
+        device.unplugged = True
+        with pytest.raises(CaptureError, match=r"camera 0: no new frame within 0\.5 s"):
+            list(source)
+    assert device.released.is_set()
+
+
+def test_a_camera_that_does_not_open_or_never_sends_is_an_error():
+    with pytest.raises(CaptureError, match="camera 0: cannot be opened; is it plugged in"):
+        live(HandFedDevice(opened=False))
+    with pytest.raises(CaptureError, match=r"camera 0: no new frame within 0\.1 s"):
+        live(HandFedDevice(), timeout_s=0.1)
+
+
+def test_a_driver_that_raises_is_an_error_of_whoever_waits():
+    class Raising(HandFedDevice):
+        def retrieve(self):
+            raise cv2.error("the driver\nsays no")
+
+    device = Raising()
+    device.feed(1)
+    with pytest.raises(CaptureError, match="camera 0: the driver says no"):
+        live(device)
+    assert device.released.is_set()
+
+
+def test_a_device_that_blocks_for_ever_is_left_behind(caplog, monkeypatch):
+    monkeypatch.setattr("fingerpost.capture.live._JOIN_S", 0.05)
+    unblock = threading.Event()
+
+    def connect(source, limit):
+        assert unblock.wait(PATIENCE_S)
+        return HandFedDevice(opened=False)
+
+    with pytest.raises(CaptureError, match=r"camera 0: did not open within 0\.05 s"):
+        LiveSource(0, timeout_s=0.05, clock=time.monotonic_ns, connect=connect)
+    assert "camera 0: the device does not answer" in caplog.text
+    unblock.set()
+
+
+def test_closing_wakes_a_waiting_consumer():
+    device = HandFedDevice()
+    device.feed(1)
+    source = live(device)
+    next(source)
+    rest: list[object] = []
+    consumer = threading.Thread(target=lambda: rest.extend(source))
+    consumer.start()
+    source.close()
+    consumer.join(PATIENCE_S)
+    assert not consumer.is_alive()
+    assert rest == []
+
+
+def test_there_is_no_camera_63():
+    with pytest.raises(CaptureError, match="camera 63: cannot be opened"):
+        open_source(63)
+
+
+@pytest.mark.skipif(not Path("/dev/null").is_char_device(), reason="needs a device file")
+def test_a_device_file_is_opened_as_a_camera():
+    with pytest.raises(CaptureError, match="/dev/null: cannot be opened"):
+        open_source("/dev/null")
+
+
+class JpegServer(http.server.ThreadingHTTPServer):
+    """Motion JPEG on a loopback port: frames 0, 1, 2, ... are sent as far as `allowed`."""
+
+    daemon_threads = True
+    # Frames that the demuxer holds back until it has seen the start of later ones.
+    HELD_BACK = 2
+
+    def __init__(self, allowed: int) -> None:
+        super().__init__(("127.0.0.1", 0), JpegHandler)
+        self.allowed = allowed
+        self.closing = False
+        self.url = f"http://name:secret@127.0.0.1:{self.server_port}/stream.mjpg"
+
+
+class JpegHandler(http.server.BaseHTTPRequestHandler):
+    server: JpegServer
+
+    def do_GET(self) -> None:
+        if "stream" not in self.path:
+            self.send_error(404)
+            return
+        self.send_response(200)
+        self.send_header("Content-Type", "multipart/x-mixed-replace; boundary=frame")
+        self.end_headers()
+        number = 0
+        while not self.server.closing:
+            if number >= self.server.allowed:
+                time.sleep(0.005)
+                continue
+            jpeg = cv2.imencode(".jpg", painted(number))[1].tobytes()
+            head = f"--frame\r\nContent-Type: image/jpeg\r\nContent-Length: {len(jpeg)}\r\n\r\n"
+            self.wfile.write(head.encode() + jpeg + b"\r\n")
+            number += 1
+
+    def log_message(self, *args: object) -> None:
+        pass
+
+
+@pytest.fixture
+def server():
+    server = JpegServer(allowed=30)
+    thread = threading.Thread(target=server.serve_forever, args=[0.02])
+    thread.start()
+    yield server
+    server.closing = True
+    server.shutdown()
+    thread.join()
+    server.server_close()
+
+
+def test_a_stream_read_slowly_stays_fresh(server):
+    with open_source(server.url, timeout_s=PATIENCE_S) as source:
+        for sent in (30, 80, 130, 180):
+            server.allowed = sent
+            reached = sent - server.HELD_BACK
+            wait_until(lambda reached=reached: source.frames_grabbed >= reached)
+            assert number_in(next(source).image) >= reached - 1
+
+
+def test_a_stream_that_ends_is_lost(server):
+    with open_source(server.url, timeout_s=3.0) as source:
+        server.closing = True
+        with pytest.raises(CaptureError, match="no new frame within 3 s") as raised:
+            list(source)
+    assert "secret" not in str(raised.value)
+
+
+def test_urls_that_lead_nowhere_are_errors(server):
+    with pytest.raises(CaptureError, match=r"nothing\.mjpg: cannot be opened") as raised:
+        open_source(server.url.replace("stream", "nothing"), timeout_s=PATIENCE_S)
+    assert "secret" not in str(raised.value)
+
+
+def test_a_server_that_never_answers_is_given_up():
+    with http.server.socketserver.socket.create_server(("127.0.0.1", 0)) as silent:
+        url = f"http://127.0.0.1:{silent.getsockname()[1]}/stream.mjpg"
+        with pytest.raises(CaptureError, match=r"cannot be opened|did not open within 0\.3 s"):
+            open_source(url, timeout_s=0.3)
+
+
+def test_opencv_is_loaded_only_where_pixels_are_needed():
+    program = "import sys, fingerpost.config, fingerpost.recording; print('cv2' in sys.modules)"
+    command = [sys.executable, "-c", program]
+    assert subprocess.run(command, check=True, capture_output=True, text=True).stdout == "False\n"
+
+
+# --- several views ---------------------------------------------------------------------------
+
+
+def test_recorded_views_go_in_step_with_their_own_times(tmp_path, caplog):
+    write_video(tmp_path / "a.mp4", 12, fps=25)
+    write_video(tmp_path / "b.avi", 9, fourcc="MJPG", fps=20)
+    with open_source(str(tmp_path / "a.mp4")) as a, open_source(str(tmp_path / "b.avi")) as b:
+        steps = list(read_views([a, b]))
+    assert [[frame.index for frame in step] for step in steps] == [[k, k] for k in range(9)]
+    assert [[number_in(frame.image) for frame in step] for step in steps] == [
+        [k, k] for k in range(9)
+    ]
+    assert steps[8][0].time_s == pytest.approx(8 / 25)
+    assert steps[8][1].time_s == pytest.approx(8 / 20)
+    assert f"{tmp_path / 'b.avi'} ended before the other views" in caplog.text
+
+
+def test_views_stay_in_step_behind_a_damaged_stretch(tmp_path, caplog):
+    caplog.set_level(logging.CRITICAL)
+    whole = write_video(tmp_path / "whole.mp4", 60)
+    data = bytearray(whole.read_bytes())
+    damage = slice(int(len(data) * 0.4), int(len(data) * 0.6))
+    data[damage] = bytes(damage.stop - damage.start)
+    (tmp_path / "damaged.mp4").write_bytes(data)
+    with (
+        open_source(str(whole)) as a,
+        open_source(str(tmp_path / "damaged.mp4")) as b,
+    ):
+        steps = list(read_views([a, b]))
+    assert [step[0].index for step in steps] == list(range(60))
+    both = [step for step in steps if step[1] is not None]
+    assert 30 < len(both) < 60
+    assert all(left.index == right.index for left, right in both)
+    assert [number_in(step[1].image) for step in steps[48:]] == list(range(48, 60))
+
+
+def test_live_views_give_a_new_frame_of_each(tmp_path):
+    devices = [HandFedDevice(), HandFedDevice()]
+    for device in devices:
+        device.feed(1)
+    with live(devices[0]) as a, live(devices[1]) as b:
+        steps = read_views([a, b])
+        assert [frame.index for frame in next(steps)] == [0, 0]
+        devices[0].feed(5)
+        wait_until(lambda: a.frames_grabbed == 6)
+        devices[1].feed(1)
+        assert [frame.index for frame in next(steps)] == [5, 1]
+        a.close()
+        devices[1].feed(1)
+        assert list(steps) == []
+
+
+def test_views_of_different_kind_or_none_are_refused(tmp_path):
+    write_images(tmp_path, ["1.png"])
+    device = HandFedDevice()
+    device.feed(1)
+    with (
+        open_source(str(tmp_path / "1.png")) as recorded,
+        live(device) as camera,
+        pytest.raises(InvalidInputError, match=r"1\.png \(recorded\), camera 0 \(live\)"),
+    ):
+        read_views([recorded, camera])
+    with pytest.raises(InvalidInputError, match="at least one view"):
+        read_views([])
+
+
+def test_times_of_one_view_only_grow(tmp_path):
+    path = write_video(tmp_path / "a.mp4", 30, fps=29.97)
+    with open_source(str(path)) as source:
+        times = [frame.time_s for frame in source]
+    assert all(later > earlier for earlier, later in pairwise(times))

@@ -1,0 +1,147 @@
+"""The command line as a user meets it: exit codes, one line for a mistake, files that stay."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from fingerpost.recording import read_points, read_tracks
+from fingerpost.simulate import DevicePose, SimulatedRig, Trajectory, write_recording
+
+FRAMES = 10
+
+
+@pytest.fixture(scope="module")
+def rig_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    pose = DevicePose.pointing_at((200.0, 200.0), azimuth_deg=20.0, slant_deg=50.0, hover_mm=120.0)
+    directory = tmp_path_factory.mktemp("recording")
+    return write_recording(directory, SimulatedRig(), Trajectory.hold(pose, 1.0), frames=FRAMES)
+
+
+def fingerpost(*arguments: object, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "fingerpost", *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        cwd=cwd,
+        timeout=120,
+        check=False,
+    )
+
+
+def refused(*arguments: object) -> str:
+    """The one line with which bad input is refused."""
+    done = fingerpost(*arguments)
+    assert done.returncode == 2
+    assert done.stdout == ""
+    (line,) = done.stderr.splitlines()
+    return line
+
+
+def test_run_writes_points_and_tracks_and_a_summary(rig_file, tmp_path):
+    points, tracks, overlay = (tmp_path / name for name in ("p.csv", "t.csv", "o.mp4"))
+    done = fingerpost("run", rig_file, "--points", points, "--tracks", tracks, "--overlay", overlay)
+    assert done.returncode == 0, done.stderr
+    assert f"frames   {FRAMES}" in done.stdout
+    rows = read_points(points)
+    assert [row.frame for row in rows] == list(range(FRAMES))
+    assert rows[-1].status == "ok"
+    assert (rows[-1].x, rows[-1].y) == (pytest.approx(200, abs=3), pytest.approx(200, abs=3))
+    assert {row.view for row in read_tracks(tracks)} == {"left", "right"}
+    assert len(read_tracks(tracks)) == 2 * FRAMES
+    assert overlay.stat().st_size > 0
+
+
+def test_run_prints_json_lines_where_a_program_reads(rig_file):
+    done = fingerpost("run", rig_file, "--json", "--max-frames", 6)
+    rows = [json.loads(line) for line in done.stdout.splitlines()]
+    assert len(rows) == 6
+    assert set(rows[0]) >= {"frame", "time_s", "status", "x", "y", "cov_xx", "crossing_angle_deg"}
+    assert rows[0]["status"] == "acquiring"
+    assert rows[-1]["status"] == "ok"
+
+
+def test_run_follows_the_hand_with_the_papers_model_too(rig_file):
+    done = fingerpost("run", rig_file, "--json", "--model", "paper")
+    assert json.loads(done.stdout.splitlines()[-1])["status"] == "ok"
+
+
+def test_the_demo_leaves_table_picture_and_video(tmp_path):
+    done = fingerpost("demo", "--output", tmp_path / "out", "--max-frames", 12, "--json")
+    assert done.returncode == 0, done.stderr
+    summary = json.loads(done.stdout)
+    assert summary["frames"] == 12
+    for name in ("points.csv", "tracks.csv", "summary.png", "overlay.mp4"):
+        assert (tmp_path / "out" / name).stat().st_size > 0
+
+
+def test_the_experiment_prints_its_table(tmp_path):
+    options = ("--targets", 4, "--size", 320, 240, "--seed", 3)
+    done = fingerpost("experiment", *options, "--draw", tmp_path / "e.png")
+    assert done.returncode == 0, done.stderr
+    assert "RMS" in done.stdout
+    assert (tmp_path / "e.png").stat().st_size > 0
+    assert json.loads(fingerpost("experiment", *options, "--json").stdout)["figures"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "line"),
+    [
+        (["run", "nowhere.toml"], "nowhere.toml: No such file or directory"),
+        (["run"], "Missing argument 'RIG.TOML'"),
+        (["run", "rig.toml", "--fast"], "No such option"),
+        (["run", "rig.toml", "--max-frames", "0"], "0 is not in the range x>=1"),
+        (["experiment", "--taper", "3"], "taper is 3.0; it must be a number from 0 to 0.6"),
+        (["experiment", "--recording", "rig.toml"], "--recording and --truth go together"),
+        (["walk"], "No such command 'walk'"),
+    ],
+)
+def test_a_mistake_is_one_line_and_exit_code_2(arguments, line):
+    assert line in refused(*arguments)
+
+
+def test_a_rig_with_a_mistake_names_file_key_and_what_would_be_right(rig_file, tmp_path):
+    text = rig_file.read_text()
+    (tmp_path / "rig.toml").write_text(text.replace("angle_deg", "angel_deg", 1))
+    line = refused("run", tmp_path / "rig.toml")
+    assert str(tmp_path / "rig.toml") in line
+    assert "angel_deg" in line
+
+
+def test_a_table_that_cannot_be_written_is_one_line(rig_file, tmp_path):
+    assert "no/p.csv" in refused("run", rig_file, "--points", tmp_path / "no" / "p.csv")
+    assert "o.gif" in refused("run", rig_file, "--overlay", tmp_path / "o.gif")
+
+
+def test_a_missing_recording_fails_with_one_line(rig_file, tmp_path):
+    (tmp_path / "rig.toml").write_text(rig_file.read_text())
+    done = fingerpost("run", tmp_path / "rig.toml")
+    assert done.returncode == 1
+    assert len(done.stderr.splitlines()) == 1
+    assert "left" in done.stderr
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGINT") or os.name == "nt", reason="POSIX signals")
+def test_ctrl_c_keeps_what_was_written(tmp_path):
+    points = tmp_path / "points.csv"
+    demo = subprocess.Popen(
+        [sys.executable, "-m", "fingerpost", "demo", "--output", str(tmp_path), "--simulate"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    deadline_s = time.monotonic() + 60
+    while time.monotonic() < deadline_s and (
+        not points.exists() or len(points.read_text().splitlines()) < 5
+    ):
+        time.sleep(0.05)
+    demo.send_signal(signal.SIGINT)
+    _, said = demo.communicate(timeout=30)
+    assert demo.returncode == 130
+    assert said.splitlines()[-1] == "fingerpost: stopped"
+    assert len(read_points(points)) >= 4

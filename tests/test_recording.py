@@ -1,0 +1,361 @@
+"""Tables and videos: what was written is there, after a crash too, and reads back the same."""
+
+import math
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from fingerpost.errors import FingerpostError, InvalidInputError
+from fingerpost.recording import (
+    PointRow,
+    TrackRow,
+    VideoWriter,
+    read_points,
+    read_tracks,
+    write_points,
+    write_tracks,
+)
+
+POINTS_HEADER = "frame,time_s,status,x,y,cov_xx,cov_xy,cov_yy,crossing_angle_deg"
+TRACKS_HEADER = "frame,time_s,view,status,tip_u,tip_v,angle_rad,sigma_angle_rad,sigma_offset_px"
+POINT = PointRow(
+    frame=3,
+    time_s=0.12,
+    status="ok",
+    x=201.5,
+    y=-3.25,
+    cov_xx=0.5,
+    cov_xy=-0.1,
+    cov_yy=0.25,
+    crossing_angle_deg=17.5,
+)
+TRACK = TrackRow(
+    frame=3,
+    time_s=0.12,
+    view="left",
+    status="tracking",
+    tip_u=194.6,
+    tip_v=211.9,
+    angle_rad=0.75,
+    sigma_angle_rad=0.001,
+    sigma_offset_px=0.02,
+)
+
+
+# --- tables ----------------------------------------------------------------------------------
+
+
+def test_the_tables_are_the_documented_ones(tmp_path):
+    with write_points(tmp_path / "p.csv") as points, write_tracks(tmp_path / "t.csv") as tracks:
+        points.write(PointRow(frame=2, time_s=0.08, status="acquiring"))
+        points.write(POINT)
+        tracks.write(TRACK)
+        tracks.write(TrackRow(frame=4, time_s=0.16, view="up, down", status="lost"))
+    assert (tmp_path / "p.csv").read_bytes().decode() == (
+        f"{POINTS_HEADER}\n2,0.08,acquiring,,,,,,\n3,0.12,ok,201.5,-3.25,0.5,-0.1,0.25,17.5\n"
+    )
+    assert (tmp_path / "t.csv").read_bytes().decode() == (
+        f"{TRACKS_HEADER}\n3,0.12,left,tracking,194.6,211.9,0.75,0.001,0.02\n"
+        '4,0.16,"up, down",lost,,,,,\n'
+    )
+
+
+def test_numbers_from_numpy_are_written_as_numbers(tmp_path):
+    row = PointRow(frame=0, time_s=np.float64(0.1), status="ok", x=np.float64(1 / 3), y=2)
+    with write_points(tmp_path / "p.csv") as table:
+        table.write(row)
+    assert (tmp_path / "p.csv").read_text().splitlines()[1] == f"0,0.1,ok,{1 / 3},2,,,,"
+
+
+finite = st.floats(allow_nan=False, allow_infinity=False)
+sigmas = st.floats(min_value=0, allow_infinity=False) | st.none()
+times = st.floats(0, 1e9)
+
+
+@st.composite
+def point_rows(draw: st.DrawFn) -> PointRow:
+    x, y = draw(st.tuples(finite, finite) | st.just((None, None)))
+    deviations = st.just(0.0) | st.floats(1e-12, 1e12)
+    correlation = st.floats(-1, 1)
+    covariance = st.tuples(deviations, deviations, correlation).map(
+        lambda d: (d[0] * d[0], d[0] * d[1] * d[2], d[1] * d[1])
+    )
+    xx, xy, yy = draw(covariance | st.just((None, None, None)))
+    return PointRow(
+        frame=draw(st.integers(0, 2**40)),
+        time_s=draw(times),
+        status=draw(st.sampled_from(PointRow.STATUSES[0 if x is not None else 1 :])),
+        x=x,
+        y=y,
+        cov_xx=xx,
+        cov_xy=xy,
+        cov_yy=yy,
+        crossing_angle_deg=draw(finite | st.none()),
+    )
+
+
+@st.composite
+def track_rows(draw: st.DrawFn) -> TrackRow:
+    u, v, angle = draw(st.tuples(finite, finite, finite) | st.just((None, None, None)))
+    statuses = TrackRow.STATUSES if u is not None else ("acquiring", "lost")
+    return TrackRow(
+        frame=draw(st.integers(0, 2**40)),
+        time_s=draw(times),
+        view=draw(st.text(st.characters(exclude_categories=["C"]), min_size=1)),
+        status=draw(st.sampled_from(statuses)),
+        tip_u=u,
+        tip_v=v,
+        angle_rad=angle,
+        sigma_angle_rad=draw(sigmas),
+        sigma_offset_px=draw(sigmas),
+    )
+
+
+@given(points=st.lists(point_rows(), max_size=5), tracks=st.lists(track_rows(), max_size=5))
+def test_whatever_is_written_reads_back_the_same(tmp_path_factory, points, tracks):
+    folder = tmp_path_factory.mktemp("tables")
+    with write_points(folder / "p.csv") as table:
+        for point in points:
+            table.write(point)
+    with write_tracks(folder / "t.csv") as table:
+        for track in tracks:
+            table.write(track)
+    assert read_points(folder / "p.csv") == points
+    assert read_tracks(folder / "t.csv") == tracks
+
+
+def test_what_a_spreadsheet_or_a_later_version_writes_is_read(tmp_path):
+    path = tmp_path / "p.csv"
+    path.write_bytes(
+        f"\ufeffnote,{POINTS_HEADER}\r\nhi,3,.12,ok,2015e-1,-3.25,.5,-.1,.25,17.5\r\n".encode()
+    )
+    assert read_points(path) == [POINT]
+
+
+def test_a_killed_run_loses_no_row(tmp_path):
+    program = """
+import os, signal, sys
+from fingerpost.recording import PointRow, write_points
+table = write_points(sys.argv[1])
+for frame in range(100):
+    table.write(PointRow(frame=frame, time_s=frame / 25, status="lost"))
+os.kill(os.getpid(), signal.SIGKILL)
+"""
+    done = subprocess.run([sys.executable, "-c", program, str(tmp_path / "p.csv")], check=False)
+    assert done.returncode == -signal.SIGKILL
+    assert [row.frame for row in read_points(tmp_path / "p.csv")] == list(range(100))
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs the device that is always full")
+def test_a_full_disk_is_an_error():
+    with pytest.raises(FingerpostError, match="/dev/full: cannot be written: No space left"):
+        write_points("/dev/full")
+
+
+def test_a_table_that_cannot_be_created_or_read_is_named(tmp_path):
+    with pytest.raises(InvalidInputError, match=r"none/p\.csv: cannot be written: No such file"):
+        write_points(tmp_path / "none" / "p.csv")
+    with pytest.raises(InvalidInputError, match=r"none\.csv: No such file"):
+        read_tracks(tmp_path / "none.csv")
+    (tmp_path / "p.csv").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(InvalidInputError, match=r"p\.csv: not a text file in UTF-8"):
+        read_points(tmp_path / "p.csv")
+
+
+@pytest.mark.parametrize(
+    ("row", "said"),
+    [
+        ("3,0.12,ok", "line 3: 3 cells found; the header has 9"),
+        ("3.0,0.12,lost,,,,,,", "line 3: frame is '3.0'; a whole number is needed"),
+        ("-3,0.12,lost,,,,,,", "line 3: frame is '-3'"),
+        (",0.12,lost,,,,,,", "line 3: frame is ''"),
+        ("3,,lost,,,,,,", "line 3: time_s is ''; a number is needed"),
+        ("3,nan,lost,,,,,,", "line 3: time_s is 'nan'"),
+        ("3,1e999,lost,,,,,,", "line 3: time_s is inf; a finite number"),
+        ("3,0.12,found,,,,,,", "line 3: status is 'found'; known are ok, acq"),
+        ("3,0.12,ok,1,x,,,,", "line 3: y is 'x'"),
+        ("3,0.12,ok,1_0,1,,,,", "line 3: x is '1_0'"),
+        ("3,0.12,ok,1,,,,,", "line 3: x, y must all be given or all be empty"),
+        ("3,0.12,ok,,,,,,", "line 3: x is empty; a fix with status ok has a point"),
+        ("3,0.12,ok,1,1,1,,1,", "line 3: cov_xx, cov_xy, cov_yy must all be given"),
+        ("3,0.12,ok,1,1,1,2,1,", "line 3: cov_xx, cov_xy, cov_yy = 1.0, 2.0, 1.0: not a cov"),
+        ("3,0.12,ok,1,1,-1,0,1,", "not a covariance"),
+        ('3,0.12,"ok', "line 3: unexpected end of data"),
+    ],
+)
+def test_a_bad_row_is_named_by_its_line(tmp_path, row, said):
+    path = tmp_path / "p.csv"
+    path.write_text(f"{POINTS_HEADER}\n0,0.0,lost,,,,,,\n{row}\n")
+    with pytest.raises(InvalidInputError) as raised:
+        read_points(path)
+    assert str(raised.value).startswith(f"{path}: ")
+    assert said in str(raised.value)
+    assert "\n" not in str(raised.value)
+
+
+def test_a_missing_column_is_named(tmp_path):
+    path = tmp_path / "t.csv"
+    path.write_text(TRACKS_HEADER.replace("view,", "") + "\n")
+    with pytest.raises(InvalidInputError, match=r"t\.csv: line 1: the column view is missing"):
+        read_tracks(path)
+    path.write_text("")
+    with pytest.raises(InvalidInputError, match="the column frame is missing"):
+        read_tracks(path)
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"view": ""}, "view is empty"),
+        ({"tip_u": None}, "tip_u, tip_v, angle_rad must all be given"),
+        ({"tip_u": None, "tip_v": None, "angle_rad": None}, "a finger that is tracked has a tip"),
+        ({"angle_rad": math.inf}, "angle_rad is inf"),
+        ({"sigma_offset_px": -1.0}, "sigma_offset_px is -1.0; 0 or more"),
+        ({"status": "ok"}, "known are acquiring, tracking, lost"),
+        ({"frame": True}, "frame is True"),
+    ],
+)
+def test_a_row_that_makes_no_sense_is_not_made(changes, said):
+    cells = {name: getattr(TRACK, name) for name in TRACKS_HEADER.split(",")}
+    with pytest.raises(InvalidInputError, match=said):
+        TrackRow(**(cells | changes))
+
+
+# --- videos ----------------------------------------------------------------------------------
+
+
+def frames_of(path: Path) -> list[np.ndarray]:
+    video = cv2.VideoCapture(str(path))
+    frames = []
+    while (read := video.read())[0]:
+        frames.append(read[1])
+    return frames
+
+
+@pytest.mark.parametrize("suffix", [".mp4", ".mkv", ".avi", ".MP4"])
+@pytest.mark.parametrize("size", [(64, 48), (63, 47)])
+def test_a_video_holds_every_frame(tmp_path, suffix, size):
+    path = tmp_path / f"o{suffix}"
+    levels = [0, 80, 160, 240]
+    with VideoWriter(path, fps=25) as video:
+        for level in levels:
+            video.write(np.full((size[1], size[0]), level, np.uint8))
+        assert not path.exists()
+    frames = frames_of(path)
+    assert [frame.shape for frame in frames] == [(48, 64, 3)] * 4
+    np.testing.assert_allclose([frame.mean() for frame in frames], levels, atol=4)
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_colours_stay_what_they_are(tmp_path):
+    colour = (30, 120, 220)
+    with VideoWriter(tmp_path / "o.avi", fps=25) as video:
+        video.write(np.full((48, 64, 3), colour, np.uint8))
+    np.testing.assert_allclose(frames_of(tmp_path / "o.avi")[0].mean(axis=(0, 1)), colour, atol=4)
+
+
+def test_an_interrupted_run_leaves_a_whole_video(tmp_path):
+    def interrupted() -> None:
+        with VideoWriter(tmp_path / "o.mp4", fps=25) as video:
+            for _ in range(5):
+                video.write(np.zeros((48, 64), np.uint8))
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    assert len(frames_of(tmp_path / "o.mp4")) == 5
+
+
+def test_a_killed_run_leaves_the_older_video_and_a_part(tmp_path):
+    for name in ("o.avi", "o.mp4"):
+        with VideoWriter(tmp_path / name, fps=25) as video:
+            video.write(np.zeros((48, 64), np.uint8))
+    program = """
+import os, signal, sys
+import numpy as np
+from fingerpost.recording import VideoWriter
+rng = np.random.default_rng(0)
+for path in sys.argv[1:]:
+    video = VideoWriter(path, fps=25)
+    for _ in range(100):
+        video.write(rng.integers(0, 256, (240, 320), dtype=np.uint8))
+os.kill(os.getpid(), signal.SIGKILL)
+"""
+    paths = [str(tmp_path / "o.avi"), str(tmp_path / "o.mp4")]
+    done = subprocess.run([sys.executable, "-c", program, *paths], check=False)
+    assert done.returncode == -signal.SIGKILL
+    assert [len(frames_of(Path(path))) for path in paths] == [1, 1]
+    assert len(frames_of(tmp_path / "o.part.avi")) > 80
+
+
+def test_a_disk_that_is_full_is_an_error_and_no_video(tmp_path):
+    program = """
+import resource, sys
+import numpy as np
+from fingerpost.errors import FingerpostError
+from fingerpost.recording import VideoWriter
+resource.setrlimit(resource.RLIMIT_FSIZE, (400_000, 400_000))
+rng = np.random.default_rng(0)
+for path in sys.argv[1:]:
+    try:
+        with VideoWriter(path, fps=25) as video:
+            for _ in range(30):
+                video.write(rng.integers(0, 256, (240, 320), dtype=np.uint8))
+    except FingerpostError as error:
+        print(error)
+"""
+    paths = [str(tmp_path / f"o{suffix}") for suffix in (".mp4", ".mkv", ".avi")]
+    done = subprocess.run(
+        [sys.executable, "-c", program, *paths], check=True, capture_output=True, text=True
+    )
+    assert done.stdout.count("not all of 30 frames could be written; is the disk full?") == 3
+    assert not any(map(os.path.exists, paths))
+
+
+def test_a_video_that_cannot_be_made_is_refused_at_once(tmp_path):
+    for name, said in [
+        ("none/o.mp4", "the folder .*none does not exist"),
+        ("o.webm", r"a name ending in \.mp4, \.mkv, \.avi is needed"),
+    ]:
+        with pytest.raises(InvalidInputError, match=said):
+            VideoWriter(tmp_path / name, fps=25)
+    (tmp_path / "o.mp4").mkdir()
+    with pytest.raises(InvalidInputError, match="is a folder"):
+        VideoWriter(tmp_path / "o.mp4", fps=25)
+    for fps in (0, -1, math.nan, math.inf):
+        with pytest.raises(InvalidInputError, match="must be a finite number above 0"):
+            VideoWriter(tmp_path / "p.mp4", fps=fps)
+
+
+def test_an_image_that_does_not_fit_is_refused(tmp_path):
+    with VideoWriter(tmp_path / "o.mp4", fps=25) as video:
+        video.write(np.zeros((48, 64), np.uint8))
+        with pytest.raises(InvalidInputError, match="64 x 50 pixels: the video's first one has 64"):
+            video.write(np.zeros((50, 64), np.uint8))
+        for image in (np.zeros((48, 64)), np.zeros((48, 64, 4), np.uint8), np.zeros(4, np.uint8)):
+            with pytest.raises(InvalidInputError, match="of uint8 is needed"):
+                video.write(image)
+    assert len(frames_of(tmp_path / "o.mp4")) == 1
+
+
+def test_a_size_that_the_encoder_refuses_is_named(tmp_path):
+    with (
+        VideoWriter(tmp_path / "o.mp4", fps=25) as video,
+        pytest.raises(FingerpostError, match="mp4v does not open for 20000 x 20 pixels"),
+    ):
+        video.write(np.zeros((20, 20000), np.uint8))
+    assert not (tmp_path / "o.mp4").exists()
+
+
+def test_a_video_without_frames_is_no_file(tmp_path):
+    with VideoWriter(tmp_path / "o.mp4", fps=25):
+        pass
+    assert list(tmp_path.iterdir()) == []

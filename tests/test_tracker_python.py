@@ -1,0 +1,294 @@
+"""`ContourTracker` from Python, on hands drawn here with a known axis."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from fingerpost._core import ContourTracker, FingerLine, StartPose, Template, Track
+from fingerpost.errors import InvalidInputError
+
+FRAME_S = 1 / 30
+NOISE_GREY = 2.0
+
+
+@dataclass(frozen=True)
+class Hand:
+    """A finger and a thumb, each a band with round ends, on an even background."""
+
+    tip: tuple[float, float] = (320.0, 240.0)
+    angle_rad: float = 0.5
+    half_width_px: float = 10.0
+    thumb: str = "left"
+    thumb_angle_rad: float = 1.25
+    grey: tuple[int, int] = (170, 90)
+
+    @property
+    def direction(self) -> np.ndarray:
+        return np.array([np.cos(self.angle_rad), np.sin(self.angle_rad)])
+
+    def draw(self, rng: np.random.Generator | None = None) -> np.ndarray:
+        """640 × 480 px; edges cover their pixels by the area, blurred by 1 px."""
+        tip, e, w = np.array(self.tip), self.direction, self.half_width_px
+        outside = _beyond_band(tip - 130 * e, tip - w * e, w)
+        if self.thumb != "none":
+            side = {"left": -1.0, "right": 1.0}[self.thumb]
+            angle = self.angle_rad + side * self.thumb_angle_rad
+            root, along = tip - 90 * e, np.array([np.cos(angle), np.sin(angle)])
+            outside = np.minimum(outside, _beyond_band(root, root + 66 * along, 0.9 * w))
+        hand, background = self.grey
+        image = background + (hand - background) * np.clip(0.5 - outside, 0.0, 1.0)
+        image = cv2.GaussianBlur(image, (0, 0), 1.0)
+        if rng is not None:
+            image += rng.normal(0, NOISE_GREY, image.shape)
+        return np.clip(np.round(image), 0, 255).astype(np.uint8)
+
+    def error(self, line: FingerLine) -> np.ndarray:
+        """Offset [px] at the line's anchor and angle [rad] of a line from the true axis."""
+        normal = np.array([-self.direction[1], self.direction[0]])
+        offset = (np.array(line.anchor_px) - self.tip) @ normal
+        turn = line.angle_rad - self.angle_rad
+        return np.array([offset, np.arctan2(np.sin(turn), np.cos(turn))])
+
+
+def _beyond_band(start: np.ndarray, end: np.ndarray, half_width_px: float) -> np.ndarray:
+    """Distance of every pixel from a band with round ends; negative inside."""
+    spine = end - start
+    u, v = np.arange(640.0)[None, :] - start[0], np.arange(480.0)[:, None] - start[1]
+    part = np.clip((u * spine[0] + v * spine[1]) / (spine @ spine), 0.0, 1.0)
+    return np.sqrt((u - part * spine[0]) ** 2 + (v - part * spine[1]) ** 2) - half_width_px
+
+
+def waving(hand: Hand, frames: int) -> list[Hand]:
+    """The hand at 0.3 Hz about its place, up to 3 px and 0.6° a frame."""
+    times = FRAME_S * np.arange(frames)
+    return [
+        replace(
+            hand,
+            tip=(hand.tip[0] + 40 * np.sin(2 * t), hand.tip[1] + 30 * np.sin(1.5 * t)),
+            angle_rad=hand.angle_rad + 0.15 * np.sin(2 * t),
+        )
+        for t in times
+    ]
+
+
+def waiting_for(hand: Hand, **options: object) -> ContourTracker:
+    start = StartPose(hand.tip, hand.angle_rad, 90)
+    return ContourTracker(Template.pistol(hand.thumb), start, options)
+
+
+def follow(tracker: ContourTracker, images: list[np.ndarray], **more: object) -> list[Track]:
+    return [tracker.update(image, FRAME_S * i, **more) for i, image in enumerate(images)]
+
+
+def told(track: Track) -> tuple[object, ...]:
+    """Everything that a track tells, bit by bit."""
+    line, d = track.finger_line, track.diagnostics
+    return (
+        track.time_s,
+        track.status,
+        track.shape_names,
+        None if track.shape_vector is None else track.shape_vector.tobytes(),
+        None if track.shape_covariance is None else track.shape_covariance.tobytes(),
+        line and (line.anchor_px, line.tip_px, line.angle_rad, line.covariance.tobytes()),
+        (d.visible, d.hits, d.inliers, d.residual_rms_px, d.rank, d.iterations, d.accepted),
+    )
+
+
+HANDS = [
+    Hand(),
+    Hand(thumb="right", angle_rad=2.4),
+    Hand(thumb="none", angle_rad=-1.0),
+    Hand(grey=(60, 140), angle_rad=-2.9),
+    Hand(half_width_px=13.0, thumb_angle_rad=1.0, angle_rad=3.1),
+]
+
+
+@pytest.mark.parametrize("model", ["ribbon", "paper"])
+@pytest.mark.parametrize("hand", HANDS)
+def test_a_waving_hand_is_tracked_along_its_true_axis(hand, model):
+    rng = np.random.default_rng(HANDS.index(hand))
+    truth = waving(hand, 36)
+    tracks = follow(waiting_for(hand, model=model), [h.draw(rng) for h in truth])
+    statuses = [track.status for track in tracks]
+    acquired = statuses.index("tracking")
+    assert acquired <= 6
+    assert set(statuses[:acquired]) <= {"acquiring"}
+    assert set(statuses[acquired:]) == {"tracking"}
+    assert all(track.finger_line is None for track in tracks[:acquired])
+
+    nees = []
+    for h, track in zip(truth[acquired:], tracks[acquired:], strict=True):
+        error = h.error(track.finger_line)
+        assert abs(error[0]) < 0.08  # of 20 px width
+        assert abs(error[1]) < np.radians(0.3)
+        along = (np.array(track.finger_line.tip_px) - h.tip) @ h.direction
+        assert abs(along) < 0.6
+        nees.append(error @ np.linalg.solve(track.finger_line.covariance, error))
+    if model == "ribbon":  # the paper's planar template is not quite this hand
+        assert 0.3 < np.mean(nees) < 3.0  # 2 if the covariance were neither bold nor shy
+
+
+def test_colour_and_grey_agree_on_a_hand_that_both_show():
+    hand = Hand()
+    images = [h.draw(np.random.default_rng(7)) for h in waving(hand, 20)]
+    plain, coloured = waiting_for(hand), waiting_for(hand)
+    for i, image in enumerate(images):
+        colour = np.stack([image // 2, image, 255 - image], axis=2)
+        a = plain.update(image, i * FRAME_S).finger_line
+        b = coloured.update(image, i * FRAME_S, colour).finger_line
+        assert (a is None) == (b is None)
+    assert a is not None
+    assert b.angle_rad == pytest.approx(a.angle_rad, abs=np.radians(0.1))
+    assert b.tip_px == pytest.approx(a.tip_px, abs=0.3)
+
+
+def test_a_hand_that_leaves_is_lost_and_found_where_it_returns():
+    hand, empty = Hand(), np.full((480, 640), 90, np.uint8)
+    tracker = waiting_for(hand, track={"lose_after_frames": 4})
+    image = hand.draw()
+    tracks = follow(tracker, [image] * 8 + [empty] * 10 + [image] * 8)
+    statuses = [track.status for track in tracks]
+    assert statuses[7:12] == ["tracking"] * 4 + ["lost"]
+    assert statuses[17] == "lost"
+    assert statuses[-1] == "tracking"
+    assert "acquiring" not in statuses[8:]
+    for track in tracks[8:18]:
+        assert track.finger_line is None
+        assert track.shape_vector is None
+        assert not track.diagnostics.accepted
+    assert np.abs(hand.error(tracks[-1].finger_line)) == pytest.approx([0, 0], abs=0.02)
+
+
+@pytest.mark.parametrize("model", ["ribbon", "paper"])
+def test_the_same_frames_give_the_same_bits(model):
+    hand = Hand()
+    rng = np.random.default_rng(31)
+    images = [h.draw(rng) for h in waving(hand, 15)]
+    padded = [np.pad(image, ((0, 0), (13, 51)), mode="reflect")[:, 13:-51] for image in images]
+    once = follow(waiting_for(hand, model=model), images)
+    assert once[-1].status == "tracking"
+    for again in [images, padded]:
+        tracks = follow(waiting_for(hand, model=model), again)
+        assert [told(track) for track in tracks] == [told(track) for track in once]
+
+
+def test_the_shape_is_that_of_the_hand():
+    hand = Hand(half_width_px=12.0)
+    track = follow(waiting_for(hand), [hand.draw()] * 8)[-1]
+    shape = dict(zip(track.shape_names, track.shape_vector, strict=True))
+    assert shape["theta [rad]"] == pytest.approx(hand.angle_rad, abs=1e-3)
+    assert shape["half_width [px]"] == pytest.approx(12.0, abs=0.15)
+    assert shape["taper [1]"] == pytest.approx(0.0, abs=0.01)
+    assert shape["thumb_half_width [px]"] == pytest.approx(0.9 * 12.0, abs=0.3)
+    thumb = np.arctan2(shape["thumb_v [px]"], shape["thumb_u [px]"])
+    assert thumb == pytest.approx(hand.angle_rad - hand.thumb_angle_rad, abs=0.02)
+    covariance = track.shape_covariance
+    assert covariance.shape == (9, 9)
+    assert covariance == pytest.approx(covariance.T)
+    assert (np.linalg.eigvalsh(covariance) > 0).all()
+
+
+def test_the_contour_and_the_search_lie_on_the_hand():
+    hand = Hand()
+    tracker = waiting_for(hand)
+    waiting = tracker.contour()
+    assert len(tracker.search_lines()) == 0
+    assert np.linalg.norm(waiting - np.array(hand.tip), axis=1).min() < 3
+    follow(tracker, [hand.draw()] * 8)
+    tip, e, w = np.array(hand.tip), hand.direction, hand.half_width_px
+    d = tracker.contour() - tip
+    on_finger = (np.abs(d @ [-e[1], e[0]]) < 2 * w) & (d @ e > -60)
+    assert on_finger.sum() > 20
+    centre = np.minimum(d[on_finger] @ e, -w)[:, None] * e
+    assert np.linalg.norm(d[on_finger] - centre, axis=1) == pytest.approx(w, abs=0.15)
+    lines = tracker.search_lines()
+    hits = lines.miss == ""
+    assert hits.mean() > 0.9
+    assert np.array_equal(hits, np.isfinite(lines.offset_px))
+    assert np.median(lines.contrast_grey[hits]) == pytest.approx(80, rel=0.01)
+    assert (lines.separation[hits] > 0).all()
+    assert np.linalg.norm(lines.normal, axis=1) == pytest.approx(1)
+
+
+def test_a_traced_outline_is_tracked_by_the_papers_model():
+    hand = Hand(thumb="none")
+    pq = Template.pistol("none").outline(200)
+    traced = Template.from_outline(pq, knuckle=(-0.5, 0), tip=(0.5, 0), hand="right")
+    start = StartPose(hand.tip, hand.angle_rad, 90)
+    tracker = ContourTracker(traced, start, {"model": "paper"})
+    track = follow(tracker, [hand.draw()] * 8)[-1]
+    assert track.status == "tracking"
+    assert np.abs(hand.error(track.finger_line)) == pytest.approx([0, 0], abs=0.05)
+    with pytest.raises(InvalidInputError, match="needs a pistol template"):
+        ContourTracker(traced, start)
+
+
+def test_times_run_forward():
+    hand = Hand()
+    image, tracker = hand.draw(), waiting_for(hand)
+    before = [told(track) for track in follow(tracker, [image] * 8)]
+    spoiled = waiting_for(hand)
+    after = []
+    for i in range(8):
+        for wrong, complaint in [
+            (np.nan, "frame time .* is NaN; it must be finite"),
+            (np.inf, "frame time .* is inf"),
+            ("0", "time_s is '0'; it must be a real number"),
+            (FRAME_S * (i - 1.5), "frame time .*; it must be at or after the last frame's"),
+        ]:
+            if i == 0 and wrong == FRAME_S * -1.5:
+                continue  # the first frame may have any time
+            with pytest.raises(InvalidInputError, match=complaint):
+                spoiled.update(image, wrong)
+        after.append(told(spoiled.update(image, FRAME_S * i)))
+    assert after == before
+    assert tracker.update(image, FRAME_S * 7).status == "tracking"  # at the last frame's is right
+
+
+SOUND: dict[str, Callable[[Track], bool]] = {
+    "status": lambda t: t.status in {"acquiring", "tracking", "lost"},
+    "line": lambda t: t.finger_line is None or t.status == "tracking",
+    "shape": lambda t: (t.shape_vector is None) == (not t.diagnostics.accepted),
+    "finite": lambda t: t.shape_vector is None or bool(np.isfinite(t.shape_vector).all()),
+    "counts": lambda t: t.diagnostics.inliers <= t.diagnostics.visible,
+}
+
+
+@settings(max_examples=100, deadline=None)
+@given(
+    st.integers(0, 2**32 - 1),
+    st.sampled_from([(1, 1), (1, 300), (300, 1), (2, 2), (7, 9), (120, 160), (240, 320)]),
+    st.sampled_from(["noise", "blocks", "flat", "lines"]),
+    st.sampled_from(["ribbon", "paper"]),
+    st.sampled_from(["left", "right", "none"]),
+    st.booleans(),
+)
+def test_any_images_are_survived(seed, shape, kind, model, thumb, coloured):
+    rng = np.random.default_rng(seed)
+    start = StartPose(rng.uniform(-50, 350, 2), rng.uniform(-10, 10), 10 ** rng.uniform(-1, 3))
+    options = {"model": model, "acquire": {"settle_frames": 1, "accept": {"min_inliers": 0.1}}}
+    tracker = ContourTracker(Template.pistol(thumb), start, options)
+    for i in range(4):
+        if kind == "noise":
+            image = rng.integers(0, 256, shape, dtype=np.uint8)
+        elif kind == "blocks":
+            blocks = rng.integers(0, 2, (shape[0] // 8 + 1, shape[1] // 8 + 1), dtype=np.uint8)
+            image = np.kron(255 * blocks, np.ones((8, 8), np.uint8))[: shape[0], : shape[1]]
+        elif kind == "flat":
+            image = np.full(shape, rng.integers(0, 256), np.uint8)
+        else:
+            image = np.tile(rng.integers(0, 256, shape[1], dtype=np.uint8), (shape[0], 1))
+        colour = rng.integers(0, 256, (*shape, 3), dtype=np.uint8) if coloured else None
+        track = tracker.update(image, i * FRAME_S, colour)
+        assert [name for name, sound in SOUND.items() if not sound(track)] == []
+        if track.finger_line is not None:
+            covariance = track.finger_line.covariance
+            assert np.isfinite(covariance).all()
+            assert (np.linalg.eigvalsh(covariance) > 0).all()
+        assert np.isfinite(tracker.contour()).all()
+        assert repr(track)
