@@ -54,8 +54,9 @@ lint: $(STAMPS)/extension ## formats, lints, types, documentation links, stubs
 	$(BIN)/mypy --no-error-summary
 	$(BIN)/stubtest --mypy-config-file pyproject.toml --concise fingerpost._core
 
-bench: $(STAMPS)/rust ## the time that each stage of the tracker takes
+bench: $(STAMPS)/extension ## the time that each stage of the tracker takes, and the simulated rig
 	cargo bench --locked --package fingerpost-benches
+	$(BIN)/python benches/bench_simulate.py
 
 setup: $(STAMPS)/extension ## .venv with the extension built, and nothing more
 

@@ -1106,7 +1106,7 @@ def no_forced_switches() -> Iterator[None]:
         sys.setswitchinterval(interval)
 
 
-def meet(calls: list[Callable[[], object]], rounds: int = 500) -> bool:
+def meet(calls: list[Callable[[], object]], rounds: int = 200) -> bool:
     """Whether two threads are ever inside their calls at once.
 
     No thread loses the GIL to another unless it gives it away, so they only meet if a call
@@ -1195,7 +1195,7 @@ def test_heavy_calls_release_the_gil(name):
 def test_two_trackers_run_in_parallel_threads():
     image = grey()
     first, second = ContourTracker(PISTOL, WAITING), ContourTracker(PISTOL, WAITING)
-    assert meet([lambda: first.update(image, 0.0), lambda: second.update(image, 0.0)], rounds=100)
+    assert meet([lambda: first.update(image, 0.0), lambda: second.update(image, 0.0)], rounds=40)
 
 
 @pytest.mark.parametrize(
@@ -1225,7 +1225,7 @@ def test_one_tracker_in_two_threads_says_so_and_goes_on(use):
         except FingerpostError as error:
             complaints.append(str(error))
 
-    assert meet([update, disturb])
+    assert meet([update, disturb], rounds=40)
     assert set(complaints) == {
         "this ContourTracker is in use in another thread; each thread needs one of its own, or a "
         "lock"

@@ -172,7 +172,8 @@ pub enum Outcome {
     Determined,
     /// There are fewer equations than unknowns, and no prior.
     TooFewEquations,
-    /// The equations and the prior leave `D − rank` directions of the shape space open.
+    /// The equations and the prior leave `D − rank` directions of the shape space open, or hold
+    /// numbers that are none.
     Undetermined,
 }
 
@@ -306,6 +307,10 @@ impl Fitter {
                 Solve::Joint => factor.solve(&normal.right),
                 Solve::TwoStage => two_stage(&normal),
             };
+            if !step.iter().all(|s| s.is_finite()) {
+                let outcome = Outcome::Undetermined;
+                return self.undetermined(equations, outcome, normal.information, 0);
+            }
             self.update_residuals(equations, &step);
             let moved = step - previous;
             let settled = moved.dot(&(normal.information * moved)) < SETTLED * SETTLED * D as f64;
@@ -472,7 +477,7 @@ fn rank<const D: usize>(information: &SMatrix<f64, D, D>) -> usize {
     let mut left = information.component_mul(&(own * own.transpose()));
     for found in 0..D {
         let (pivot, value) = left.diagonal().argmax();
-        if value <= RANK_TOLERANCE {
+        if value.is_nan() || value <= RANK_TOLERANCE {
             return found;
         }
         let column = left.column(pivot).into_owned() / value.sqrt();

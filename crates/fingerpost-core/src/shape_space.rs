@@ -25,7 +25,8 @@ use nalgebra::{Matrix2, Point2, Rotation2, SMatrix, SVector, Vector2};
 pub struct PlacedSample {
     /// Where the sample stands \[px\].
     pub position: Point2<f64>,
-    /// Unit normal, pointing out of the hand.
+    /// Unit normal, pointing out of the hand. A band's is that of its spheres; a tapering flank is
+    /// off it by the taper's angle, which moves no edge along it.
     pub normal: Vector2<f64>,
 }
 
@@ -89,8 +90,8 @@ pub trait ShapeSpace<const D: usize> {
     /// The pose that the shape vector `x` stands for.
     fn pose(&self, x: &SVector<f64, D>) -> Self::Pose;
 
-    /// ∂(n·X)/∂x of a sample for a fixed unit normal n: how far each component moves the contour
-    /// along the normal \[px per unit\].
+    /// ∂(n·X)/∂x of a sample for the unit normal n that [`Pose::place`] gave it: how far each
+    /// component moves the contour along that normal \[px per unit\].
     fn normal_row(
         &self,
         pose: &Self::Pose,
@@ -125,6 +126,7 @@ impl AffineMap {
             Error::finite(what, value)?;
         }
         Error::within("finger length [px]", length_px, "positive", |l| l > 0.0)?;
+        Error::finite("middle of the finger [px]", tip.coords.sum() - length_px)?;
         let linear = Rotation2::new(angle_rad).into_inner() * length_px;
         Ok(Self { centre: tip - linear.column(0) * HALF_LENGTH, linear })
     }
@@ -563,6 +565,7 @@ impl<const D: usize> Ribbon<D> {
     /// # Errors
     /// When `held` is not finite or the length not positive.
     pub fn about(held: &RibbonVector, measure: &BandMeasure) -> Result<Self> {
+        const { assert!(D >= 2 && D <= RIBBON_DOF, "a prefix of the band template") };
         Error::finite("band template", held.sum())?;
         Error::finite("middle of the round end [px]", measure.round_end_px)?;
         Error::within("finger length [px]", measure.length_px, "positive", |l| l > 0.0)?;

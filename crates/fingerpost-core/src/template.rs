@@ -145,9 +145,11 @@ pub struct Template {
     proportions: Option<Proportions>,
 }
 
-/// Length of outline per control point of a pistol, in finger lengths: the round tips, the
-/// sharpest turns, get about four knots each and the spline stays within 0.002 of them.
+/// Length of outline per control point of a pistol, in finger lengths and at most in half-widths of
+/// its slimmer limb: the round tips, the sharpest turns, get about four knots each and the spline
+/// stays within 0.002 of them.
 const KNOT_STEP: f64 = 0.08;
+const KNOT_STEP_IN_HALF_WIDTHS: f64 = 0.8;
 /// Control points that follow a traced outline of finger and thumb and not the jitter of its
 /// pixels: about a dozen round each limb. A default for [`Template::from_outline`].
 pub const TRACED_CONTROL_POINTS: usize = 24;
@@ -188,13 +190,19 @@ impl Template {
             Some((HandSide::Right, _)) => Thumb::Right,
             None => Thumb::None,
         };
+        let slimmer = proportions
+            .thumb
+            .as_ref()
+            .map_or(f64::INFINITY, |(_, thumb)| thumb.half_width)
+            .min(proportions.half_width);
+        let knot_step = KNOT_STEP.min(KNOT_STEP_IN_HALF_WIDTHS * slimmer);
         let mut breaks = vec![0.0];
         let mut points = Vec::new();
         let mut parameters = Vec::new();
         let mut crotch = None;
         for (i, piece) in pieces.iter().enumerate() {
             let start = breaks[breaks.len() - 1];
-            let spans = (piece.length() / KNOT_STEP).ceil();
+            let spans = (piece.length() / knot_step).ceil();
             let samples = spans as usize * POINTS_PER_CONTROL_POINT;
             for k in usize::from(i > 0)..=samples {
                 let part = k as f64 / samples as f64;

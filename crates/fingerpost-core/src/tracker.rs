@@ -13,8 +13,8 @@
 //! shows the shear).
 //!
 //! **Lost.** After [`TrackOptions::lose_after_frames`] frames without an accepted fit the hand is
-//! lost. It is looked for where it last was and where the template first waited, until a fit
-//! settles again.
+//! lost. It is looked for where it last was, and followed again from the first fit there that
+//! acquisition would accept; and where the template first waited, until a fit settles there.
 //!
 //! A fit is accepted when it is determined, enough of the visible contour has an edge that agrees
 //! with it, and the residual offsets of those are small; see [`AcceptOptions`]. A frame whose fit
@@ -176,7 +176,11 @@ enum Phase {
 /// How fast the hand moved last.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Motion {
-    accepted_s: f64,
+    /// When the hand was last seen \[s\].
+    seen_s: f64,
+    /// Since when, and from where, the velocity is being measured.
+    since_s: f64,
+    since: Point2<f64>,
     velocity_px_s: Vector2<f64>,
 }
 
@@ -311,7 +315,8 @@ impl ContourTracker {
     /// Takes one frame, captured at `time_s`, and tells where the hand is.
     ///
     /// # Errors
-    /// When `time_s` is not finite or before the last frame's. A hand that is not there is no
+    /// When `time_s` is not finite or before the last frame's; nothing else of a tracker that was
+    /// made can be refused. A hand that is not there is no
     /// error but a [`Status`].
     pub fn update(&mut self, frame: &Frame<'_>, time_s: f64) -> Result<Track> {
         let last = self.last_time_s.unwrap_or(f64::NEG_INFINITY);
@@ -368,14 +373,16 @@ impl ContourTracker {
         last: (Shape, Kind),
     ) -> Result<Track> {
         let (shape, kind) = last;
-        self.hand.kind = kind;
+        let settling = std::mem::replace(&mut self.hand.kind, kind);
         let reach_px = LOST_REACH * self.options.track.half_length_px;
         let found = self.find(frame, shape, reach_px.min(MAX_HALF_LENGTH_PX as f64))?;
         if found.is_accepted(&self.options.acquire.accept) {
             self.hand.shape = found.shape;
-            self.phase = Phase::Tracking { missed: 0, motion: Motion::at_rest(time_s) };
+            let motion = Motion::at_rest(time_s, found.shape.centre());
+            self.phase = Phase::Tracking { missed: 0, motion };
             return Ok(self.track(time_s, Status::Tracking, &found, true));
         }
+        self.hand.kind = settling;
         self.acquire(frame, time_s, settled, Some(last))
     }
 
@@ -407,7 +414,8 @@ impl ContourTracker {
         if settled >= settle_frames
             && let Some(acquired) = self.freeze(frame)?
         {
-            self.phase = Phase::Tracking { missed: 0, motion: Motion::at_rest(time_s) };
+            let motion = Motion::at_rest(time_s, acquired.shape.centre());
+            self.phase = Phase::Tracking { missed: 0, motion };
             return Ok(self.track(time_s, Status::Tracking, &acquired, true));
         }
         let (phase, status) = lost
@@ -443,6 +451,7 @@ impl ContourTracker {
     /// Keeps the settled hand's dimensions and looks: tracking starts from them. None if the
     /// paper's template cannot take them on.
     fn freeze(&mut self, frame: &Frame<'_>) -> Result<Option<Found>> {
+        let before = self.hand.clone();
         self.hand.appearance = None;
         self.learn_appearance(frame);
         if let Some(appearance) = &mut self.hand.appearance {
@@ -462,6 +471,7 @@ impl ContourTracker {
                 self.hand.kind.has_thumb = with_thumb && pistol.is_ok();
                 let Ok(template) = pistol.or_else(|_| self.template.moulded(&x, length_px, false))
                 else {
+                    self.hand = before;
                     return Ok(None);
                 };
                 self.hand.moulded = template.samples(self.options.samples)?;
@@ -474,6 +484,7 @@ impl ContourTracker {
             self.hand.shape = frozen.shape;
             Ok(Some(frozen))
         } else {
+            self.hand = before;
             Ok(None)
         }
     }
@@ -493,15 +504,13 @@ impl ContourTracker {
         motion: Motion,
     ) -> Result<Track> {
         let TrackOptions { half_length_px, accept, lose_after_frames, .. } = self.options.track;
-        let elapsed_s = time_s - motion.accepted_s;
         let from = self.hand.shape;
-        let predicted = from.moved(&motion.over(elapsed_s));
+        let predicted = from.moved(&motion.until(time_s));
         // Where it is not seen it may go on moving: every miss widens the search.
         let reach_px = half_length_px * (1.0 + missed as f64);
         let found = self.find(frame, predicted, reach_px.min(MAX_HALF_LENGTH_PX as f64))?;
         if found.is_accepted(&accept) {
-            let moved_px = found.shape.centre() - from.centre();
-            let motion = motion.after(&moved_px, time_s);
+            let motion = motion.seen(found.shape.centre(), time_s);
             self.hand.shape = found.shape;
             self.learn_appearance(frame);
             self.phase = Phase::Tracking { missed: 0, motion };
@@ -764,26 +773,28 @@ impl Shape {
 }
 
 impl Motion {
-    fn at_rest(accepted_s: f64) -> Self {
-        Self { accepted_s, velocity_px_s: Vector2::zeros() }
+    fn at_rest(seen_s: f64, at: Point2<f64>) -> Self {
+        Self { seen_s, since_s: seen_s, since: at, velocity_px_s: Vector2::zeros() }
     }
 
-    /// How far the hand goes on in a time \[px\]; after a pause nobody knows.
-    fn over(&self, elapsed_s: f64) -> Vector2<f64> {
+    /// How far the hand has gone on by a time \[px\]; after a pause nobody knows.
+    fn until(&self, time_s: f64) -> Vector2<f64> {
+        let elapsed_s = time_s - self.seen_s;
         if elapsed_s > LONGEST_PREDICTION_S {
             return Vector2::zeros();
         }
         self.velocity_px_s * elapsed_s
     }
 
-    /// The motion of a hand that is seen again, having moved by `moved_px`. Two frames at nearly
-    /// the same time show its noise, not its velocity.
-    fn after(&self, moved_px: &Vector2<f64>, time_s: f64) -> Self {
-        let elapsed_s = time_s - self.accepted_s;
+    /// The motion of a hand that is seen again. Two frames at nearly the same time show its noise,
+    /// not its velocity: that takes a while longer.
+    fn seen(&self, at: Point2<f64>, time_s: f64) -> Self {
+        let elapsed_s = time_s - self.since_s;
         if elapsed_s < SHORTEST_INTERVAL_S {
-            return *self;
+            return Self { seen_s: time_s, ..*self };
         }
-        Self { accepted_s: time_s, velocity_px_s: moved_px / elapsed_s }
+        let velocity_px_s = (at - self.since) / elapsed_s;
+        Self { seen_s: time_s, since_s: time_s, since: at, velocity_px_s }
     }
 }
 

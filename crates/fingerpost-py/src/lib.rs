@@ -21,9 +21,9 @@ use pyo3::prelude::*;
 /// The stages of the tracker, in Rust.
 // Free-threaded Python gets its GIL back when it imports this module. Nothing here relies on the
 // GIL to protect Rust's data: every class is frozen or behind a borrow flag. But arrays are copied
-// on the way in as if nobody wrote to them meanwhile, which only the GIL assures, the wheel is
-// abi3, which no free-threaded interpreter before 3.15 loads, and no test runs on one. The loss is
-// small: whatever takes longer than a conversion detaches.
+// on the way in as if nobody wrote to them meanwhile, which only the GIL assures; the wheel is
+// abi3, which free-threaded interpreters do not load (abi3t comes with 3.15); and no test runs on
+// one. The loss is small: whatever takes longer than a conversion detaches.
 #[pymodule(gil_used = true)]
 mod _core {
     #[pymodule_export]

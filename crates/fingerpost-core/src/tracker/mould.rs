@@ -104,11 +104,16 @@ impl Mould<'_> {
         if finger.fit.is_some() && self.measure.side != 0.0 {
             let (hand, polarity) = self.thumb(convergence, frame, &finger.x)?;
             if hand.fit.is_some() {
-                return Ok(Moulded { hand, kind: Kind { has_thumb: true, polarity } });
+                let kind = Kind { has_thumb: true, polarity };
+                // Once more, so that the last search is that of the best.
+                return self.refit(convergence, frame, &hand.x, kind);
             }
         }
         let kind = Kind { has_thumb: false, polarity: finger_polarity };
-        Ok(Moulded { hand: finger, kind })
+        if finger.fit.is_none() {
+            return Ok(Moulded { hand: finger, kind });
+        }
+        self.refit(convergence, frame, &finger.x, kind)
     }
 
     /// From an earlier fit, all of the hand at once.

@@ -34,7 +34,7 @@ pub struct AcquireOptions {
     pub settle_frames: usize,
     /// Largest change of the finger's half-width from frame to frame, in parts of it, positive.
     pub settle_change: f64,
-    /// The hand is between 1 / this and this times as wide as the waiting template, above 1.
+    /// The hand is between 1 / this and this times as wide as the waiting pistol, above 1.
     pub max_scale: f64,
 }
 
