@@ -1,15 +1,17 @@
 """A picture of an experiment: where the points fell, and whether the ellipses kept their word."""
 
+from __future__ import annotations
+
 import math
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fingerpost.errors import InvalidInputError
-from fingerpost.experiment.result import ExperimentResult
 from fingerpost.experiment.summary import (
     GROSS_SHARE,
     Summary,
@@ -20,6 +22,9 @@ from fingerpost.experiment.summary import (
 from fingerpost.experiment.table import number
 from fingerpost.experiment.trial import Trial
 from fingerpost.uncertainty import confidence_ellipse
+
+if TYPE_CHECKING:
+    from fingerpost.experiment.result import ExperimentResult
 
 Array = NDArray[np.float64]
 Colour = tuple[int, int, int]  # blue, green, red
@@ -74,11 +79,11 @@ class _Canvas:
         self._corner = np.array(corner)
 
     @classmethod
-    def blank(cls) -> "_Canvas":
+    def blank(cls) -> _Canvas:
         """Take a white sheet."""
         return cls(np.full((_HEIGHT, _WIDTH, 3), 255, np.uint8))
 
-    def window(self, place: tuple[int, int, int]) -> "_Canvas":
+    def window(self, place: tuple[int, int, int]) -> _Canvas:
         """Give a square of the sheet that keeps what is drawn within; places stay the sheet's."""
         left, top, side = place
         return _Canvas(self.image[top : top + side, left : left + side], (left, top))
