@@ -29,7 +29,7 @@ mod options;
 use crate::appearance::Appearance;
 use crate::fit::Prior;
 use crate::frame::Frame;
-use crate::search::{Cue, EdgeMeasurement, MAX_HALF_LENGTH_PX, Scale, SearchLine};
+use crate::search::{Cue, EdgeMeasurement, MAX_HALF_LENGTH_PX, Polarity, Scale, SearchLine};
 use crate::shape_space::{
     Affine, AffineMap, Axis, BandMeasure, PlacedSample, PlanarSpace, Pose, RIBBON_DOF, Ribbon,
     RibbonVector, Rigid, RigidShear, ShapeSpace, Similarity, Translation, ribbon_of,
@@ -200,8 +200,25 @@ impl Look {
 
 impl Hand {
     /// The band template's samples that take part: the finger's, and the thumb's if it is seen.
-    fn seen<'a>(&self, samples: &'a [TemplateSample]) -> &'a [TemplateSample] {
+    fn bands<'a>(&self, samples: &'a [TemplateSample]) -> &'a [TemplateSample] {
         if self.kind.has_thumb { samples } else { finger_samples(samples) }
+    }
+
+    /// The planar template's samples: those moulded to this hand, or the waiting template's.
+    fn planar<'a>(&'a self, samples: &'a [TemplateSample]) -> &'a [TemplateSample] {
+        if self.moulded.is_empty() { samples } else { &self.moulded }
+    }
+
+    /// A search for these samples by what is known of the hand.
+    fn attempt<'a>(
+        &'a self,
+        samples: &'a [TemplateSample],
+        frame: &Frame<'_>,
+        look: Look,
+        polarity: Polarity,
+    ) -> Attempt<'a> {
+        let Look { half_length_px, scale, .. } = look;
+        Attempt { samples, cue: self.cue(frame, look), scale, half_length_px, polarity }
     }
 
     /// What is known of the hand's looks that this frame can show: its colours only in colour.
@@ -346,11 +363,13 @@ impl ContourTracker {
     #[must_use]
     pub fn contour(&self) -> Vec<PlacedSample> {
         match self.hand.shape {
-            Shape::Planar(map) => self.planar_samples().iter().map(|s| map.place(s)).collect(),
+            Shape::Planar(map) => {
+                self.hand.planar(&self.samples).iter().map(|s| map.place(s)).collect()
+            }
             Shape::Ribbon(x) => match self.ribbon::<RIBBON_DOF>(&x) {
                 Ok(space) => {
                     let pose = space.pose(&x);
-                    let placed = self.hand.seen(&self.samples).iter().map(|s| (s, pose.place(s)));
+                    let placed = self.hand.bands(&self.samples).iter().map(|s| (s, pose.place(s)));
                     placed.filter(|(s, p)| !pose.is_hidden(s, p)).map(|(_, p)| p).collect()
                 }
                 Err(_) => Vec::new(),
@@ -609,14 +628,8 @@ impl ContourTracker {
         let Ok((space, x)) = S::through(&from) else {
             return Ok(Found { shape: from, fit: None, iterations: 0 });
         };
-        let samples = if self.hand.moulded.is_empty() { &self.samples } else { &self.hand.moulded };
-        let attempt = Attempt {
-            samples,
-            cue: self.hand.cue(frame, look),
-            scale: look.scale,
-            half_length_px: look.half_length_px,
-            polarity: self.options.polarity,
-        };
+        let samples = self.hand.planar(&self.samples);
+        let attempt = self.hand.attempt(samples, frame, look, self.options.polarity);
         let found = self.convergence.run(frame, &space, x, &attempt, None)?;
         let map = space.pose(&found.x);
         let sound = map.decompose().is_ok();
@@ -636,13 +649,8 @@ impl ContourTracker {
         held: Option<&Prior<D>>,
     ) -> Result<Converged<RIBBON_DOF>> {
         let space = self.ribbon::<D>(from)?;
-        let attempt = Attempt {
-            samples: self.hand.seen(&self.samples),
-            cue: self.hand.cue(frame, look),
-            scale: look.scale,
-            half_length_px: look.half_length_px,
-            polarity: self.options.polarity,
-        };
+        let samples = self.hand.bands(&self.samples);
+        let attempt = self.hand.attempt(samples, frame, look, self.options.polarity);
         let x = Ribbon::<D>::free(from);
         let found = self.convergence.run(frame, &space, x, &attempt, held)?;
         Ok(Converged { x: space.full(&found.x), fit: found.fit, iterations: found.iterations })
@@ -674,10 +682,6 @@ impl ContourTracker {
             prior.information[(i, i)] = sigma.powi(-2);
         }
         prior
-    }
-
-    fn planar_samples(&self) -> &[TemplateSample] {
-        if self.hand.moulded.is_empty() { &self.samples } else { &self.hand.moulded }
     }
 
     /// Takes over what the last accepted fit saw on either side of the contour.
