@@ -99,6 +99,10 @@ def test_the_experiment_prints_its_table(tmp_path):
         (["experiment", "--taper", "3"], "taper is 3.0; it must be a number from 0 to 0.6"),
         (["experiment", "--recording", "rig.toml"], "--recording and --truth go together"),
         (["walk"], "No such command 'walk'"),
+        (["robot", "emulate", "puma"], "'puma' is not emulated"),
+        (["robot", "emulate", "acl", "--time-scale", "0"], "a number above 0 is needed"),
+        (["robot", "emulate", "acl", "--homing-s", "x"], "'x' is not a valid float"),
+        (["robot", "home", "puma://"], "puma"),
     ],
 )
 def test_a_mistake_is_one_line_and_exit_code_2(arguments, line):
@@ -145,3 +149,18 @@ def test_ctrl_c_keeps_what_was_written(tmp_path):
     assert demo.returncode == 130
     assert said.splitlines()[-1] == "fingerpost: stopped"
     assert len(read_points(points)) >= 4
+
+
+def test_a_robot_is_homed_from_the_command_line():
+    assert "acl" in fingerpost("robot", "list").stdout.split()
+    done = fingerpost("robot", "home", "sim://?homing_s=0.1")
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("x ")
+    assert fingerpost("robot", "stop", "sim://").returncode == 0
+
+
+def test_a_robot_that_is_not_there_fails_with_one_line():
+    done = fingerpost("robot", "home", "acl:///dev/no-such-port")
+    assert done.returncode == 1
+    assert len(done.stderr.splitlines()) == 1
+    assert "/dev/no-such-port" in done.stderr

@@ -11,7 +11,6 @@ import serial
 
 from fingerpost.errors import InvalidInputError
 from fingerpost.robot.emulator import EMULATED, Fault, make_emulator, serve
-from fingerpost.robot.emulator.__main__ import main
 
 
 def ask(address, command, wait_s=0.3):
@@ -99,7 +98,7 @@ def test_values_out_of_range_are_refused(options):
 
 
 def test_the_command_prints_the_port_and_serves_until_it_is_interrupted():
-    command = [sys.executable, "-m", "fingerpost.robot.emulator", "acl", "--homing-s", "1"]
+    command = [sys.executable, "-m", "fingerpost", "robot", "emulate", "acl", "--homing-s", "1"]
     with subprocess.Popen(
         command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
     ) as process:
@@ -111,11 +110,3 @@ def test_the_command_prints_the_port_and_serves_until_it_is_interrupted():
         assert ask(address, b"SPEED 20\r") == b"Done.\r\n>"
         process.send_signal(signal.SIGINT)
         assert process.wait(5.0) == 130
-
-
-def test_bad_usage_is_exit_2(capsys):
-    for arguments in (["puma"], ["acl", "--time-scale", "0"], ["acl", "--homing-s", "x"]):
-        with pytest.raises(SystemExit) as caught:
-            main(arguments)
-        assert caught.value.code == 2
-    assert "a number above 0 is needed" in capsys.readouterr().err

@@ -16,6 +16,7 @@ import click
 
 from fingerpost.cli.demo import demo
 from fingerpost.cli.experiment import experiment
+from fingerpost.cli.robot import robot
 from fingerpost.cli.run import run
 from fingerpost.errors import FingerpostError, InvalidInputError
 
@@ -64,5 +65,5 @@ def main(verbose: bool) -> None:
     )
 
 
-for _command in (demo, run, experiment):
+for _command in (demo, run, experiment, robot):
     main.add_command(_command)

@@ -1,6 +1,6 @@
 """Emulated robot controllers on pseudo-terminals: every byte of the real dialogue, no metal.
 
-`make_emulator` plugs one in; `python -m fingerpost.robot.emulator` does it from a shell.
+`make_emulator` plugs one in; `fingerpost robot emulate` does it from a shell.
 """
 
 from fingerpost.robot.emulator.faults import Fault
