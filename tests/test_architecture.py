@@ -76,12 +76,13 @@ THIRD_PARTY_RULES = {
 # What each module of fingerpost-core may import of the others: shapes never see a pixel, pixels
 # never see a shape, and the fit sees measurements alone.
 _SHAPES = {"error", "bspline", "contour", "template", "shape_space"}
-_PIXELS = {"error", "image", "frame", "appearance"}
+_PIXELS = {"error", "image", "frame", "appearance", "discriminant"}
 RUST_RULES = {
     "error": set(),
     "image": {"error"},
     "frame": {"error", "image"},
     "appearance": {"error", "image", "frame"},
+    "discriminant": {"error", "image", "frame"},
     "bspline": {"error"},
     "contour": {"error", "bspline"},
     "template": {"error", "bspline", "contour"},

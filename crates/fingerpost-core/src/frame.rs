@@ -33,6 +33,12 @@ impl<'a> ColourView<'a> {
         let at = y * self.stride + 3 * x;
         self.data.get(at..at + 3)?.try_into().ok()
     }
+
+    /// The bytes of row `y` without padding; `None` outside the image.
+    #[must_use]
+    pub fn row(&self, y: usize) -> Option<&'a [u8]> {
+        if y < self.height { self.data.get(y * self.stride..)?.get(..3 * self.width) } else { None }
+    }
 }
 
 /// What one view captured at one time.

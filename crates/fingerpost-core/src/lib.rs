@@ -60,6 +60,7 @@
 pub mod appearance;
 pub mod bspline;
 pub mod contour;
+pub mod discriminant;
 mod error;
 pub mod fit;
 pub mod frame;

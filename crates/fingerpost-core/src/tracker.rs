@@ -27,6 +27,7 @@ mod mould;
 mod options;
 
 use crate::appearance::Appearance;
+use crate::discriminant::Discriminant;
 use crate::fit::Prior;
 use crate::frame::Frame;
 use crate::search::{Cue, EdgeMeasurement, MAX_HALF_LENGTH_PX, Polarity, Scale, SearchLine};
@@ -153,6 +154,8 @@ struct Hand {
     moulded: Vec<TemplateSample>,
     /// What it looks like, once it was seen.
     appearance: Option<Appearance>,
+    /// The mixture of colours that shows it best.
+    discriminant: Discriminant,
 }
 
 /// What the contour in the image is made from.
@@ -217,8 +220,12 @@ impl Hand {
         look: Look,
         polarity: Polarity,
     ) -> Attempt<'a> {
-        let Look { half_length_px, scale, .. } = look;
-        Attempt { samples, cue: self.cue(frame, look), scale, half_length_px, polarity }
+        let Look { half_length_px, scale, votes } = look;
+        let coloured = frame.colour().is_some();
+        let mixture = self.discriminant.mixture().filter(|_| coloured && !votes);
+        // In the discriminant's image the hand is the brighter side.
+        let polarity = if mixture.is_some() { Polarity::Bright } else { polarity };
+        Attempt { samples, cue: self.cue(frame, look), scale, half_length_px, polarity, mixture }
     }
 
     /// What is known of the hand's looks that this frame can show: its colours only in colour.
@@ -316,6 +323,7 @@ impl ContourTracker {
             kind: waiting.kind(&options),
             moulded: Vec::with_capacity(samples.len()),
             appearance: None,
+            discriminant: Discriminant::default(),
         };
         Ok(Self {
             convergence: Convergence::new(&options)?,
@@ -340,6 +348,7 @@ impl ContourTracker {
         Error::finite("frame time [s]", time_s)?;
         Error::within("frame time [s]", time_s, "at or after the last frame's", |t| t >= last)?;
         self.last_time_s = Some(time_s);
+        self.convergence.begin_frame();
         match self.phase {
             Phase::Acquiring { settled } => self.acquire(frame, time_s, settled, None),
             Phase::Lost { last, settled } => self.recover(frame, time_s, settled, last),
@@ -472,7 +481,9 @@ impl ContourTracker {
     fn freeze(&mut self, frame: &Frame<'_>) -> Result<Option<Found>> {
         let before = self.hand.clone();
         self.hand.appearance = None;
+        self.hand.discriminant = Discriminant::default();
         self.learn_appearance(frame);
+        self.hand.discriminant.anchor();
         if let Some(appearance) = &mut self.hand.appearance {
             appearance.anchor();
         }
@@ -693,21 +704,27 @@ impl ContourTracker {
         }
         let known = self.hand.appearance.take().filter(|a| a.is_coloured() == coloured);
         let mut appearance = known.unwrap_or_else(|| Appearance::new(coloured));
-        appearance.fade(1.0 - self.options.track.appearance_rate as f32);
+        let discriminant = &mut self.hand.discriminant;
+        let keep = 1.0 - self.options.track.appearance_rate;
+        appearance.fade(keep as f32);
+        discriminant.fade(keep);
         for PlacedSample { position, normal } in self.convergence.agreeing() {
             let mut k = EDGE_PX;
             while k <= APPEARANCE_REACH_PX {
                 let (inside, outside) = (position - normal * k, position + normal * k);
                 if k <= depth_px {
                     appearance.observe(frame, inside.x, inside.y, true);
+                    discriminant.observe(frame, inside.x, inside.y, true);
                 }
                 if k >= 2.0 * EDGE_PX {
                     appearance.observe(frame, outside.x, outside.y, false);
+                    discriminant.observe(frame, outside.x, outside.y, false);
                 }
                 k += 1.0;
             }
         }
         appearance.learn();
+        discriminant.learn();
         self.hand.appearance = Some(appearance);
     }
 

@@ -3,6 +3,7 @@
 use super::options::{AcceptOptions, TrackerOptions};
 use super::{MAX_DOF, ShapeEstimate};
 use crate::Result;
+use crate::discriminant::{DiscriminantImage, Mixture};
 use crate::fit::{EquationBuffer, Equations, FitReport, Fitter, Outcome, Prior};
 use crate::frame::Frame;
 use crate::search::{Cue, EdgeMeasurement, EdgeSearch, Polarity, Scale, SearchLine};
@@ -31,6 +32,8 @@ pub(super) struct Attempt<'a> {
     pub scale: Scale,
     pub half_length_px: f64,
     pub polarity: Polarity,
+    /// The channels' mixture to search in place of the grey image.
+    pub mixture: Option<&'a Mixture>,
 }
 
 /// Where the template came to rest.
@@ -113,6 +116,8 @@ pub(super) struct Convergence {
     lines: Vec<SearchLine>,
     measurements: Vec<EdgeMeasurement>,
     equations: EquationBuffer,
+    /// The present frame as the hand's discriminant shows it.
+    image: DiscriminantImage,
 }
 
 impl Convergence {
@@ -126,7 +131,13 @@ impl Convergence {
             lines: Vec::with_capacity(options.samples),
             measurements: Vec::with_capacity(options.samples),
             equations: EquationBuffer::with_capacity(options.samples, MAX_DOF),
+            image: DiscriminantImage::default(),
         })
+    }
+
+    /// Forgets the last frame.
+    pub fn begin_frame(&mut self) {
+        self.image.clear();
     }
 
     /// The last search, and what each line found.
@@ -227,7 +238,11 @@ impl Convergence {
                 });
             }
         }
-        self.search.search(frame, attempt.cue, attempt.scale, &self.lines, &mut self.measurements)
+        let shown = match attempt.mixture {
+            Some(mixture) => self.image.of(frame, mixture, region(&self.lines))?,
+            None => *frame,
+        };
+        self.search.search(&shown, attempt.cue, attempt.scale, &self.lines, &mut self.measurements)
     }
 
     /// Which samples the last solution explains: those whose edge it leaves close by.
@@ -289,4 +304,22 @@ fn linearise<'a, S: ShapeSpace<D>, const D: usize>(
         }
     }
     Ok(equations)
+}
+
+/// A search line reads no further beyond its end than this \[px\]: the reach of the widest kernel.
+const KERNEL_REACH_PX: f64 = 32.0;
+
+/// The part of the image that search lines read: columns and rows, from and to \[px\].
+fn region(lines: &[SearchLine]) -> [f64; 4] {
+    let nothing = [f64::INFINITY, f64::NEG_INFINITY, f64::INFINITY, f64::NEG_INFINITY];
+    lines.iter().fold(nothing, |[left, right, top, bottom], line| {
+        let PlacedSample { position, normal } = line.sample;
+        let reach = normal.abs() * (line.half_length_px + KERNEL_REACH_PX);
+        [
+            left.min(position.x - reach.x),
+            right.max(position.x + reach.x),
+            top.min(position.y - reach.y),
+            bottom.max(position.y + reach.y),
+        ]
+    })
 }

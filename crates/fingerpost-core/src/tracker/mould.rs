@@ -234,8 +234,14 @@ impl Mould<'_> {
     ) -> Result<Converged<RIBBON_DOF>> {
         let has_thumb = D > 5;
         let samples = if has_thumb { self.samples } else { finger_samples(self.samples) };
-        let attempt =
-            Attempt { samples, cue: Cue::Edges, scale: Scale::Fine, half_length_px, polarity };
+        let attempt = Attempt {
+            samples,
+            cue: Cue::Edges,
+            scale: Scale::Fine,
+            half_length_px,
+            polarity,
+            mixture: None,
+        };
         let space = Ribbon::<D>::about(x, &self.measure.with_thumb(has_thumb))?;
         let prior = (D > 3).then(|| self.belief::<D>(believed));
         let start = Ribbon::<D>::free(x);
@@ -304,6 +310,7 @@ impl Mould<'_> {
             scale: Scale::Fine,
             half_length_px: reach_px,
             polarity,
+            mixture: None,
         };
         let offsets = convergence.offsets(frame, &space, x, &attempt)?;
         Ok(offsets.map(|d| (1000.0 * (1.0 - (d / reach_px).abs()).max(0.0)) as u64).sum())

@@ -1,0 +1,230 @@
+//! The grey image in which a hand stands out best.
+//!
+//! A finger's shaded flank may be just as dark as the wood behind it and still be of another
+//! colour. Fisher's linear discriminant w = S⁻¹ (μ_hand − μ_background), S the scatter of colours
+//! within the two classes, is the mixture of the camera's channels that separates the hand from
+//! what is behind it by most of its own standard deviations. It is learned from either side of
+//! contours that were accepted; edges are then measured in its image instead of the grey one, where
+//! the hand is always the brighter side.
+//!
+//! Source: Fisher 1936, The use of multiple measurements in taxonomic problems.
+
+use crate::Result;
+use crate::frame::Frame;
+use crate::image::GrayView;
+use nalgebra::{Matrix3, Vector3};
+
+/// Variance that noise and rounding leave in every channel of any image \[grey levels²\].
+const LEAST_VARIANCE: f64 = 1.0;
+/// Standard deviation of either class in the discriminant's image, unless [`MOST_CONTRAST`] is
+/// less \[grey levels\]: enough for rounding to bytes to cost nothing.
+const CLASS_SIGMA: f64 = 3.0;
+/// Hand minus background in the discriminant's image at most \[grey levels\]; more would leave the
+/// range of a byte.
+const MOST_CONTRAST: f64 = 120.0;
+/// Squared separation in standard deviations, by which colour must beat grey: colour is recorded
+/// with less resolution, so it has to be worth it.
+const BETTER_THAN_GREY: f64 = 1.5;
+/// Channels are mixed in fixed point with so many binary places.
+const PLACES: i32 = 12;
+
+/// What is known of the colours of one class.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+struct Class {
+    weight: f64,
+    sum: Vector3<f64>,
+    squares: Matrix3<f64>,
+    grey: f64,
+    grey_squares: f64,
+}
+
+impl Class {
+    fn observe(&mut self, colour: [u8; 3], grey: u8) {
+        let (c, g) = (Vector3::from(colour.map(f64::from)), f64::from(grey));
+        self.weight += 1.0;
+        self.sum += c;
+        self.squares += c * c.transpose();
+        self.grey += g;
+        self.grey_squares += g * g;
+    }
+
+    fn fade(&mut self, keep: f64) {
+        self.weight *= keep;
+        self.sum *= keep;
+        self.squares *= keep;
+        self.grey *= keep;
+        self.grey_squares *= keep;
+    }
+
+    fn and(&self, other: &Self) -> Self {
+        Self {
+            weight: self.weight + other.weight,
+            sum: self.sum + other.sum,
+            squares: self.squares + other.squares,
+            grey: self.grey + other.grey,
+            grey_squares: self.grey_squares + other.grey_squares,
+        }
+    }
+
+    fn mean(&self) -> Vector3<f64> {
+        self.sum / self.weight
+    }
+
+    fn covariance(&self) -> Matrix3<f64> {
+        self.squares / self.weight - self.mean() * self.mean().transpose()
+    }
+
+    fn grey_variance(&self) -> f64 {
+        self.grey_squares / self.weight - (self.grey / self.weight).powi(2)
+    }
+}
+
+/// The channels' mixture that shows the hand, once it was seen.
+#[derive(Debug, Clone, Default)]
+pub struct Discriminant {
+    hand: Class,
+    anchor: Class,
+    background: Class,
+    mixture: Option<Mixture>,
+}
+
+/// A grey level from a colour: a weighted sum.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Mixture {
+    weights: [i32; 3],
+    offset: i32,
+}
+
+impl Discriminant {
+    /// Lets what was learned fade to a part `keep` of its weight, 0–1.
+    pub fn fade(&mut self, keep: f64) {
+        self.hand.fade(keep);
+        self.background.fade(keep);
+    }
+
+    /// Keeps the hand as it is known now for good: it counts as much as all that is learned later.
+    pub fn anchor(&mut self) {
+        self.anchor = self.hand;
+    }
+
+    /// Counts the pixel nearest to (u, v), if it lies in the frame and that has colours.
+    pub fn observe(&mut self, frame: &Frame<'_>, u: f64, v: f64, is_hand: bool) {
+        if !(u > -0.5 && v > -0.5) {
+            return;
+        }
+        let (x, y) = ((u + 0.5) as usize, (v + 0.5) as usize);
+        let colour = frame.colour().and_then(|c| c.pixel(x, y));
+        if let (Some(colour), Some(grey)) = (colour, frame.image().pixel(x, y)) {
+            let class = if is_hand { &mut self.hand } else { &mut self.background };
+            class.observe(colour, grey);
+        }
+    }
+
+    /// Works the mixture out anew.
+    pub fn learn(&mut self) {
+        self.mixture = self.fisher();
+    }
+
+    /// The mixture in whose image the hand is the brighter side; none if nothing was seen, or the
+    /// grey image shows the hand as well.
+    #[must_use]
+    pub fn mixture(&self) -> Option<&Mixture> {
+        self.mixture.as_ref()
+    }
+
+    fn fisher(&self) -> Option<Mixture> {
+        let (hand, background) = (self.hand.and(&self.anchor), &self.background);
+        if hand.weight < 1.0 || background.weight < 1.0 {
+            return None;
+        }
+        let scatter = 0.5 * (hand.covariance() + background.covariance())
+            + Matrix3::identity() * LEAST_VARIANCE;
+        let apart = hand.mean() - background.mean();
+        let w = scatter.cholesky()?.solve(&apart);
+        let separation2 = apart.dot(&w);
+        let grey_apart = hand.grey / hand.weight - background.grey / background.weight;
+        let grey_scatter =
+            0.5 * (hand.grey_variance() + background.grey_variance()) + LEAST_VARIANCE;
+        if separation2.is_nan()
+            || separation2 <= BETTER_THAN_GREY * grey_apart.powi(2) / grey_scatter
+        {
+            return None;
+        }
+        // By w, the classes are separation2 apart, and so is their variance.
+        let gain = (CLASS_SIGMA / separation2.sqrt()).min(MOST_CONTRAST / separation2);
+        let middle = 0.5 * (hand.mean() + background.mean());
+        let unit = f64::from(1 << PLACES);
+        let weights = [0, 1, 2].map(|k| (w[k] * gain * unit).round() as i32);
+        // Half a unit more: shifting rounds down.
+        let offset = ((128.0 - gain * w.dot(&middle)) * unit).round() as i32 + (1 << (PLACES - 1));
+        Some(Mixture { weights, offset })
+    }
+}
+
+/// An image of a discriminant, made where it is looked at.
+#[derive(Debug, Clone, Default)]
+pub struct DiscriminantImage {
+    pixels: Vec<u8>,
+    /// What of the present frame is there: columns and rows, from and to.
+    made: Option<[usize; 4]>,
+}
+
+impl DiscriminantImage {
+    /// A new frame: nothing of it is there yet.
+    pub fn clear(&mut self) {
+        self.made = None;
+    }
+
+    /// The frame with the discriminant in place of its grey image, in a region at least: columns
+    /// and rows \[px\], from and to. Outside it, pixels are of any value.
+    ///
+    /// # Errors
+    /// Never for a frame that was made; a frame without colours is returned as it is.
+    pub fn of<'a>(
+        &'a mut self,
+        frame: &Frame<'a>,
+        mixture: &Mixture,
+        region: [f64; 4],
+    ) -> Result<Frame<'a>> {
+        let Some(colour) = frame.colour() else { return Ok(*frame) };
+        let (width, height) = (frame.image().width(), frame.image().height());
+        self.pixels.resize(width * height, 0);
+        let [left, right, top, bottom] = region;
+        let wanted = [
+            left.floor().clamp(0.0, width as f64) as usize,
+            (right.ceil() + 1.0).clamp(0.0, width as f64) as usize,
+            top.floor().clamp(0.0, height as f64) as usize,
+            (bottom.ceil() + 1.0).clamp(0.0, height as f64) as usize,
+        ];
+        if !self.made.is_some_and(|m| covers(&m, &wanted)) {
+            let [x0, x1, y0, y1] = self.made.map_or(wanted, |m| hull(&m, &wanted));
+            for y in y0..y1 {
+                let row = self.pixels.get_mut(y * width..).and_then(|r| r.get_mut(x0..x1));
+                if let (Some(row), Some(colours)) = (row, colour.row(y)) {
+                    mixture.mix(&colours[3 * x0..], row);
+                }
+            }
+            self.made = Some([x0, x1, y0, y1]);
+        }
+        Frame::coloured(GrayView::new(&self.pixels, width, height, width)?, *colour)
+    }
+}
+
+fn covers(made: &[usize; 4], wanted: &[usize; 4]) -> bool {
+    made[0] <= wanted[0] && made[1] >= wanted[1] && made[2] <= wanted[2] && made[3] >= wanted[3]
+}
+
+fn hull(a: &[usize; 4], b: &[usize; 4]) -> [usize; 4] {
+    [a[0].min(b[0]), a[1].max(b[1]), a[2].min(b[2]), a[3].max(b[3])]
+}
+
+impl Mixture {
+    /// Mixes a row of interleaved colours.
+    fn mix(&self, colours: &[u8], row: &mut [u8]) {
+        let [a, b, c] = self.weights;
+        for (grey, colour) in row.iter_mut().zip(colours.as_chunks::<3>().0) {
+            let [x, y, z] = colour.map(i32::from);
+            *grey = ((a * x + b * y + c * z + self.offset) >> PLACES).clamp(0, 255) as u8;
+        }
+    }
+}

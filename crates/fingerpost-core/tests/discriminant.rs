@@ -1,0 +1,265 @@
+//! The mixture of colours that shows a hand best, and what a tracker gains by it.
+#![allow(clippy::unwrap_used, clippy::expect_used, missing_docs)]
+#![allow(clippy::float_cmp, reason = "where a value is exact, it is compared as such")]
+
+mod common;
+
+use common::{Canvas, HalfPlane, Hand, Noise, Picture};
+use fingerpost_core::discriminant::{Discriminant, DiscriminantImage, Mixture};
+use fingerpost_core::frame::{ColourView, Frame};
+use fingerpost_core::image::GrayView;
+use fingerpost_core::nalgebra::{Matrix3, Point2, Vector2, Vector3};
+use fingerpost_core::template::{Template, Thumb};
+use fingerpost_core::tracker::{ContourTracker, Model, StartPose, Status, TrackerOptions};
+
+type Colour = [u8; 3];
+
+/// What a camera makes of a colour's grey level.
+fn grey(colour: Colour) -> u8 {
+    let [b, g, r] = colour.map(f64::from);
+    (0.114 * b + 0.587 * g + 0.299 * r).round() as u8
+}
+
+/// A frame of `width` pixels a row.
+fn with_frame<T>(colours: &[Colour], width: usize, then: impl FnOnce(&Frame<'_>) -> T) -> T {
+    let greys: Vec<u8> = colours.iter().map(|&c| grey(c)).collect();
+    let bytes = colours.as_flattened();
+    let height = colours.len() / width;
+    let gray = GrayView::new(&greys, width, height, width).unwrap();
+    let colour = ColourView::new(bytes, width, height, 3 * width).unwrap();
+    then(&Frame::coloured(gray, colour).unwrap())
+}
+
+/// Eight colours about a mean whose covariance is that of the offsets' columns.
+fn class(mean: [i32; 3], offsets: [[i32; 3]; 3]) -> Vec<Colour> {
+    (0..8)
+        .map(|corner| {
+            let signs = [0, 1, 2].map(|k| if corner >> k & 1 == 0 { 1 } else { -1 });
+            [0, 1, 2].map(|c| {
+                let moved: i32 = (0..3).map(|k| signs[k] * offsets[k][c]).sum();
+                u8::try_from(mean[c] + moved).unwrap()
+            })
+        })
+        .collect()
+}
+
+fn learned(hand: &[Colour], background: &[Colour]) -> Discriminant {
+    let mut discriminant = Discriminant::default();
+    for (colours, is_hand) in [(hand, true), (background, false)] {
+        if colours.is_empty() {
+            continue;
+        }
+        with_frame(colours, colours.len(), |frame| {
+            (0..colours.len()).for_each(|x| discriminant.observe(frame, x as f64, 0.0, is_hand));
+        });
+    }
+    discriminant.learn();
+    discriminant
+}
+
+fn shown(mixture: &Mixture, colours: &[Colour]) -> Vec<f64> {
+    with_frame(colours, colours.len(), |frame| {
+        let mut image = DiscriminantImage::default();
+        let region = [0.0, colours.len() as f64, 0.0, 0.0];
+        let shown = image.of(frame, mixture, region).unwrap();
+        (0..colours.len()).map(|x| f64::from(shown.image().pixel(x, 0).unwrap())).collect()
+    })
+}
+
+fn mean(values: &[f64]) -> f64 {
+    values.iter().sum::<f64>() / values.len() as f64
+}
+
+const SKIN: [i32; 3] = [90, 110, 160];
+const WOOD: [i32; 3] = [96, 128, 125];
+
+#[test]
+fn it_is_the_mixture_of_fisher() {
+    let spread = [[9, 12, 11], [3, 0, -3], [0, 2, -2]];
+    let (hand, background) = (class(SKIN, spread), class(WOOD, spread));
+    let discriminant = learned(&hand, &background);
+    let mixture = discriminant.mixture().unwrap();
+
+    let columns = spread.map(|s| Vector3::from(s.map(f64::from)));
+    // The documented variance of noise and rounding is part of it.
+    let scatter: Matrix3<f64> =
+        columns.iter().map(|c| c * c.transpose()).sum::<Matrix3<f64>>() + Matrix3::identity();
+    let [skin, wood] = [SKIN, WOOD].map(|c| Vector3::from(c.map(f64::from)));
+    let w = scatter.try_inverse().unwrap() * (skin - wood);
+    let separation = (skin - wood).dot(&w).sqrt();
+
+    // Three standard deviations of noise and class together are three grey levels.
+    let (h, b) = (shown(mixture, &hand), shown(mixture, &background));
+    assert!((mean(&h) - mean(&b) - 3.0 * separation).abs() < 0.5, "{h:?} {b:?}");
+    assert!((0.5 * (mean(&h) + mean(&b)) - 128.0).abs() < 0.5);
+    for (colour, grey) in hand.iter().zip(&h) {
+        let c = Vector3::from(colour.map(f64::from));
+        let expected = 128.0 + 3.0 / separation * w.dot(&(c - 0.5 * (skin + wood)));
+        assert!((grey - expected).abs() < 0.6, "{colour:?}: {grey} {expected}");
+    }
+}
+
+#[test]
+fn a_hand_that_grey_shows_as_well_needs_none() {
+    let spread = [[5, 5, 5], [2, 0, 0], [0, 0, 2]];
+    assert_eq!(learned(&class([140; 3], spread), &class([60; 3], spread)).mixture(), None);
+}
+
+#[test]
+fn nothing_seen_is_nothing_known() {
+    let spread = [[3, 0, 0], [0, 3, 0], [0, 0, 3]];
+    let skin = class(SKIN, spread);
+    assert_eq!(Discriminant::default().mixture(), None);
+    assert_eq!(learned(&skin, &[]).mixture(), None);
+    assert_eq!(learned(&[], &skin).mixture(), None);
+    assert_eq!(learned(&skin, &skin).mixture(), None, "the same on both sides");
+
+    let mut discriminant = Discriminant::default();
+    let gray = [100; 4];
+    let frame = Frame::gray(GrayView::new(&gray, 4, 1, 4).unwrap());
+    discriminant.observe(&frame, 1.0, 0.0, true);
+    discriminant.observe(&frame, 2.0, 0.0, false);
+    discriminant.learn();
+    assert_eq!(discriminant.mixture(), None, "no colours");
+}
+
+#[test]
+fn an_anchored_hand_is_not_talked_away() {
+    let spread = [[3, 0, 0], [0, 3, 0], [0, 0, 3]];
+    let mut discriminant = learned(&class(SKIN, spread), &class(WOOD, spread));
+    let before = *discriminant.mixture().unwrap();
+    discriminant.fade(1.0);
+    discriminant.learn();
+    assert_eq!(discriminant.mixture(), Some(&before));
+    // From now on the contour lies on the wood alone.
+    discriminant.anchor();
+    let wood = class(WOOD, spread);
+    for _ in 0..50 {
+        discriminant.fade(0.8);
+        with_frame(&wood, 8, |frame| {
+            for x in 0..8 {
+                discriminant.observe(frame, f64::from(x), 0.0, true);
+                discriminant.observe(frame, f64::from(x), 0.0, false);
+            }
+        });
+    }
+    discriminant.learn();
+    let mixture = discriminant.mixture().expect("skin still counts");
+    let (h, b) = (shown(mixture, &class(SKIN, spread)), shown(mixture, &wood));
+    assert!(mean(&h) > mean(&b) + 3.0, "{h:?} {b:?}");
+}
+
+/// Colours that differ from pixel to pixel.
+fn many(count: usize) -> Vec<Colour> {
+    let mut noise = Noise::new(0x6469_7363);
+    let mut byte = || (noise.bits() & 0xff) as u8;
+    (0..count).map(|_| [byte(), byte(), byte()]).collect()
+}
+
+#[test]
+fn an_image_is_made_where_it_is_looked_at_and_grows() {
+    const WIDTH: usize = 24;
+    const HEIGHT: usize = 17;
+    let spread = [[3, 0, 0], [0, 3, 0], [0, 0, 3]];
+    let discriminant = learned(&class(SKIN, spread), &class(WOOD, spread));
+    let mixture = discriminant.mixture().unwrap();
+    let colours = many(WIDTH * HEIGHT);
+    let all = shown(mixture, &colours);
+    assert!(all.contains(&0.0) && all.contains(&255.0), "what is out of range saturates");
+    with_frame(&colours, WIDTH, |frame| {
+        let mut image = DiscriminantImage::default();
+        // The last regions hold what was made before, reach beyond the frame or are empty.
+        let regions = [
+            [3.2, 8.0, 2.0, 4.9],
+            [10.0, 12.0, 9.5, 11.0],
+            [4.0, 5.0, 3.0, 3.5],
+            [-9.0, 1.0, 12.0, 99.0],
+            [f64::INFINITY, f64::NEG_INFINITY, f64::INFINITY, f64::NEG_INFINITY],
+            [-1e300, 1e300, -1e300, 1e300],
+        ];
+        for [left, right, top, bottom] in regions {
+            let shown = image.of(frame, mixture, [left, right, top, bottom]).unwrap();
+            assert_eq!(shown.colour(), frame.colour());
+            for (i, &expected) in all.iter().enumerate() {
+                let (x, y) = ((i % WIDTH) as f64, (i / WIDTH) as f64);
+                if (left..=right).contains(&x) && (top..=bottom).contains(&y) {
+                    let grey = shown.image().pixel(i % WIDTH, i / WIDTH).unwrap();
+                    assert_eq!(f64::from(grey), expected, "({x}, {y})");
+                }
+            }
+        }
+    });
+    // A new frame shows nothing of the last one, and may be of another size.
+    let next: Vec<Colour> = colours.iter().rev().copied().collect();
+    with_frame(&next, HEIGHT, |frame| {
+        let mut image = DiscriminantImage::default();
+        with_frame(&colours, WIDTH, |old| {
+            image.of(old, mixture, [0.0, 99.0, 0.0, 99.0]).unwrap();
+        });
+        image.clear();
+        let shown = image.of(frame, mixture, [0.0, 99.0, 0.0, 99.0]).unwrap();
+        let bytes = shown.image().data().iter().map(|&g| f64::from(g));
+        assert!(bytes.eq(all.iter().rev().copied()));
+    });
+}
+
+#[test]
+fn a_frame_without_colours_is_shown_as_it_is() {
+    let spread = [[3, 0, 0], [0, 3, 0], [0, 0, 3]];
+    let discriminant = learned(&class(SKIN, spread), &class(WOOD, spread));
+    let gray = [10, 20, 30, 40];
+    let view = GrayView::new(&gray, 2, 2, 2).unwrap();
+    let mut image = DiscriminantImage::default();
+    let mixture = discriminant.mixture().unwrap();
+    let shown = image.of(&Frame::gray(view), mixture, [0.0, 2.0, 0.0, 2.0]).unwrap();
+    assert_eq!(shown.image(), &view);
+}
+
+const WIDTH: usize = 240;
+const HEIGHT: usize = 150;
+const DARK: Colour = [60, 60, 60];
+const HAND: Colour = [90, 110, 160];
+
+/// A hand over a dark table, whose right-hand part is of one grey with the hand.
+fn scene(hand: &Hand, equal: Colour, noise: &mut Noise) -> (Picture, Vec<u8>) {
+    let edge = HalfPlane::beyond(Point2::new(130.0, 0.0), std::f64::consts::PI, 0.0);
+    let channels = [0, 1, 2].map(|c| {
+        let canvas = Canvas::new(WIDTH, HEIGHT, f64::from(DARK[c]));
+        let canvas = canvas.paint(&edge, f64::from(equal[c]));
+        canvas.paint(hand, f64::from(HAND[c])).blur(0.957_427).take(2.0, noise)
+    });
+    let [b, g, r] = channels.map(|c| c.bytes);
+    let colours = b.iter().zip(&g).zip(&r).flat_map(|((&b, &g), &r)| [b, g, r]);
+    let greys = b.iter().zip(&g).zip(&r).map(|((&b, &g), &r)| grey([b, g, r]));
+    let picture = Picture { width: WIDTH, height: HEIGHT, bytes: greys.collect() };
+    (picture, colours.collect())
+}
+
+#[test]
+fn a_hand_of_one_grey_with_its_background_is_followed_by_its_colour() {
+    let equal = [grey(HAND); 3];
+    assert_eq!(grey(equal), grey(HAND));
+    let mut noise = Noise::new(0x636f_6c6f);
+    for model in [Model::Ribbon, Model::Paper] {
+        let start = StartPose { tip_px: Point2::new(84.0, 90.0), angle_rad: -0.3, length_px: 60.0 };
+        let options = TrackerOptions { model, ..TrackerOptions::default() };
+        let template = Template::pistol(Thumb::None).unwrap();
+        let mut tracker = ContourTracker::new(template, &start, options).unwrap();
+        for k in 0..50 {
+            let gone = f64::from((k - 8).max(0)) * 3.0;
+            let tip = start.tip_px + Vector2::new(gone - 2.0, 1.0 - 0.3 * gone);
+            let hand = Hand::usual(Thumb::None, tip, -0.25, 60.0);
+            let (picture, colours) = scene(&hand, equal, &mut noise);
+            let colour = ColourView::new(&colours, WIDTH, HEIGHT, 3 * WIDTH).unwrap();
+            let frame = Frame::coloured(picture.view(), colour).unwrap();
+            let track = tracker.update(&frame, f64::from(k) / 30.0).unwrap();
+            if k >= 7 {
+                assert_eq!(track.status, Status::Tracking, "{model:?} {k}");
+                let line = track.finger_line.unwrap_or_else(|| unreachable!("{model:?} {k}"));
+                let angle = (line.axis.angle_rad - hand.angle_rad).abs();
+                let offset = hand.offset_px(&line.axis.anchor).abs();
+                assert!(angle < 0.02 && offset < 0.5, "{model:?} {k}: {angle} {offset}");
+            }
+        }
+    }
+}
