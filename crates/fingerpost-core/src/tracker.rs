@@ -332,9 +332,9 @@ impl ContourTracker {
     /// Takes one frame, captured at `time_s`, and tells where the hand is.
     ///
     /// # Errors
-    /// When `time_s` is not finite or before the last frame's; nothing else of a tracker that was
-    /// made can be refused. A hand that is not there is no
-    /// error but a [`Status`].
+    /// When `time_s` is not finite or before the last frame's, or the frame is larger than
+    /// [`EdgeSearch::search`](crate::search::EdgeSearch::search) takes; nothing else of a tracker
+    /// that was made can be refused. A hand that is not there is no error but a [`Status`].
     pub fn update(&mut self, frame: &Frame<'_>, time_s: f64) -> Result<Track> {
         let last = self.last_time_s.unwrap_or(f64::NEG_INFINITY);
         Error::finite("frame time [s]", time_s)?;
