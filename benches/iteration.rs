@@ -124,9 +124,9 @@ impl Tracked {
         tracked
     }
 
-    /// One frame.
+    /// Frame `i` of the path, which closes.
     pub fn update(&mut self, i: usize) -> Status {
-        let Scene { pixels, size: [width, height], .. } = &self.scenes[i];
+        let Scene { pixels, size: [width, height], .. } = &self.scenes[i % FRAMES];
         let image = GrayView::new(pixels, *width, *height, *width).unwrap();
         self.time_s += 0.04;
         self.tracker.update(&Frame::gray(image), self.time_s).unwrap().status
@@ -136,7 +136,7 @@ impl Tracked {
     pub fn update_us(&mut self) -> f64 {
         let times = (0..4 * self.scenes.len()).map(|i| {
             let start = Instant::now();
-            let status = self.update(i % FRAMES);
+            let status = self.update(i);
             assert_eq!(status, Status::Tracking, "the hand is lost");
             start.elapsed().as_secs_f64() * 1e6
         });

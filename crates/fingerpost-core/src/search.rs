@@ -228,7 +228,7 @@ impl EdgeSearch {
         measurements: &mut Vec<EdgeMeasurement>,
     ) -> Result<()> {
         let image = frame.image();
-        fits_coordinates(frame)?;
+        check_size(frame)?;
         let Self { kernels, options, isa, together, alone } = self;
         let kernel = &kernels[scale as usize];
         let ballot = cue.appearance().map(|appearance| appearance.ballot(frame));
@@ -262,8 +262,8 @@ impl EdgeSearch {
     }
 }
 
-/// Coordinates are 16.16 fixed point, places in memory 32 bits.
-fn fits_coordinates(frame: &Frame<'_>) -> Result<()> {
+/// Refuses a frame that no search takes: coordinates are 16.16 fixed point, places in memory 32 bits.
+pub(crate) fn check_size(frame: &Frame<'_>) -> Result<()> {
     let image = frame.image();
     let (width, height) = (image.width(), image.height());
     if width.max(height) > lanes::MAX_SIDE_PX {
