@@ -54,8 +54,9 @@ lint: $(STAMPS)/extension ## formats, lints, types, documentation links, stubs
 	$(BIN)/mypy --no-error-summary
 	$(BIN)/stubtest --mypy-config-file pyproject.toml --concise fingerpost._core
 
-bench: $(STAMPS)/extension ## the time that each stage of the tracker takes, and the simulated rig
-	cargo bench --locked --package fingerpost-benches
+bench: $(STAMPS)/extension ## speed as ratios to the C limit, each stage alone, the simulated rig
+	cargo bench --locked --package fingerpost-benches --bench ratios
+	cargo bench --locked --package fingerpost-benches --bench stages
 	$(BIN)/python benches/bench_simulate.py
 
 setup: $(STAMPS)/extension ## .venv with the extension built, and nothing more

@@ -1,5 +1,16 @@
 //! Frames for the benchmarks: a bright pointing hand that moves over a darker table.
 
+#![expect(
+    clippy::unwrap_used,
+    clippy::missing_panics_doc,
+    reason = "what a benchmark needs should stop it where it does not work"
+)]
+
+mod iteration;
+pub mod sequence;
+
+pub use iteration::{Iteration, Tracked, median};
+
 use fingerpost_core::nalgebra::{Point2, Vector2};
 use fingerpost_core::tracker::StartPose;
 

@@ -74,22 +74,26 @@ THIRD_PARTY_RULES = {
 }
 
 # What each module of fingerpost-core may import of the others: shapes never see a pixel, pixels
-# never see a shape, and the fit sees measurements alone.
+# never see a shape, and the fit sees measurements alone. Lanes of numbers are nobody's business but
+# their own.
 _SHAPES = {"error", "bspline", "contour", "template", "shape_space"}
 _PIXELS = {"error", "image", "frame", "appearance", "discriminant"}
+_LANES = {"simd", "logarithm"}
 RUST_RULES = {
     "error": set(),
+    "simd": set(),
+    "logarithm": set(),
     "image": {"error"},
     "frame": {"error", "image"},
-    "appearance": {"error", "image", "frame"},
+    "appearance": {"error", "image", "frame"} | _LANES,
     "discriminant": {"error", "image", "frame"},
     "bspline": {"error"},
     "contour": {"error", "bspline"},
     "template": {"error", "bspline", "contour"},
     "shape_space": _SHAPES,
-    "fit": _SHAPES,
+    "fit": _SHAPES | {"simd"},
     "dynamics": _SHAPES,
-    "search": _SHAPES | _PIXELS,
+    "search": _SHAPES | _PIXELS | _LANES,
     "refine": _SHAPES | _PIXELS,
     "tracker": _SHAPES | _PIXELS | {"fit", "dynamics", "search", "refine"},
 }

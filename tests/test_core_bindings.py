@@ -1058,10 +1058,18 @@ def test_colours_that_are_not_of_the_frame_are_refused(colour, complaint):
         ContourTracker(PISTOL, WAITING).update(grey(), 0.0, colour)
 
 
+@pytest.mark.parametrize("shape", [(1, 2**15), (2**15, 1)])
+def test_frames_beyond_fixed_point_are_refused(shape):
+    tracker = ContourTracker(PISTOL, WAITING)
+    with pytest.raises(InvalidInputError, match="32767 px"):
+        tracker.update(np.zeros(shape, np.uint8), 1.0)
+    assert tracker.update(grey(), 0.0).status == "acquiring"
+
+
 @pytest.mark.skipif(sys.platform != "linux", reason="needs /proc and RLIMIT_AS")
 def test_images_are_not_copied(tmp_path: Path) -> None:
-    # Sparse files of 8 GiB and 6 GiB as images, and hardly any memory left beside them: whatever
-    # copied one, or one row in two thousand, would fail.
+    # Sparse files of 2 GiB and 3 GiB as images, and hardly any memory left beside them: whatever
+    # copied one, or one row in sixty, would fail.
     program = f"""
         import re, resource
         from pathlib import Path
@@ -1069,10 +1077,10 @@ def test_images_are_not_copied(tmp_path: Path) -> None:
         from fingerpost._core import Appearance, ContourTracker, StartPose, Template
 
         path = {str(tmp_path / "sparse")!r}
-        image = np.memmap(path, np.uint8, "w+", shape=(2**13, 2**20))[:, : 2**19]
-        image[4096:4196, 262144:262244] = 200
-        colour = np.memmap(path + "3", np.uint8, "w+", shape=(2**13, 2**19, 3))
-        tracker = ContourTracker(Template.pistol("left"), StartPose((262200, 4150), 0.5, 80))
+        image = np.memmap(path, np.uint8, "w+", shape=(2**15 - 1, 2**16))[:, : 2**15 - 1]
+        image[4096:4196, 16384:16484] = 200
+        colour = np.memmap(path + "3", np.uint8, "w+", shape=(2**15 - 1, 2**15 - 1, 3))
+        tracker = ContourTracker(Template.pistol("left"), StartPose((16440, 4150), 0.5, 80))
         known = Appearance(coloured=True)
         used = re.search(r"VmSize:\\s+(\\d+) kB", Path("/proc/self/status").read_text())
         limit = int(used.group(1)) * 1024 + 2**24
@@ -1084,7 +1092,7 @@ def test_images_are_not_copied(tmp_path: Path) -> None:
         else:
             raise SystemExit("there is memory for a copy")
         print(tracker.update(image, 0.0).status, tracker.update(image, 0.1, colour).status)
-        known.observe(image, [[262200, 4150]], "hand", colour=colour)
+        known.observe(image, [[16440, 4150]], "hand", colour=colour)
     """
     done = subprocess.run(
         [sys.executable, "-c", textwrap.dedent(program)], capture_output=True, text=True
@@ -1239,14 +1247,25 @@ def test_an_appearance_that_changes_is_read_by_no_other_thread():
     line = ([[100.0, 100.0]], [[1.0, 0.0]], 10.0, "unknown")
     complaints: list[str] = []
 
-    def disturb() -> None:
-        try:
-            EdgeSearch().search(image, *line, appearance=known, cue="hand-edges")
-        except FingerpostError as error:
-            complaints.append(str(error))
+    def complaining(call: Callable[[], object]) -> Callable[[], None]:
+        def complain() -> None:
+            try:
+                call()
+            except FingerpostError as error:
+                complaints.append(str(error))
 
-    assert meet([lambda: known.observe(image, pixels, "hand"), disturb])
-    assert complaints[0].startswith("this Appearance is in use in another thread")
+        return complain
+
+    def change() -> object:
+        return known.observe(image, pixels, "hand")
+
+    def read() -> object:
+        return EdgeSearch().search(image, *line, appearance=known, cue="hand-edges")
+
+    # Whichever comes second is refused.
+    assert meet([complaining(change), complaining(read)])
+    assert complaints
+    assert all(c.startswith("this Appearance is in use in another thread") for c in complaints)
 
 
 # --- whatever comes --------------------------------------------------------------------------

@@ -1360,8 +1360,9 @@ class ContourTracker:
         Raises
         ------
         InvalidInputError
-            An image that is empty or not as described above, colours of another size, a time that
-            is not finite or runs backwards. The tracker is as it was before.
+            An image that is empty, more than 32767 px wide or high, of rows of more than 131071
+            bytes or not as described above, colours of another size, a time that is not finite or
+            runs backwards. The tracker is as it was before.
         FingerpostError
             The tracker is in use in another thread.
         """

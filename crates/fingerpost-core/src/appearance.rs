@@ -8,101 +8,143 @@
 //!
 //! Source: Ronfard 1994 and Bibby & Reid 2008 for region statistics along a contour.
 
-use crate::frame::Frame;
+#![expect(
+    clippy::inline_always,
+    reason = "what is inlined into a function with wider instructions is compiled for them"
+)]
 
-/// Bins per colour channel, and bins of a grey histogram: 16 and 4 grey levels wide.
+use crate::frame::Frame;
+use crate::logarithm::ln;
+use crate::simd::{Isa, Work};
+use std::array::from_fn;
+
+/// Bins per colour channel: 16 grey levels wide.
 const COLOUR_BINS: usize = 16;
+/// Bins of a grey histogram: 4 grey levels wide.
 const GRAY_BINS: usize = 64;
 /// A vote counts for no more than this: a colour never seen on one side proves little.
 const MAX_VOTE: f32 = 3.0;
 /// Every bin starts with this part of an even distribution.
 const PRIOR_WEIGHT: f32 = 0.5;
 
+/// A vote's unit is one over this.
+pub(crate) const VOTE_UNIT: f32 = 1024.0;
+
+/// The vote of every bin; of a grey histogram, the first 64.
+pub(crate) type Votes = [i16; COLOUR_BINS.pow(3)];
+
 /// Learned colours of the hand and of what is behind it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Appearance {
-    bins_per_axis: usize,
-    axes: usize,
-    hand: Vec<f32>,
+    coloured: bool,
+    hand: Histogram,
     /// The hand as it was when it was acquired; see [`Appearance::anchor`].
-    anchor: Vec<f32>,
-    background: Vec<f32>,
-    votes: Vec<f32>,
-    scratch: Vec<f32>,
+    anchor: Histogram,
+    background: Histogram,
+    /// Every bin's vote, in units of 1/1024.
+    votes: Box<Votes>,
+    /// The smoothed histograms of hand and background.
+    smooth: [Vec<f32>; 2],
+}
+
+/// How often every bin was seen.
+#[derive(Debug, Clone, PartialEq)]
+struct Histogram {
+    bins: Vec<f32>,
+    total: f64,
+}
+
+impl Histogram {
+    fn empty(bins: usize) -> Self {
+        Self { bins: vec![0.0; bins], total: 0.0 }
+    }
+
+    fn fade(&mut self, keep: f32) {
+        for bin in &mut self.bins {
+            *bin *= keep;
+        }
+        self.total *= f64::from(keep);
+    }
 }
 
 impl Appearance {
     /// An appearance that has seen nothing: every pixel votes for neither side.
     #[must_use]
     pub fn new(coloured: bool) -> Self {
-        let (bins_per_axis, axes) = if coloured { (COLOUR_BINS, 3) } else { (GRAY_BINS, 1) };
-        let bins = bins_per_axis.pow(axes as u32);
-        let zeros = || vec![0.0; bins];
+        let bins = if coloured { COLOUR_BINS.pow(3) } else { GRAY_BINS };
         Self {
-            bins_per_axis,
-            axes,
-            hand: zeros(),
-            anchor: zeros(),
-            background: zeros(),
-            votes: zeros(),
-            scratch: zeros(),
+            coloured,
+            hand: Histogram::empty(bins),
+            anchor: Histogram::empty(bins),
+            background: Histogram::empty(bins),
+            votes: Box::new([0; _]),
+            smooth: from_fn(|_| vec![0.0; bins]),
         }
     }
 
     /// Whether it was made for colours.
     #[must_use]
     pub fn is_coloured(&self) -> bool {
-        self.axes == 3
+        self.coloured
     }
 
     /// Lets what was learned fade to a part `keep` of its weight, 0–1.
     pub fn fade(&mut self, keep: f32) {
-        for bin in self.hand.iter_mut().chain(&mut self.background) {
-            *bin *= keep;
-        }
+        self.hand.fade(keep);
+        self.background.fade(keep);
     }
 
     /// Keeps the hand as it is known now for good: it counts as much as all that is learned later,
     /// so that a contour that has drifted cannot talk the hand's colours away.
     pub fn anchor(&mut self) {
-        self.anchor.copy_from_slice(&self.hand);
+        self.anchor.clone_from(&self.hand);
     }
 
     /// Counts the pixel at (x, y), if it lies in the frame, as the hand or as what is behind it.
     pub fn observe(&mut self, frame: &Frame<'_>, x: f64, y: f64, is_hand: bool) {
         if let Some(bin) = self.bin(frame, x, y) {
             let side = if is_hand { &mut self.hand } else { &mut self.background };
-            side[bin] += 1.0;
+            side.bins[bin] += 1.0;
+            side.total += 1.0;
         }
     }
 
     /// Works the votes out anew from the histograms, each smoothed by (1 2 1)/4 along every axis.
     pub fn learn(&mut self) {
-        let totals = [
-            self.hand.iter().chain(&self.anchor).sum::<f32>(),
-            self.background.iter().sum::<f32>(),
-        ];
+        let totals = [self.hand.total + self.anchor.total, self.background.total];
         if totals.iter().any(|&t| t <= 0.0) {
-            self.votes.fill(0.0);
+            self.votes.fill(0);
             return;
         }
-        // How much a bin would hold of an even distribution keeps empty bins from shouting.
-        let even = PRIOR_WEIGHT / self.votes.len() as f32;
-        self.smooth(true);
-        for (vote, hand) in self.votes.iter_mut().zip(&self.scratch) {
-            *vote = (hand / totals[0] + even).ln();
+        let [hand, background] = &mut self.smooth;
+        for ((smooth, new), kept) in hand.iter_mut().zip(&self.hand.bins).zip(&self.anchor.bins) {
+            *smooth = new + kept;
         }
-        self.smooth(false);
-        for (vote, background) in self.votes.iter_mut().zip(&self.scratch) {
-            *vote = (*vote - (background / totals[1] + even).ln()).clamp(-MAX_VOTE, MAX_VOTE);
-        }
+        background.copy_from_slice(&self.background.bins);
+        Isa::detect().run(Learning {
+            coloured: self.coloured,
+            parts: totals.map(|total| total.recip() as f32),
+            smooth: &mut self.smooth,
+            votes: &mut *self.votes,
+        });
     }
 
     /// The vote of the pixel nearest to (u, v): positive for the hand, negative for what is behind
-    /// it, in ±3; zero outside the frame.
+    /// it, in ±3; zero outside the frame. Votes are rounded to 1/1024.
     #[must_use]
     pub fn vote(&self, frame: &Frame<'_>, u: f64, v: f64) -> f32 {
-        self.bin(frame, u, v).map_or(0.0, |bin| self.votes[bin])
+        self.bin(frame, u, v).map_or(0.0, |bin| f32::from(self.votes[bin]) / VOTE_UNIT)
+    }
+
+    /// The pixels of `frame` that vote, and how.
+    pub(crate) fn ballot<'a>(&'a self, frame: &Frame<'a>) -> Ballot<'a> {
+        let image = frame.image();
+        let pixels = match (self.coloured, frame.colour()) {
+            (false, _) => Voters::Gray(image.data(), image.stride()),
+            (true, Some(colour)) => Voters::Colour(colour.data(), colour.stride()),
+            (true, None) => Voters::Nobody,
+        };
+        Ballot { pixels, votes: &self.votes }
     }
 
     fn bin(&self, frame: &Frame<'_>, u: f64, v: f64) -> Option<usize> {
@@ -110,34 +152,119 @@ impl Appearance {
             return None;
         }
         let (x, y) = ((u + 0.5) as usize, (v + 0.5) as usize);
-        if self.is_coloured() {
+        if self.coloured {
             let [a, b, c] = frame.colour()?.pixel(x, y)?.map(|c| usize::from(c) >> 4);
             Some((a * COLOUR_BINS + b) * COLOUR_BINS + c)
         } else {
             Some(usize::from(frame.image().pixel(x, y)?) >> 2)
         }
     }
+}
 
-    /// Puts one side's histogram, smoothed, into `scratch`.
-    fn smooth(&mut self, hand: bool) {
-        self.scratch.copy_from_slice(if hand { &self.hand } else { &self.background });
-        if hand {
-            for (bin, anchor) in self.scratch.iter_mut().zip(&self.anchor) {
-                *bin += anchor;
+/// The pixels that vote, and how.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Ballot<'a> {
+    pub pixels: Voters<'a>,
+    /// The vote of every bin.
+    pub votes: &'a Votes,
+}
+
+/// Where a pixel's bin is read.
+#[derive(Debug, Clone, Copy)]
+pub(crate) enum Voters<'a> {
+    /// Grey levels and the bytes from one row to the next: 64 bins.
+    Gray(&'a [u8], usize),
+    /// Three channels and the bytes from one row to the next: 16 bins each.
+    Colour(&'a [u8], usize),
+    /// A coloured appearance and a frame without colours: nobody votes.
+    Nobody,
+}
+
+/// From two histograms to votes.
+struct Learning<'a> {
+    coloured: bool,
+    /// One over the weight of either histogram.
+    parts: [f32; 2],
+    smooth: &'a mut [Vec<f32>; 2],
+    votes: &'a mut [i16],
+}
+
+impl Work for Learning<'_> {
+    #[inline(always)]
+    fn run(self) {
+        for bins in &mut *self.smooth {
+            if self.coloured {
+                smooth_rows::<COLOUR_BINS>(bins);
+                for plane in bins.chunks_exact_mut(COLOUR_BINS * COLOUR_BINS) {
+                    smooth_across::<COLOUR_BINS>(plane);
+                }
+                smooth_across::<{ COLOUR_BINS * COLOUR_BINS }>(bins);
+            } else {
+                smooth_rows::<GRAY_BINS>(bins);
             }
         }
-        let (n, total) = (self.bins_per_axis, self.scratch.len());
-        for axis in 0..self.axes {
-            let stride = n.pow(axis as u32);
-            for start in (0..total).filter(|i| (i / stride) % n == 0) {
-                let mut before = self.scratch[start];
-                for k in 0..n {
-                    let i = start + k * stride;
-                    let here = self.scratch[i];
-                    let after = if k + 1 < n { self.scratch[i + stride] } else { here };
-                    self.scratch[i] = 0.25 * (before + after) + 0.5 * here;
-                    before = here;
-                }
+        // How much a bin would hold of an even distribution keeps empty bins from shouting.
+        let even = PRIOR_WEIGHT / self.smooth[0].len() as f32;
+        let [hand, background] = &*self.smooth;
+        let [per_hand, per_background] = self.parts;
+        for ((vote, hand), background) in self.votes.iter_mut().zip(hand).zip(background) {
+            let log_ratio = ln(hand * per_hand + even) - ln(background * per_background + even);
+            let steps = VOTE_UNIT * log_ratio.clamp(-MAX_VOTE, MAX_VOTE);
+            // Away from zero by half, then cut off: rounded, and the same for either side.
+            *vote = (steps + 0.5_f32.copysign(steps)) as i32 as i16;
+        }
+    }
+}
+
+/// (1 2 1)/4 along rows of `N` bins; the ends repeat.
+#[inline(always)]
+fn smooth_rows<const N: usize>(bins: &mut [f32]) {
+    for row in bins.as_chunks_mut::<N>().0 {
+        let before = *row;
+        for i in 1..N - 1 {
+            row[i] = 0.25 * (before[i - 1] + before[i + 1]) + 0.5 * before[i];
+        }
+        row[0] = 0.25 * (before[0] + before[1]) + 0.5 * before[0];
+        row[N - 1] = 0.25 * (before[N - 2] + before[N - 1]) + 0.5 * before[N - 1];
+    }
+}
+
+/// The same from row to row.
+#[inline(always)]
+fn smooth_across<const N: usize>(bins: &mut [f32]) {
+    let rows = bins.as_chunks_mut::<N>().0;
+    let mut before = rows[0];
+    for i in 0..rows.len() {
+        let here = rows[i];
+        let after = *rows.get(i + 1).unwrap_or(&here);
+        rows[i] = from_fn(|j| 0.25 * (before[j] + after[j]) + 0.5 * here[j]);
+        before = here;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{COLOUR_BINS, GRAY_BINS, Learning};
+    use crate::simd::Isa;
+    use std::array::from_fn;
+
+    #[test]
+    fn every_instruction_set_learns_the_same_votes() {
+        for (coloured, bins) in [(false, GRAY_BINS), (true, COLOUR_BINS.pow(3))] {
+            let votes = |isa: Isa| {
+                // Mostly empty, as histograms are; no two bins alike.
+                let bin =
+                    |i: usize, side: usize| ((i * (7 + 4 * side) % 31) as f32 - 25.0).max(0.0);
+                let mut smooth = from_fn(|side| (0..bins).map(|i| bin(i, side)).collect());
+                let mut votes = vec![0; bins];
+                let (parts, smooth) = ([0.01, 0.02], &mut smooth);
+                isa.run(Learning { coloured, parts, smooth, votes: &mut votes });
+                votes
+            };
+            let reference = votes(Isa::Scalar);
+            assert!(reference.iter().any(|&v| v > 500) && reference.iter().any(|&v| v < -500));
+            for isa in Isa::available() {
+                assert_eq!(votes(isa), reference, "{isa}");
             }
         }
     }

@@ -12,6 +12,12 @@
 //!
 //! This module never sees a pixel.
 
+#![expect(
+    clippy::inline_always,
+    reason = "what is inlined into a function with wider instructions is compiled for them"
+)]
+
+use crate::simd::{Isa, Work, each};
 use crate::{Error, Result};
 use nalgebra::{Cholesky, SMatrix, SVector};
 
@@ -73,27 +79,38 @@ const SETTLED: f64 = 1e-3;
 /// of its own.
 const RANK_TOLERANCE: f64 = 1e-9;
 
+/// Equations that are worked on side by side.
+const LANES: usize = 4;
+/// One number of each of them.
+type Lanes = [f64; LANES];
+
 /// Storage for equations of any number of unknowns, reused from solve to solve.
 #[derive(Debug, Clone, Default)]
 pub struct EquationBuffer {
-    rows: Vec<f64>,
-    offsets_px: Vec<f64>,
-    variances_px2: Vec<f64>,
+    count: usize,
+    /// Row components of `LANES` equations, component by component; then of the next ones. Lanes
+    /// without an equation have zeros, a zero offset and a variance of one.
+    rows: Vec<Lanes>,
+    offsets_px: Vec<Lanes>,
+    variances_px2: Vec<Lanes>,
 }
 
 impl EquationBuffer {
     /// A buffer that holds `equations` equations of `unknowns` unknowns without allocating.
     #[must_use]
     pub fn with_capacity(equations: usize, unknowns: usize) -> Self {
+        let groups = equations.div_ceil(LANES);
         Self {
-            rows: Vec::with_capacity(equations * unknowns),
-            offsets_px: Vec::with_capacity(equations),
-            variances_px2: Vec::with_capacity(equations),
+            count: 0,
+            rows: Vec::with_capacity(groups * unknowns),
+            offsets_px: Vec::with_capacity(groups),
+            variances_px2: Vec::with_capacity(groups),
         }
     }
 
     /// Forgets what the buffer holds and takes equations of `D` unknowns.
     pub fn clear<const D: usize>(&mut self) -> Equations<'_, D> {
+        self.count = 0;
         self.rows.clear();
         self.offsets_px.clear();
         self.variances_px2.clear();
@@ -115,45 +132,76 @@ impl<const D: usize> Equations<'_, D> {
         Error::finite("offset [px]", offset_px)?;
         Error::finite("row of the Jacobian", row.sum())?;
         Error::within("variance [px²]", variance_px2, "positive", |v| v > 0.0)?;
-        self.0.rows.extend_from_slice(row.as_slice());
-        self.0.offsets_px.push(offset_px);
-        self.0.variances_px2.push(variance_px2);
+        let buffer = &mut *self.0;
+        let (group, lane) = (buffer.count / LANES, buffer.count % LANES);
+        if lane == 0 {
+            buffer.rows.resize((group + 1) * D, [0.0; LANES]);
+            buffer.offsets_px.push([0.0; LANES]);
+            buffer.variances_px2.push([1.0; LANES]);
+        }
+        for (lanes, value) in buffer.rows[group * D..].iter_mut().zip(row) {
+            lanes[lane] = *value;
+        }
+        buffer.offsets_px[group][lane] = offset_px;
+        buffer.variances_px2[group][lane] = variance_px2;
+        buffer.count += 1;
         Ok(())
     }
 
     /// How many there are.
     #[must_use]
     pub fn len(&self) -> usize {
-        self.0.offsets_px.len()
+        self.0.count
     }
 
     /// Whether there are none.
     #[must_use]
     pub fn is_empty(&self) -> bool {
-        self.0.offsets_px.is_empty()
+        self.0.count == 0
     }
 
     /// The furthest that `step` moves any of the contour's samples along its normal \[px\].
     #[must_use]
     pub fn largest_motion(&self, step: &SVector<f64, D>) -> f64 {
-        self.iter().fold(0.0, |m, e| e.row.dot(step).abs().max(m))
+        // Lanes without an equation do not move.
+        let moved = self.groups().map(|group| group.moved_by(step));
+        moved.flatten().fold(0.0, |most, moved| moved.abs().max(most))
     }
 
-    fn iter(&self) -> impl Iterator<Item = Equation<D>> + '_ {
-        self.0.rows.chunks_exact(D).zip(&self.0.offsets_px).zip(&self.0.variances_px2).map(
-            |((row, &offset_px), &variance_px2)| Equation {
-                row: SVector::from_column_slice(row),
-                offset_px,
-                variance_px2,
-            },
-        )
+    #[inline(always)]
+    fn groups(&self) -> impl Iterator<Item = Group<'_, D>> {
+        let measured = self.0.offsets_px.iter().zip(&self.0.variances_px2);
+        self.0
+            .rows
+            .as_chunks::<D>()
+            .0
+            .iter()
+            .zip(measured)
+            .map(|(rows, (offsets_px, variances_px2))| Group { rows, offsets_px, variances_px2 })
+    }
+
+    fn variances_px2(&self) -> &[f64] {
+        &self.0.variances_px2.as_flattened()[..self.0.count]
     }
 }
 
-struct Equation<const D: usize> {
-    row: SVector<f64, D>,
-    offset_px: f64,
-    variance_px2: f64,
+/// Some equations, lane by lane.
+struct Group<'a, const D: usize> {
+    rows: &'a [Lanes; D],
+    offsets_px: &'a Lanes,
+    variances_px2: &'a Lanes,
+}
+
+impl<const D: usize> Group<'_, D> {
+    /// How far a step moves each sample along its normal \[px\].
+    #[inline(always)]
+    fn moved_by(&self, step: &SVector<f64, D>) -> Lanes {
+        let mut moved = [0.0; LANES];
+        for i in 0..D {
+            moved = each(|j| moved[j] + self.rows[i][j] * step[i]);
+        }
+        moved
+    }
 }
 
 /// A Gaussian belief about the step, from prediction or from what cannot change.
@@ -208,9 +256,12 @@ pub struct Fitter {
     options: FitOptions,
     /// Variance of the residual offsets beyond that of the measurements.
     misfit_px2: f64,
-    weights: Vec<f64>,
-    residuals: Vec<f64>,
-    sorted: Vec<f64>,
+    count: usize,
+    weights: Vec<Lanes>,
+    residuals: Vec<Lanes>,
+    /// Bit patterns of what is sorted: those of positive numbers have the numbers' order.
+    sorted: Vec<u64>,
+    isa: Isa,
 }
 
 /// Equations of this many samples fit without another allocation.
@@ -231,14 +282,23 @@ impl Fitter {
         Error::within("least residual scale [px]", options.min_scale_px, "0 to 10", |s| {
             (0.0..=10.0).contains(&s)
         })?;
-        let buffer = || Vec::with_capacity(USUAL_EQUATIONS);
+        let buffer = || Vec::with_capacity(USUAL_EQUATIONS.div_ceil(LANES));
         Ok(Self {
             options,
             misfit_px2: 0.0,
+            count: 0,
             weights: buffer(),
             residuals: buffer(),
-            sorted: buffer(),
+            sorted: Vec::with_capacity(USUAL_EQUATIONS),
+            isa: Isa::detect(),
         })
+    }
+
+    /// The same solver with another instruction set than the processor's widest: slower, with the
+    /// same results to the last bit.
+    #[must_use]
+    pub fn with_isa(self, isa: Isa) -> Self {
+        Self { isa, ..self }
     }
 
     /// The options in force.
@@ -250,13 +310,13 @@ impl Fitter {
     /// Residual offsets of the last solution \[px\], in the order of its equations.
     #[must_use]
     pub fn residuals(&self) -> &[f64] {
-        &self.residuals
+        &self.residuals.as_flattened()[..self.count]
     }
 
     /// Robust weights of the last solution, 0–1, in the order of its equations.
     #[must_use]
     pub fn weights(&self) -> &[f64] {
-        &self.weights
+        &self.weights.as_flattened()[..self.count]
     }
 
     /// The step that the equations, and the prior if there is one, agree on.
@@ -283,7 +343,8 @@ impl Fitter {
         let least_misfit_px2 = self.options.min_scale_px * self.options.min_scale_px;
         self.misfit_px2 = least_misfit_px2;
         self.weights.clear();
-        self.weights.resize(equations.len(), 1.0);
+        self.weights.resize(equations.0.offsets_px.len(), [1.0; LANES]);
+        self.count = equations.len();
         self.residuals.clear();
         self.residuals.extend_from_slice(&equations.0.offsets_px);
         if prior.is_none() && equations.len() < D {
@@ -294,10 +355,9 @@ impl Fitter {
         loop {
             iteration += 1;
             let normal = self.normal_equations(equations, prior);
-            let rank = rank(&normal.information);
-            let factor = match Cholesky::new(normal.information) {
-                Some(factor) if rank == D => factor,
-                _ => {
+            let factor = match determined(&normal.information) {
+                Ok(factor) => factor,
+                Err(rank) => {
                     let outcome = Outcome::Undetermined;
                     return self.undetermined(equations, outcome, normal.information, rank);
                 }
@@ -332,13 +392,16 @@ impl Fitter {
         equations: &Equations<'_, D>,
         prior: Option<&Prior<D>>,
     ) -> NormalEquations<D> {
+        let (misfit_px2, weights) = (self.misfit_px2, &self.weights);
         let mut information = SMatrix::<f64, D, D>::zeros();
         let mut right = SVector::<f64, D>::zeros();
-        for (equation, weight) in equations.iter().zip(&self.weights) {
-            let scaled = equation.row * (weight / (equation.variance_px2 + self.misfit_px2));
-            information.ger(1.0, &scaled, &equation.row, 1.0);
-            right.axpy(equation.offset_px, &scaled, 1.0);
-        }
+        self.isa.run(Accumulate {
+            equations,
+            weights,
+            misfit_px2,
+            information: &mut information,
+            right: &mut right,
+        });
         if let Some(prior) = prior {
             information += prior.information;
             right += prior.information * prior.mean;
@@ -351,27 +414,27 @@ impl Fitter {
         equations: &Equations<'_, D>,
         step: &SVector<f64, D>,
     ) {
-        for (residual, equation) in self.residuals.iter_mut().zip(equations.iter()) {
-            *residual = equation.offset_px - equation.row.dot(step);
-        }
+        self.isa.run(LeftOver { equations, step, residuals: &mut self.residuals });
     }
 
     /// Robust standard deviation of the residual offsets \[px\].
     fn residual_scale(&mut self) -> f64 {
         self.sorted.clear();
-        self.sorted.extend(self.residuals.iter().map(|r| r.abs()));
+        self.sorted
+            .extend(self.residuals.as_flattened()[..self.count].iter().map(|r| r.abs().to_bits()));
         let middle = self.sorted.len() / 2;
         if self.sorted.is_empty() {
             return 0.0;
         }
-        let (_, median, _) = self.sorted.select_nth_unstable_by(middle, f64::total_cmp);
-        MAD_TO_SIGMA * *median
+        let (_, median, _) = self.sorted.select_nth_unstable(middle);
+        MAD_TO_SIGMA * f64::from_bits(*median)
     }
 
     fn reweight(&mut self, scale_px: f64) {
         let Loss::Tukey { cutoff } = self.options.loss else { return };
         let limit = cutoff * scale_px;
-        for (weight, residual) in self.weights.iter_mut().zip(&self.residuals) {
+        let weights = self.weights.as_flattened_mut().iter_mut();
+        for (weight, residual) in weights.zip(self.residuals.as_flattened()) {
             // Of a scale of zero, which exact data may have, zero residuals are within.
             let t = if *residual == 0.0 { 0.0 } else { residual / limit };
             *weight = (1.0 - t * t).max(0.0).powi(2);
@@ -425,9 +488,8 @@ impl Fitter {
 
     fn statistics<const D: usize>(&self, equations: &Equations<'_, D>) -> Statistics {
         let mut s = Statistics::default();
-        let variances = &equations.0.variances_px2;
         for ((variance, weight), residual) in
-            variances.iter().zip(&self.weights).zip(&self.residuals)
+            equations.variances_px2().iter().zip(self.weights()).zip(self.residuals())
         {
             s.weight += weight;
             s.chi_squared += weight * residual * residual / (variance + self.misfit_px2);
@@ -443,7 +505,7 @@ impl Fitter {
 
 /// What the residual offsets scatter beyond their measurements \[px²\].
 fn misfit<const D: usize>(equations: &Equations<'_, D>, scale_px: f64) -> f64 {
-    let variances = &equations.0.variances_px2;
+    let variances = equations.variances_px2();
     let measured = variances.iter().sum::<f64>() / variances.len().max(1) as f64;
     (scale_px * scale_px - measured).max(0.0)
 }
@@ -468,6 +530,88 @@ impl Statistics {
         let freedom = self.weight - unknowns as f64;
         if freedom > 0.0 { (self.chi_squared / freedom).max(1.0) } else { 1.0 }
     }
+}
+
+/// The normal equations of weighted equations.
+struct Accumulate<'a, const D: usize> {
+    equations: &'a Equations<'a, D>,
+    weights: &'a [Lanes],
+    misfit_px2: f64,
+    information: &'a mut SMatrix<f64, D, D>,
+    right: &'a mut SVector<f64, D>,
+}
+
+impl<const D: usize> Work for Accumulate<'_, D> {
+    #[expect(clippy::needless_range_loop, reason = "as indices the loops are unrolled")]
+    #[inline(always)]
+    fn run(self) {
+        let mut products = [[[0.0; LANES]; D]; D];
+        let mut right = [[0.0; LANES]; D];
+        for (group, weights) in self.equations.groups().zip(self.weights) {
+            let parts: Lanes = each(|j| weights[j] / (group.variances_px2[j] + self.misfit_px2));
+            for a in 0..D {
+                let scaled: Lanes = each(|j| group.rows[a][j] * parts[j]);
+                right[a] = plus_product(&right[a], &scaled, group.offsets_px);
+                for b in a..D {
+                    products[a][b] = plus_product(&products[a][b], &scaled, &group.rows[b]);
+                }
+            }
+        }
+        let sum = |lanes: &Lanes| (lanes[0] + lanes[1]) + (lanes[2] + lanes[3]);
+        for a in 0..D {
+            self.right[a] = sum(&right[a]);
+            for (b, lanes) in products[a].iter().enumerate().skip(a) {
+                let product = sum(lanes);
+                self.information[(a, b)] = product;
+                self.information[(b, a)] = product;
+            }
+        }
+    }
+}
+
+#[inline(always)]
+fn plus_product(sum: &Lanes, a: &Lanes, b: &Lanes) -> Lanes {
+    each(|j| sum[j] + a[j] * b[j])
+}
+
+/// What a step leaves of the offsets.
+struct LeftOver<'a, const D: usize> {
+    equations: &'a Equations<'a, D>,
+    step: &'a SVector<f64, D>,
+    residuals: &'a mut [Lanes],
+}
+
+impl<const D: usize> Work for LeftOver<'_, D> {
+    #[inline(always)]
+    fn run(self) {
+        for (residuals, group) in self.residuals.iter_mut().zip(self.equations.groups()) {
+            let moved = group.moved_by(self.step);
+            *residuals = each(|j| group.offsets_px[j] - moved[j]);
+        }
+    }
+}
+
+/// The factor of an information matrix that determines all directions; otherwise, how many it
+/// does.
+fn determined<const D: usize>(
+    information: &SMatrix<f64, D, D>,
+) -> std::result::Result<Cholesky<f64, nalgebra::Const<D>>, usize> {
+    let factor = Cholesky::new(*information);
+    if let Some(factor) = factor {
+        // With every component scaled to unit information of its own, the eigenvalues add up to D.
+        // All but the least of them then multiply to no more than e, so the least is no less than
+        // the determinant over e, and no pivot is less than that.
+        let pivots = factor.l_dirty().diagonal().component_mul(&factor.l_dirty().diagonal());
+        let determinant = pivots.component_div(&information.diagonal()).product();
+        if determinant > std::f64::consts::E * RANK_TOLERANCE {
+            return Ok(factor);
+        }
+        match rank(information) {
+            rank if rank == D => return Ok(factor),
+            rank => return Err(rank),
+        }
+    }
+    Err(rank(information))
 }
 
 /// How many directions an information matrix determines: Cholesky with complete pivoting, each

@@ -24,6 +24,17 @@ impl<'a> ColourView<'a> {
         Ok(Self { data, width, height, stride })
     }
 
+    /// Bytes from one row to the next.
+    #[must_use]
+    pub fn stride(&self) -> usize {
+        self.stride
+    }
+
+    /// The bytes from the first pixel on, padding between rows included.
+    pub(crate) fn data(&self) -> &'a [u8] {
+        self.data
+    }
+
     /// The three channels of a pixel, if it lies in the image.
     #[must_use]
     pub fn pixel(&self, x: usize, y: usize) -> Option<[u8; 3]> {

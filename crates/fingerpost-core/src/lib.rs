@@ -65,8 +65,10 @@ mod error;
 pub mod fit;
 pub mod frame;
 pub mod image;
+mod logarithm;
 pub mod search;
 pub mod shape_space;
+pub mod simd;
 pub mod template;
 pub mod tracker;
 

@@ -14,11 +14,15 @@
 //!
 //! Source: Canny 1986 for the operator; Cipolla & Blake 1992 for the search along normals.
 
-use crate::appearance::Appearance;
-use crate::frame::Frame;
+mod lanes;
+
+use crate::appearance::{Appearance, Ballot};
+use crate::frame::{ColourView, Frame};
 use crate::image::GrayView;
 use crate::shape_space::PlacedSample;
+use crate::simd::{Isa, Work};
 use crate::{Error, Result};
+use lanes::{Lanes, Peak, Scoring, Track};
 use nalgebra::Vector2;
 use std::f64::consts::PI;
 
@@ -132,41 +136,37 @@ pub type EdgeMeasurement = std::result::Result<Edge, Miss>;
 /// The longest half-length of a search line \[px\].
 pub const MAX_HALF_LENGTH_PX: usize = 128;
 
-/// Samples keep this far from the image's border, so that rounding of a coordinate to single
-/// precision cannot put one outside \[px\].
-const BORDER_MARGIN_PX: f64 = 1e-2;
+/// Samples keep this far from the image's border, so that rounding to fixed point, of the first
+/// coordinate and of every step, cannot put one outside \[px\].
+const BORDER_MARGIN_PX: f64 = 1.0 / 64.0;
 
 /// A derivative of a Gaussian.
 #[derive(Debug, Clone)]
 struct Kernel {
-    scale_px: f64,
-    /// Weights at +1, +2, … px, out to 3 s; the weight at −k is the opposite, at 0 it is zero.
-    /// They sum to one, so a sharp step of contrast A answers with A.
-    weights: Vec<f32>,
-    /// S: the kernel's scale and the edge's blur together \[px\].
-    blurred_scale_px: f64,
+    /// Weights at +1, +2, … px, out to 3 s, times 2¹⁶; the weight at −k is the opposite, at 0 it is
+    /// zero. They sum to one, so a sharp step of contrast A answers with A.
+    weights: Vec<u16>,
+    /// The least answer that counts \[1/128 grey level\].
+    least: i16,
+    /// The contrast of a blurred step that answers with one unit.
+    contrast_per_answer: f64,
+    /// Var(offset) of the module's head times the squared contrast.
+    variance_at_one_grey: f64,
 }
 
 /// A coarse kernel is this much larger than the fine one.
 const COARSE: f64 = 2.5;
+/// Lines that are searched side by side: 16-bit numbers in a vector of AVX2, or in two of SSE2.
+const LANES: usize = 16;
 
 /// The kernels, and the buffers that a search reuses: nothing is allocated while searching.
 #[derive(Debug, Clone)]
 pub struct EdgeSearch {
-    options: SearchOptions,
     kernels: [Kernel; 2],
-    profile: Profile,
-}
-
-/// What a search line sees, sample by sample.
-#[derive(Debug, Clone)]
-struct Profile {
-    /// Grey levels.
-    grey: Vec<f32>,
-    /// The kernel's answers, from the first offset at which it fits.
-    response: Vec<f32>,
-    /// Sums of the votes from the inner end up to each sample.
-    votes: Vec<f32>,
+    options: SearchOptions,
+    isa: Isa,
+    together: Lanes<LANES>,
+    alone: Lanes<1>,
 }
 
 impl EdgeSearch {
@@ -184,18 +184,23 @@ impl EdgeSearch {
         Error::within("least contrast [grey levels]", min_contrast_grey, "0 to 255", |c| {
             (0.0..=255.0).contains(&c)
         })?;
-        let kernels = [1.0, COARSE].map(|factor| Kernel::new(factor * scale_px, blur_px));
+        let kernels = [1.0, COARSE].map(|factor| Kernel::new(factor * scale_px, &options));
         let reach = kernels.iter().map(Kernel::reach).max().unwrap_or(0);
         let samples = 2 * (MAX_HALF_LENGTH_PX + reach) + 1;
         Ok(Self {
-            options,
             kernels,
-            profile: Profile {
-                grey: Vec::with_capacity(samples),
-                response: Vec::with_capacity(samples),
-                votes: Vec::with_capacity(samples + 1),
-            },
+            options,
+            isa: Isa::detect(),
+            together: Lanes::with_capacity(samples),
+            alone: Lanes::with_capacity(samples),
         })
+    }
+
+    /// The same search with another instruction set than the processor's widest: slower, with the
+    /// same results to the last bit.
+    #[must_use]
+    pub fn with_isa(self, isa: Isa) -> Self {
+        Self { isa, ..self }
     }
 
     /// The options in force.
@@ -207,9 +212,13 @@ impl EdgeSearch {
     /// Searches every line for `cue`; `measurements` is refilled, one entry a line, in the same
     /// order.
     ///
+    /// Lines of one length and polarity that follow each other are searched side by side. A line
+    /// that leaves the image is searched alone, as far as it is inside, which takes several times
+    /// as long; an image of one row or one column has no edges.
+    ///
     /// # Errors
     /// When a line's half-length is not finite, not positive or above [`MAX_HALF_LENGTH_PX`], or
-    /// its sample is not finite.
+    /// its sample is not finite; when a side of the image exceeds 32 767 px or a row 131 071 bytes.
     pub fn search(
         &mut self,
         frame: &Frame<'_>,
@@ -218,34 +227,264 @@ impl EdgeSearch {
         lines: &[SearchLine],
         measurements: &mut Vec<EdgeMeasurement>,
     ) -> Result<()> {
+        let image = frame.image();
+        check_size(frame)?;
+        let Self { kernels, options, isa, together, alone } = self;
+        let kernel = &kernels[scale as usize];
+        let ballot = cue.appearance().map(|appearance| appearance.ballot(frame));
+        let by_votes = matches!(cue, Cue::Votes(_));
+        let pass = Pass { kernel, options, isa: *isa, image, ballot, by_votes };
         measurements.clear();
-        for line in lines {
-            Error::within(
-                "search half-length [px]",
-                line.half_length_px,
-                "positive and at most 128",
-                |l| l > 0.0 && l <= MAX_HALF_LENGTH_PX as f64,
-            )?;
-            let PlacedSample { position, normal } = &line.sample;
-            Error::finite("search position [px]", position.x + position.y)?;
-            Error::finite("search normal", normal.x + normal.y)?;
-            let kernel = &self.kernels[scale as usize];
-            measurements.push(self.profile.search(&self.options, kernel, frame, cue, line));
+        measurements.resize(lines.len(), Err(Miss::OutOfImage));
+        let mut batch = Batch::default();
+        for (i, line) in lines.iter().enumerate() {
+            let reach = kernel.reach() as i32;
+            let wanted = whole_half_length(line)? + reach;
+            let whole = Span { from: -wanted, to: wanted };
+            let Some((span, track)) = whole.or_visible(image, &line.sample, reach) else {
+                continue;
+            };
+            let key = (span, line.polarity);
+            if span == whole && *isa != Isa::Scalar {
+                if batch.is_full() || (batch.key != key && !batch.is_empty()) {
+                    pass.measure(together, &mut batch, measurements);
+                }
+                batch.key = key;
+                batch.push(i, track);
+            } else {
+                let mut single = Batch { key, ..Batch::default() };
+                single.push(i, track);
+                pass.measure(alone, &mut single, measurements);
+            }
         }
+        pass.measure(together, &mut batch, measurements);
         Ok(())
     }
 }
 
+/// Refuses a frame that no search takes: coordinates are 16.16 fixed point, places in memory 32 bits.
+pub(crate) fn check_size(frame: &Frame<'_>) -> Result<()> {
+    let image = frame.image();
+    let (width, height) = (image.width(), image.height());
+    if width.max(height) > lanes::MAX_SIDE_PX {
+        return Err(Error::ImageTooLarge { width, height, limit: lanes::MAX_SIDE_PX });
+    }
+    let stride = frame.colour().map_or(0, ColourView::stride).max(image.stride());
+    Error::within("row of the image [bytes]", stride as f64, "at most 131071", |s| {
+        s <= lanes::MAX_STRIDE as f64
+    })?;
+    Ok(())
+}
+
+/// The whole pixels that a line reaches to either side.
+fn whole_half_length(line: &SearchLine) -> Result<i32> {
+    let SearchLine { sample: PlacedSample { position, normal }, half_length_px, .. } = line;
+    Error::within("search half-length [px]", *half_length_px, "positive and at most 128", |l| {
+        l > 0.0 && l <= MAX_HALF_LENGTH_PX as f64
+    })?;
+    Error::finite("search position [px]", position.x + position.y)?;
+    Error::finite("search normal", normal.x + normal.y)?;
+    let whole = *half_length_px as i32;
+    Ok(whole + i32::from(f64::from(whole) < *half_length_px))
+}
+
+/// The whole offsets of a line's samples, both ends included.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct Span {
+    from: i32,
+    to: i32,
+}
+
+impl Span {
+    fn samples(self) -> usize {
+        (self.to - self.from + 1) as usize
+    }
+
+    /// This span, or what of it is visible, and where its samples lie: none where the kernel has
+    /// too little room.
+    #[inline]
+    fn or_visible(
+        self,
+        image: &GrayView<'_>,
+        sample: &PlacedSample,
+        reach: i32,
+    ) -> Option<(Self, Track)> {
+        if let Some(track) = self.within(image, sample) {
+            return Some((self, track));
+        }
+        let visible = visible_span(image, sample, self.to).filter(|v| v.holds_answers(reach))?;
+        visible.within(image, sample).map(|track| (visible, track))
+    }
+
+    /// Whether the kernel fits at zero and at three places or more.
+    fn holds_answers(self, reach: i32) -> bool {
+        let (first, last) = (self.from + reach, self.to - reach);
+        last - first >= 2 && first <= 0 && last >= 0
+    }
+
+    /// Where the samples lie, if all do so in the image.
+    #[inline]
+    fn within(self, image: &GrayView<'_>, sample: &PlacedSample) -> Option<Track> {
+        let PlacedSample { position: p, normal: n } = sample;
+        let size = [image.width(), image.height()];
+        // An image is convex: a line with both ends inside is inside.
+        let is_inside = |k: i32| {
+            let (u, v) = (p.x + n.x * f64::from(k), p.y + n.y * f64::from(k));
+            image.contains(u, v, 0.0)
+        };
+        if !(is_inside(self.from) && is_inside(self.to)) {
+            return None;
+        }
+        let from = f64::from(self.from);
+        Track::new([p.x + n.x * from, p.y + n.y * from], [n.x, n.y], self.samples(), size)
+    }
+}
+
+/// Lines to be searched side by side: samples at the same offsets, edges of the same polarity.
+#[derive(Debug, Clone, Copy)]
+struct Batch {
+    key: (Span, Polarity),
+    lines: [usize; LANES],
+    tracks: [Track; LANES],
+    count: usize,
+}
+
+impl Default for Batch {
+    fn default() -> Self {
+        Self {
+            key: (Span { from: 0, to: 0 }, Polarity::Unknown),
+            lines: [0; LANES],
+            tracks: [Track::default(); LANES],
+            count: 0,
+        }
+    }
+}
+
+impl Batch {
+    fn is_empty(&self) -> bool {
+        self.count == 0
+    }
+
+    fn is_full(&self) -> bool {
+        self.count == LANES
+    }
+
+    fn push(&mut self, line: usize, track: Track) {
+        self.lines[self.count] = line;
+        self.tracks[self.count] = track;
+        self.count += 1;
+    }
+}
+
+/// What all lines of one search share.
+struct Pass<'a> {
+    kernel: &'a Kernel,
+    options: &'a SearchOptions,
+    isa: Isa,
+    image: &'a GrayView<'a>,
+    ballot: Option<Ballot<'a>>,
+    by_votes: bool,
+}
+
+impl Pass<'_> {
+    /// Searches the lines of a batch, and empties it.
+    fn measure<const N: usize>(
+        &self,
+        lanes: &mut Lanes<N>,
+        batch: &mut Batch,
+        measurements: &mut [EdgeMeasurement],
+    ) {
+        if batch.is_empty() {
+            return;
+        }
+        let (span, polarity) = batch.key;
+        lanes.set(&batch.tracks[..batch.count], span.samples());
+        self.isa.run(Search { pass: self, lanes, polarity });
+        for (j, &line) in batch.lines[..batch.count].iter().enumerate() {
+            measurements[line] = if self.by_votes {
+                self.change_of_votes(lanes, j, span)
+            } else {
+                self.edge(lanes, j, span)
+            };
+        }
+        batch.count = 0;
+    }
+
+    fn edge<const N: usize>(&self, lanes: &Lanes<N>, j: usize, span: Span) -> EdgeMeasurement {
+        let (kernel, reach) = (self.kernel, self.kernel.reach());
+        let Peak { at, answers } = lanes.peak(j)?;
+        let contrast_grey = kernel.contrast(answers[1]);
+        Ok(Edge {
+            offset_px: f64::from(span.from + (reach + at) as i32) + parabola_peak(answers),
+            contrast_grey,
+            variance_px2: kernel.offset_variance(self.options.noise_grey, contrast_grey),
+            separation: self.ballot.map(|_| f64::from(lanes.separation(j, at, reach))),
+        })
+    }
+
+    /// The most likely place of the contour if every pixel votes for itself: the votes inside it,
+    /// less those outside, are largest where the sum from the inner end is.
+    fn change_of_votes<const N: usize>(
+        &self,
+        lanes: &Lanes<N>,
+        j: usize,
+        span: Span,
+    ) -> EdgeMeasurement {
+        let (at, separation) = lanes.change_of_votes(j, self.kernel.reach())?;
+        if separation < MIN_SEPARATION {
+            return Err(Miss::NoContrast);
+        }
+        Ok(Edge {
+            // The sum up to sample i ends half a pixel before that sample.
+            offset_px: f64::from(span.from) + at as f64 - 0.5,
+            contrast_grey: 0.0,
+            variance_px2: VOTES_VARIANCE_PX2,
+            separation: Some(f64::from(separation)),
+        })
+    }
+}
+
+/// A batch's way through the lanes, for any instruction set.
+struct Search<'a, const N: usize> {
+    pass: &'a Pass<'a>,
+    lanes: &'a mut Lanes<N>,
+    polarity: Polarity,
+}
+
+impl<const N: usize> Work for Search<'_, N> {
+    #[expect(clippy::inline_always, reason = "so that it is compiled for every instruction set")]
+    #[inline(always)]
+    fn run(self) {
+        let Self { pass: Pass { kernel, image, ballot, by_votes, .. }, lanes, polarity } = self;
+        let ballot = ballot.as_ref();
+        if let (true, Some(ballot)) = (*by_votes, ballot) {
+            lanes.count_votes(ballot);
+            return;
+        }
+        let kernel = lanes::Kernel { weights: &kernel.weights, least: kernel.least, polarity };
+        lanes.find_edges(image, &kernel, ballot.map(|ballot| (ballot, &SCORING)));
+    }
+}
+
 impl Kernel {
-    fn new(scale_px: f64, blur_px: f64) -> Self {
+    fn new(scale_px: f64, options: &SearchOptions) -> Self {
         let reach = (3.0 * scale_px).ceil() as usize;
         let raw = |k: usize| {
             let x = k as f64 / scale_px;
             x * (-0.5 * x * x).exp()
         };
         let sum: f64 = (1..=reach).map(raw).sum();
-        let weights = (1..=reach).map(|k| (raw(k) / sum) as f32).collect();
-        Self { scale_px, weights, blurred_scale_px: scale_px.hypot(blur_px) }
+        let unit = f64::from(1_u32 << 16) / sum;
+        let blurred_scale_px = scale_px.hypot(options.blur_px);
+        let contrast_per_answer = blurred_scale_px / (scale_px * lanes::ANSWER_UNIT);
+        let least = (options.min_contrast_grey / contrast_per_answer).ceil();
+        Self {
+            weights: (1..=reach).map(|k| (unit * raw(k)).round() as u16).collect(),
+            // Of no contrast at all there is no edge.
+            least: least.max(1.0) as i16,
+            contrast_per_answer,
+            variance_at_one_grey: 0.75 * PI.sqrt() * blurred_scale_px.powi(6) / scale_px.powi(5),
+        }
     }
 
     /// How many pixels it covers on either side.
@@ -253,175 +492,15 @@ impl Kernel {
         self.weights.len()
     }
 
-    /// The contrast of a blurred step that answers with `response`.
-    fn contrast(&self, response: f32) -> f64 {
-        f64::from(response) * self.blurred_scale_px / self.scale_px
+    /// The contrast of a blurred step that answers with `answer`.
+    fn contrast(&self, answer: i16) -> f64 {
+        f64::from(answer) * self.contrast_per_answer
     }
 
     /// Var(offset) of the module's head.
     fn offset_variance(&self, noise_grey: f64, contrast_grey: f64) -> f64 {
         let ratio = noise_grey / contrast_grey;
-        0.75 * PI.sqrt() * ratio * ratio * self.blurred_scale_px.powi(6) / self.scale_px.powi(5)
-    }
-}
-
-impl Profile {
-    fn search(
-        &mut self,
-        options: &SearchOptions,
-        kernel: &Kernel,
-        frame: &Frame<'_>,
-        cue: Cue<'_>,
-        line: &SearchLine,
-    ) -> EdgeMeasurement {
-        let image = frame.image();
-        let reach = kernel.reach() as i32;
-        let wanted = line.half_length_px.ceil() as i32;
-        let (from, to) =
-            visible_span(image, &line.sample, wanted + reach).ok_or(Miss::OutOfImage)?;
-        let (first, last) = (from + reach, to - reach);
-        if last - first < 2 || first > 0 || last < 0 {
-            return Err(Miss::OutOfImage);
-        }
-        if let Some(appearance) = cue.appearance() {
-            self.count_votes(frame, appearance, &line.sample, from, to);
-        }
-        if let Cue::Votes(_) = cue {
-            return self.change_of_votes(from, kernel.reach());
-        }
-        self.sample(image, &line.sample, from, to);
-        self.correlate(kernel);
-        let voted = cue.appearance().is_some();
-        let peak = self.best_peak(options, kernel, line.polarity, voted)?;
-        let Some(&[before, at, after]) = self.response.get(peak.wrapping_sub(1)..=peak + 1) else {
-            return Err(Miss::BeyondEnd);
-        };
-        let contrast_grey = kernel.contrast(at);
-        Ok(Edge {
-            offset_px: f64::from(first) + peak as f64 + parabola_peak(before, at, after),
-            contrast_grey,
-            variance_px2: kernel.offset_variance(options.noise_grey, contrast_grey),
-            separation: voted.then(|| f64::from(self.separation(peak, kernel.reach()))),
-        })
-    }
-
-    /// Grey levels at whole offsets `from ..= to`; both ends are known to lie in the image.
-    fn sample(&mut self, image: &GrayView<'_>, sample: &PlacedSample, from: i32, to: i32) {
-        let PlacedSample { position, normal } = sample;
-        self.grey.clear();
-        self.grey.extend((from..=to).map(|k| {
-            let at = position + normal * f64::from(k);
-            image.sample_f32(at.x as f32, at.y as f32).unwrap_or(0.0)
-        }));
-    }
-
-    /// Inside minus outside, weighted by the kernel, at every offset that the kernel fits.
-    fn correlate(&mut self, kernel: &Kernel) {
-        let reach = kernel.reach();
-        self.response.clear();
-        self.response.extend(self.grey.windows(2 * reach + 1).map(|window| {
-            let (inside, outside) = (window[..reach].iter().rev(), window[reach + 1..].iter());
-            inside.zip(outside).zip(&kernel.weights).map(|((i, o), w)| w * (i - o)).sum::<f32>()
-        }));
-    }
-
-    /// The edge to believe, among the peaks of the wanted polarity: the strongest; where the
-    /// pixels vote, the one whose sides they tell apart best.
-    fn best_peak(
-        &self,
-        options: &SearchOptions,
-        kernel: &Kernel,
-        polarity: Polarity,
-        voted: bool,
-    ) -> std::result::Result<usize, Miss> {
-        let strength = |r: f32| match polarity {
-            Polarity::Bright => r,
-            Polarity::Dark => -r,
-            Polarity::Unknown => r.abs(),
-        };
-        let last = self.response.len() - 1;
-        let (mut best, mut at) = (f32::NEG_INFINITY, None);
-        let mut rises_to_end = false;
-        for (i, &r) in self.response.iter().enumerate() {
-            let here = strength(r);
-            if here <= 0.0 || kernel.contrast(here) < options.min_contrast_grey {
-                continue;
-            }
-            let before = if i > 0 { strength(self.response[i - 1]) } else { f32::NEG_INFINITY };
-            let after = if i < last { strength(self.response[i + 1]) } else { f32::NEG_INFINITY };
-            if here < before || here <= after {
-                continue;
-            }
-            if i == 0 || i == last {
-                rises_to_end = true;
-                continue;
-            }
-            let score = if voted {
-                let separation = self.separation(i, kernel.reach());
-                if separation < MIN_SEPARATION {
-                    continue;
-                }
-                separation + STRENGTH_SAY * here.ln()
-            } else {
-                here
-            };
-            if score > best {
-                (best, at) = (score, Some(i));
-            }
-        }
-        at.ok_or(if rises_to_end { Miss::BeyondEnd } else { Miss::NoContrast })
-    }
-
-    /// Sums up the votes along the line.
-    fn count_votes(
-        &mut self,
-        frame: &Frame<'_>,
-        appearance: &Appearance,
-        sample: &PlacedSample,
-        from: i32,
-        to: i32,
-    ) {
-        let mut sum = 0.0;
-        self.votes.clear();
-        self.votes.push(0.0);
-        self.votes.extend((from..=to).map(|k| {
-            let at = sample.position + sample.normal * f64::from(k);
-            sum += appearance.vote(frame, at.x, at.y);
-            sum
-        }));
-    }
-
-    /// The most likely place of the contour if every pixel votes for itself: the votes inside it,
-    /// less those outside, are largest where the sum from the inner end is.
-    fn change_of_votes(&self, from: i32, reach: usize) -> EdgeMeasurement {
-        let (mut best, mut at) = (f32::NEG_INFINITY, 0);
-        for (i, &sum) in self.votes.iter().enumerate() {
-            if sum > best {
-                (best, at) = (sum, i);
-            }
-        }
-        let Some(around) = self.votes.get(at.wrapping_sub(reach)..=at + reach) else {
-            return Err(Miss::BeyondEnd);
-        };
-        let separation = (2.0 * around[reach] - around[0] - around[2 * reach]) / reach as f32;
-        if separation < MIN_SEPARATION {
-            return Err(Miss::NoContrast);
-        }
-        Ok(Edge {
-            // The sum up to sample i ends half a pixel before that sample.
-            offset_px: f64::from(from) + at as f64 - 0.5,
-            contrast_grey: 0.0,
-            variance_px2: VOTES_VARIANCE_PX2,
-            separation: Some(f64::from(separation)),
-        })
-    }
-
-    /// Mean vote of the pixels inside an edge at `peak` minus that of the pixels outside, both over
-    /// the window that the kernel covers; the edge's own pixel is of neither side.
-    fn separation(&self, peak: usize, reach: usize) -> f32 {
-        let inside = self.votes[peak + reach] - self.votes[peak];
-        let outside = self.votes[peak + 2 * reach + 1] - self.votes[peak + reach + 1];
-        (inside - outside) / reach as f32
+        self.variance_at_one_grey * ratio * ratio
     }
 }
 
@@ -432,8 +511,11 @@ const VOTES_VARIANCE_PX2: f64 = 1.0;
 /// What an e-fold of strength adds to the score of an edge, in units of separation.
 const STRENGTH_SAY: f32 = 0.5;
 
+/// What lines whose pixels vote believe.
+const SCORING: Scoring = Scoring { min_separation: MIN_SEPARATION, strength_say: STRENGTH_SAY };
+
 /// The whole offsets from −`half` to `half` whose samples lie in the image, if zero is among them.
-fn visible_span(image: &GrayView<'_>, sample: &PlacedSample, half: i32) -> Option<(i32, i32)> {
+fn visible_span(image: &GrayView<'_>, sample: &PlacedSample, half: i32) -> Option<Span> {
     let PlacedSample { position, normal } = sample;
     let size = Vector2::new(image.width() as f64 - 1.0, image.height() as f64 - 1.0);
     let (mut from, mut to) = (-f64::from(half), f64::from(half));
@@ -442,19 +524,22 @@ fn visible_span(image: &GrayView<'_>, sample: &PlacedSample, half: i32) -> Optio
             return None;
         }
         if n != 0.0 {
-            let (a, b) = (-p / n, (last - p) / n);
-            from = from.max(a.min(b) + BORDER_MARGIN_PX);
-            to = to.min(a.max(b) - BORDER_MARGIN_PX);
+            let (a, b) = ((BORDER_MARGIN_PX - p) / n, (last - BORDER_MARGIN_PX - p) / n);
+            from = from.max(a.min(b));
+            to = to.min(a.max(b));
         }
     }
-    Some((from.ceil() as i32, to.floor() as i32))
+    // Where nothing is visible the ends may be infinite.
+    let (from, to) = (from.min(1.0).ceil(), to.max(-1.0).floor());
+    Some(Span { from: from as i32, to: to as i32 })
 }
 
 /// The peak of the parabola through three neighbours, from the middle one \[samples\], in ±1/2.
-fn parabola_peak(before: f32, at: f32, after: f32) -> f64 {
-    let curvature = f64::from(before) - 2.0 * f64::from(at) + f64::from(after);
+fn parabola_peak(answers: [i16; 3]) -> f64 {
+    let [before, at, after] = answers.map(f64::from);
+    let curvature = before - 2.0 * at + after;
     if curvature == 0.0 {
         return 0.0;
     }
-    (0.5 * (f64::from(before) - f64::from(after)) / curvature).clamp(-0.5, 0.5)
+    (0.5 * (before - after) / curvature).clamp(-0.5, 0.5)
 }

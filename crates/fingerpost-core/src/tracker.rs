@@ -30,7 +30,9 @@ use crate::appearance::Appearance;
 use crate::discriminant::Discriminant;
 use crate::fit::Prior;
 use crate::frame::Frame;
-use crate::search::{Cue, EdgeMeasurement, MAX_HALF_LENGTH_PX, Polarity, Scale, SearchLine};
+use crate::search::{
+    Cue, EdgeMeasurement, MAX_HALF_LENGTH_PX, Polarity, Scale, SearchLine, check_size,
+};
 use crate::shape_space::{
     Affine, AffineMap, Axis, BandMeasure, PlacedSample, PlanarSpace, Pose, RIBBON_DOF, Ribbon,
     RibbonVector, Rigid, RigidShear, ShapeSpace, Similarity, Translation, ribbon_of,
@@ -340,10 +342,11 @@ impl ContourTracker {
     /// Takes one frame, captured at `time_s`, and tells where the hand is.
     ///
     /// # Errors
-    /// When `time_s` is not finite or before the last frame's; nothing else of a tracker that was
-    /// made can be refused. A hand that is not there is no
-    /// error but a [`Status`].
+    /// When `time_s` is not finite or before the last frame's, or the frame is larger than
+    /// [`EdgeSearch::search`](crate::search::EdgeSearch::search) takes; nothing else of a tracker
+    /// that was made can be refused. A hand that is not there is no error but a [`Status`].
     pub fn update(&mut self, frame: &Frame<'_>, time_s: f64) -> Result<Track> {
+        check_size(frame)?;
         let last = self.last_time_s.unwrap_or(f64::NEG_INFINITY);
         Error::finite("frame time [s]", time_s)?;
         Error::within("frame time [s]", time_s, "at or after the last frame's", |t| t >= last)?;

@@ -11,6 +11,7 @@ use fingerpost_core::fit::{
 };
 use fingerpost_core::nalgebra::{DMatrix, DVector, Matrix2, Point2, SMatrix, SVector, Vector2};
 use fingerpost_core::shape_space::{AffineMap, PlanarSpace, Pose, Rigid, RigidShear};
+use fingerpost_core::simd::Isa;
 use fingerpost_core::template::{Limb, TemplateSample};
 use proptest::prelude::*;
 use proptest::test_runner::{Config, RngSeed};
@@ -138,6 +139,23 @@ fn exact_offsets_give_the_exact_step() {
 
 proptest! {
     #![proptest_config(config())]
+
+    #[test]
+    fn every_instruction_set_gives_the_same_bits(seed in any::<u64>(), n in 0..30_usize, noise in 0.0..20.0) {
+        let mut random = Noise::new(seed);
+        let truth = SVector::<f64, 6>::from_fn(|_, _| random.between(-3.0, 3.0));
+        let system = System::exact(n, &truth, &mut random).disturb(noise, &mut random);
+        let solved = |isa| {
+            let mut fitter = Fitter::new(FitOptions { loss: TUKEY, ..PLAIN }).unwrap().with_isa(isa);
+            let report = system.solve(&mut fitter, None);
+            (report, fitter.weights().to_vec(), fitter.residuals().to_vec())
+        };
+        let reference = solved(Isa::Scalar);
+        prop_assert_eq!(reference.2.len(), n);
+        for isa in Isa::available() {
+            prop_assert_eq!(&solved(isa), &reference, "{}", isa);
+        }
+    }
 
     #[test]
     fn plain_least_squares_meets_singular_values(seed in any::<u64>(), n in 8..60_usize, noise in 0.0..20.0) {

@@ -6,6 +6,7 @@ mod common;
 
 use common::{Canvas, HalfPlane, Noise, Picture};
 use fingerpost_core::appearance::Appearance;
+use fingerpost_core::frame::ColourView;
 use fingerpost_core::image::GrayView;
 use fingerpost_core::nalgebra::{Point2, Vector2};
 use fingerpost_core::search::{
@@ -13,6 +14,7 @@ use fingerpost_core::search::{
     SearchOptions,
 };
 use fingerpost_core::shape_space::PlacedSample;
+use fingerpost_core::simd::Isa;
 use fingerpost_core::{Error, Frame};
 use proptest::prelude::*;
 use proptest::test_runner::{Config, RngSeed};
@@ -99,12 +101,14 @@ fn an_edge_is_found_at_any_angle_and_fraction_of_a_pixel() {
 
 #[test]
 fn along_a_row_of_pixels_the_offset_is_right_to_a_hundredth() {
+    /// A hundredth from the parabola, the rest from fixed point.
+    const TOLERANCE_PX: f64 = 0.011;
     for k in 0..20 {
         let offset_px = f64::from(k) * 0.35 - 3.5;
         let at = Point2::new(30.0, 20.0);
         let picture = picture(&HalfPlane::beyond(at, 0.0, offset_px));
         let edge = search(picture.view(), &line(at, Vector2::x())).unwrap();
-        assert!((edge.offset_px - offset_px).abs() < 0.01, "{edge:?} {offset_px}");
+        assert!((edge.offset_px - offset_px).abs() < TOLERANCE_PX, "{edge:?} {offset_px}");
     }
 }
 
@@ -275,12 +279,11 @@ fn near_the_border_what_is_visible_counts_and_nothing_is_invented() {
 }
 
 /// What a hand of one brightness looks like before clutter of another.
-fn learned(picture: &Picture, is_hand: impl Fn(usize, usize) -> bool) -> Appearance {
-    let frame = Frame::gray(picture.view());
-    let mut appearance = Appearance::new(false);
-    for y in 0..picture.height {
-        for x in 0..picture.width {
-            appearance.observe(&frame, x as f64, y as f64, is_hand(x, y));
+fn learned(frame: &Frame<'_>, is_hand: impl Fn(usize, usize) -> bool) -> Appearance {
+    let mut appearance = Appearance::new(frame.colour().is_some());
+    for y in 0..frame.image().height() {
+        for x in 0..frame.image().width() {
+            appearance.observe(frame, x as f64, y as f64, is_hand(x, y));
         }
     }
     appearance.learn();
@@ -299,7 +302,7 @@ fn cluttered() -> Picture {
 #[test]
 fn the_hand_s_edge_is_told_from_stronger_ones() {
     let picture = cluttered();
-    let appearance = learned(&picture, |x, _| x <= 33);
+    let appearance = learned(&picture.view().into(), |x, _| x <= 33);
     for polarity in [Polarity::Bright, Polarity::Unknown] {
         let half_length_px = 14.0;
         let lines: Vec<_> = (8..56)
@@ -333,7 +336,7 @@ fn votes_need_no_edge() {
     let ramp = |x: usize| (200.0 - 3.0 * (x as f64 - 33.0).clamp(0.0, 30.0)) as u8;
     let bytes = (0..width * height).map(|i| ramp(i % width)).collect();
     let picture = Picture { width, height, bytes };
-    let appearance = learned(&picture, |x, _| x < 48);
+    let appearance = learned(&picture.view().into(), |x, _| x < 48);
     for u in [40.0, 48.0, 56.0] {
         let line = SearchLine { half_length_px: 20.0, ..line(Point2::new(u, 8.0), Vector2::x()) };
         let options = SearchOptions { min_contrast_grey: 30.0, ..options() };
@@ -415,6 +418,25 @@ fn what_is_no_number_is_refused() {
 type Set = fn(f64) -> SearchOptions;
 
 #[test]
+fn an_image_beyond_fixed_point_is_refused() {
+    let mut search = EdgeSearch::new(options()).unwrap();
+    let mut refusal = |width: usize, height: usize, stride: usize| {
+        let bytes = vec![0; (height - 1) * stride + width];
+        let frame = Frame::gray(GrayView::new(&bytes, width, height, stride).unwrap());
+        let found = search.search(&frame, Cue::Edges, Scale::Fine, &[], &mut Vec::new());
+        found.err().map(|error| error.to_string())
+    };
+    for (width, height, stride) in [(32_767, 1, 32_767), (1, 32_767, 1), (2, 2, 131_071)] {
+        assert_eq!(refusal(width, height, stride), None);
+    }
+    for (width, height) in [(32_768, 1), (1, 32_768)] {
+        assert!(refusal(width, height, width).unwrap().contains("32767"));
+    }
+    let of_row = "row of the image [bytes] is 131072; it must be at most 131071";
+    assert_eq!(refusal(2, 2, 131_072).unwrap(), of_row);
+}
+
+#[test]
 fn options_out_of_range_are_refused() {
     let refused = |options: SearchOptions| EdgeSearch::new(options).unwrap_err().to_string();
     let ranges: [(&str, Set, f64, f64); 4] = [
@@ -447,7 +469,7 @@ fn options_out_of_range_are_refused() {
 fn a_search_remembers_nothing() {
     let picture = cluttered();
     let frame = Frame::gray(picture.view());
-    let appearance = learned(&picture, |x, _| x <= 33);
+    let appearance = learned(&picture.view().into(), |x, _| x <= 33);
     let mut search = EdgeSearch::new(options()).unwrap();
     let lines: Vec<_> =
         (0..64).map(|y| line(Point2::new(31.0, f64::from(y)), Vector2::x())).collect();
@@ -509,6 +531,38 @@ fn lines() -> impl Strategy<Value = SearchLine> {
     )
 }
 
+/// Lines of one length and polarity, as contours have them, more than fit side by side; and any
+/// lines among them.
+fn batches() -> impl Strategy<Value = Vec<SearchLine>> {
+    let near = || prop_oneof![2.0..38.0, (0..40).prop_map(f64::from)];
+    let alike = (lines(), prop::collection::vec((near(), near(), normals()), 1..40));
+    let alike = alike.prop_map(|(line, samples)| {
+        let samples = samples.into_iter().map(|(u, v, normal)| {
+            let sample = PlacedSample { position: Point2::new(u, v), normal };
+            SearchLine { sample, half_length_px: line.half_length_px.min(12.0), ..line }
+        });
+        samples.collect::<Vec<_>>()
+    });
+    let some = prop_oneof![alike, prop::collection::vec(lines(), 1..5)];
+    prop::collection::vec(some, 1..4).prop_map(|some| some.concat())
+}
+
+/// The picture's bytes, each repeated `channels` times and disturbed but for the first, in rows
+/// with `padding` bytes of anything between them.
+fn padded(picture: &Picture, channels: usize, padding: usize, seed: u64) -> Vec<u8> {
+    let mut noise = Noise::new(seed);
+    let mut bytes = Vec::new();
+    for row in picture.bytes.chunks_exact(picture.width) {
+        for &byte in row {
+            bytes.push(byte);
+            bytes.extend((1..channels).map(|_| byte.wrapping_add(noise.between(0.0, 80.0) as u8)));
+        }
+        bytes.extend((0..padding).map(|_| noise.between(0.0, 256.0) as u8));
+    }
+    bytes.truncate(bytes.len() - padding);
+    bytes
+}
+
 fn any_options() -> impl Strategy<Value = SearchOptions> {
     let scale = prop_oneof![Just(0.5), 0.5..8.0, Just(8.0)];
     (scale, 0.0..8.0, 0.1..64.0, prop_oneof![0.5..40.0, Just(255.0)]).prop_map(
@@ -536,6 +590,34 @@ fn check(edge: &Edge, line: &SearchLine, options: &SearchOptions, by_votes: bool
     }
 }
 
+/// Offset and contrast of the edge near an offset \[px\], without any rounding.
+fn in_floating_point(
+    image: GrayView<'_>,
+    line: &SearchLine,
+    scale: Scale,
+    near_px: f64,
+) -> [f64; 2] {
+    let options = options();
+    let scale_px = options.scale_px * if scale == Scale::Coarse { 2.5 } else { 1.0 };
+    let PlacedSample { position, normal } = line.sample;
+    let grey = |k: i32| {
+        let at = position + normal * f64::from(k);
+        image.sample_f64(at.x, at.y).unwrap()
+    };
+    let reach = (3.0 * scale_px).ceil() as i32;
+    let weight = |k: i32| f64::from(k) * (-0.5 * (f64::from(k) / scale_px).powi(2)).exp();
+    let sum: f64 = (1..=reach).map(weight).sum();
+    let answer = |k: i32| -> f64 {
+        (1..=reach).map(|i| weight(i) / sum * (grey(k - i) - grey(k + i))).sum()
+    };
+    let middle = near_px.round() as i32;
+    // A peak half-way between two pixels may round to the other one.
+    let at = (middle - 1..=middle + 1).max_by(|a, b| answer(*a).total_cmp(&answer(*b))).unwrap();
+    let [before, here, after] = [at - 1, at, at + 1].map(answer);
+    let offset_px = f64::from(at) + 0.5 * (before - after) / (before - 2.0 * here + after);
+    [offset_px, here * scale_px.hypot(options.blur_px) / scale_px]
+}
+
 proptest! {
     #![proptest_config(config())]
 
@@ -546,7 +628,7 @@ proptest! {
         options in any_options(),
         coarse in any::<bool>(),
     ) {
-        let appearance = learned(&picture, |x, y| (x + y) % 2 == 0);
+        let appearance = learned(&picture.view().into(), |x, y| (x + y) % 2 == 0);
         let scale = if coarse { Scale::Coarse } else { Scale::Fine };
         for cue in [Cue::Edges, Cue::HandEdges(&appearance), Cue::Votes(&appearance)] {
             let found = search_all(options, picture.view(), cue, scale, &lines);
@@ -569,6 +651,70 @@ proptest! {
         let picture = Picture { width, height, bytes: vec![value; width * height] };
         for found in search_all(options, picture.view(), Cue::Edges, Scale::Fine, &lines) {
             prop_assert!(found.is_err(), "{:?}", found);
+        }
+    }
+
+    #[test]
+    fn every_instruction_set_gives_the_same_bits(
+        picture in pictures(),
+        padding in 0..7_usize,
+        seed in any::<u64>(),
+        lines in batches(),
+        options in any_options(),
+        coarse in any::<bool>(),
+    ) {
+        let scale = if coarse { Scale::Coarse } else { Scale::Fine };
+        let (gray, colours) = (padded(&picture, 1, padding, seed), padded(&picture, 3, padding, seed));
+        let (Picture { width, height, .. }, stride) = (picture, padding);
+        let image = GrayView::new(&gray, width, height, width + stride).unwrap();
+        let colours = ColourView::new(&colours, width, height, 3 * width + stride).unwrap();
+        for frame in [Frame::gray(image), Frame::coloured(image, colours).unwrap()] {
+            let appearance = learned(&frame, |x, y| (x + y) % 2 == 0);
+            for cue in [Cue::Edges, Cue::HandEdges(&appearance), Cue::Votes(&appearance)] {
+                let found = |isa| {
+                    let mut found = Vec::new();
+                    let mut search = EdgeSearch::new(options).unwrap().with_isa(isa);
+                    search.search(&frame, cue, scale, &lines, &mut found).unwrap();
+                    found
+                };
+                let reference = found(Isa::Scalar);
+                for isa in Isa::available() {
+                    prop_assert_eq!(&found(isa), &reference, "{}", isa);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn fixed_point_keeps_to_floating_point(
+        (angle_rad, offset_px, contrast) in (0.0..TAU, -6.0..6.0, 20.0..180.0),
+        seed in any::<u64>(),
+    ) {
+        /// Steps of 1/256 and 1/128 px; and of 1/128 grey level, which are to the image's noise as
+        /// the offset's error is to what that noise does to it.
+        const OFFSET_TOLERANCE_PX: f64 = 0.004;
+        const OFFSET_TOLERANCE_SIGMA: f64 = 0.2;
+        const CONTRAST_TOLERANCE_GREY: f64 = 0.5;
+        let edge = HalfPlane::beyond(CENTRE, angle_rad, offset_px);
+        let canvas = Canvas::new(64, 64, 40.0).paint(&edge, 40.0 + contrast).blur(BLUR_PX);
+        let picture = canvas.take(2.0, &mut Noise::new(seed));
+        for scale in [Scale::Fine, Scale::Coarse] {
+            let line = line(CENTRE, at_angle(angle_rad));
+            let found = search_all(options(), picture.view(), Cue::Edges, scale, &[line])[0];
+            if let Ok(edge) = found {
+                let exact = in_floating_point(picture.view(), &line, scale, edge.offset_px);
+                let [offset_px, contrast_grey] = exact;
+                let tolerance_px =
+                    OFFSET_TOLERANCE_PX + OFFSET_TOLERANCE_SIGMA * edge.variance_px2.sqrt();
+                prop_assert!(
+                    (edge.offset_px - offset_px).abs() < tolerance_px,
+                    "{edge:?} {exact:?}"
+                );
+                prop_assert!(
+                    (edge.contrast_grey - contrast_grey).abs() < CONTRAST_TOLERANCE_GREY,
+                    "{edge:?} {exact:?}"
+                );
+            }
         }
     }
 }

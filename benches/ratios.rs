@@ -1,0 +1,261 @@
+//! The core's speed as ratios to the C limit of `limit/`, timed in turn on one core.
+//!
+//!     cargo bench -p fingerpost-benches --bench ratios
+//!
+//! The unit is the median time of one iteration of `limit_fixed` on a frame just written, timed in
+//! the same round; a ratio is the median over the rounds. Without gcc, times stand in µs.
+
+#![expect(
+    clippy::unwrap_used,
+    clippy::print_stdout,
+    reason = "a benchmark prints, and stops where something does not work"
+)]
+
+use fingerpost_benches::sequence::{NORMALS, Sequence};
+use fingerpost_benches::{Iteration, Tracked, median};
+use fingerpost_core::simd::Isa;
+use fingerpost_core::{Frame, GrayView};
+use std::env;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::time::Instant;
+
+const ROUNDS: usize = 5;
+/// Set for the copy of this program that is bound to one core.
+const PINNED: &str = "FINGERPOST_BENCH_PINNED";
+/// Scale of the kernel that has seven taps, as the C limit's has \[px\].
+const SEVEN_TAPS_PX: f64 = 1.0;
+/// More than any cache holds \[bytes\].
+const FLUSH_BYTES: usize = 64 << 20;
+
+/// One line of the table.
+struct Row {
+    what: String,
+    times_us: Vec<f64>,
+    ratios: Vec<f64>,
+    target: &'static str,
+}
+
+fn main() {
+    if relaunched_on_one_core() {
+        return;
+    }
+    let vga = Sequence::render([640, 480], 256, 1.0);
+    let hd = Sequence::render([1920, 1080], 64, 2.25);
+    let limit = Limit::build(&vga);
+    let mut rows = Vec::new();
+    let mut units_us = Vec::new();
+    for _ in 0..ROUNDS {
+        let unit_us = limit.as_ref().map(Limit::copied_us);
+        units_us.extend(unit_us);
+        for (i, (what, target, time_us)) in round(&vga, &hd).into_iter().enumerate() {
+            if rows.len() <= i {
+                rows.push(Row { what, target, times_us: Vec::new(), ratios: Vec::new() });
+            }
+            rows[i].times_us.push(time_us);
+            rows[i].ratios.extend(unit_us.map(|unit_us| time_us / unit_us));
+        }
+    }
+    if units_us.is_empty() {
+        println!("no gcc: the C limit is left out, and there are no ratios");
+    } else {
+        println!("1x = {:.2} us, the C limit of one iteration", median(&mut units_us));
+    }
+    println!("{:<66} {:>9} {:>8} {:>9}", "", "us", "ratio", "to reach");
+    for row in &mut rows {
+        let ratio = if row.ratios.is_empty() {
+            String::new()
+        } else {
+            format!("{:.2}x", median(&mut row.ratios))
+        };
+        let time_us = median(&mut row.times_us);
+        println!("{:<66} {time_us:>9.2} {ratio:>8} {:>9}", row.what, row.target);
+    }
+    scaling(&vga);
+}
+
+/// What is timed in one round: name, what is to be reached, µs.
+fn round(vga: &Sequence, hd: &Sequence) -> Vec<(String, &'static str, f64)> {
+    let mut rows = Vec::new();
+    for isa in Isa::available() {
+        let target = match isa {
+            Isa::Avx2 => "1.5x",
+            Isa::Baseline => "2.5x",
+            Isa::Scalar => "",
+        };
+        for (taps, scale_px) in [("7 taps", Some(SEVEN_TAPS_PX)), ("default", None)] {
+            let mut iteration = Iteration::new(isa, vga.template(NORMALS), 20.0, scale_px);
+            let (error_px, time_us) = (accuracy(vga, &mut iteration), copied(vga, &mut iteration));
+            let target = if scale_px.is_some() { target } else { "" };
+            let what =
+                format!("one iteration, 100 x 20 px, {taps}, {isa} (error {error_px:.3} px)");
+            rows.push((what, target, time_us));
+        }
+    }
+    let mut iteration =
+        Iteration::new(Isa::detect(), vga.template(NORMALS), 20.0, Some(SEVEN_TAPS_PX));
+    let (place, search, fit) = stages(vga, &mut iteration);
+    rows.push(("  of it: place".into(), "", place));
+    rows.push(("  of it: search".into(), "", search));
+    rows.push(("  of it: fit".into(), "", fit));
+    rows.push(("one iteration, flushed frame".into(), "3x", flushed(vga, &mut iteration)));
+    let mut large = Iteration::new(Isa::detect(), hd.template(NORMALS), 20.0, Some(SEVEN_TAPS_PX));
+    rows.push((
+        "one iteration, 1920 x 1080 (1.2 times its VGA time)".into(),
+        "",
+        copied(hd, &mut large),
+    ));
+    for (name, mut tracked) in Tracked::all() {
+        rows.push((format!("converged frame, {name}"), "5x", tracked.update_us()));
+    }
+    rows
+}
+
+/// One iteration from the truth on a frame just written, as a decoder leaves it \[µs\].
+fn copied(sequence: &Sequence, iteration: &mut Iteration) -> f64 {
+    let mut pixels = sequence.frame(0).to_vec();
+    let times = (0..sequence.truth.len()).map(|i| {
+        pixels.copy_from_slice(sequence.frame(i));
+        iteration.time_us(&frame(&pixels, sequence.size), &sequence.truth[i])
+    });
+    median(&mut times.collect::<Vec<_>>())
+}
+
+/// The same with the frame in no cache; nor is anything else.
+fn flushed(sequence: &Sequence, iteration: &mut Iteration) -> f64 {
+    let mut other = vec![0_u8; FLUSH_BYTES];
+    let times = (0..32).map(|i| {
+        other.iter_mut().step_by(64).for_each(|byte| *byte = byte.wrapping_add(1));
+        // What is not the frame is in use again before the next one comes.
+        iteration.run(&frame(sequence.frame(i + 64), sequence.size), &sequence.truth[i + 64]);
+        iteration.time_us(&frame(sequence.frame(i), sequence.size), &sequence.truth[i])
+    });
+    median(&mut times.collect::<Vec<_>>())
+}
+
+/// Median times of placing, searching and fitting \[µs\].
+fn stages(sequence: &Sequence, iteration: &mut Iteration) -> (f64, f64, f64) {
+    let mut pixels = sequence.frame(0).to_vec();
+    let mut times = [const { Vec::new() }; 3];
+    for (i, map) in sequence.truth.iter().enumerate() {
+        pixels.copy_from_slice(sequence.frame(i));
+        let frame = frame(&pixels, sequence.size);
+        let starts = [
+            Instant::now(),
+            {
+                iteration.place(map);
+                Instant::now()
+            },
+            {
+                iteration.search(&frame);
+                Instant::now()
+            },
+            {
+                iteration.fit(map);
+                Instant::now()
+            },
+        ];
+        for (times, pair) in times.iter_mut().zip(starts.windows(2)) {
+            times.push((pair[1] - pair[0]).as_secs_f64() * 1e6);
+        }
+    }
+    let [place, search, fit] = times.map(|mut times| median(&mut times));
+    (place, search, fit)
+}
+
+/// Root mean square error of the contour, four iterations a frame from the frame before \[px\].
+fn accuracy(sequence: &Sequence, iteration: &mut Iteration) -> f64 {
+    let mut map = sequence.truth[0];
+    let squares = (0..sequence.truth.len()).map(|i| {
+        let frame = frame(sequence.frame(i), sequence.size);
+        for _ in 0..4 {
+            map = iteration.run(&frame, &map);
+        }
+        sequence.error_px(i, &map).powi(2)
+    });
+    (squares.sum::<f64>() / sequence.truth.len() as f64).sqrt()
+}
+
+/// How the time of a search grows with the number and the length of the lines.
+fn scaling(vga: &Sequence) {
+    println!("\nsearch, {}: ns per line and pixel of full length", Isa::detect());
+    print!("{:>8}", "normals");
+    let half_lengths_px = [5.0, 10.0, 20.0, 40.0, 80.0];
+    for half_length_px in half_lengths_px {
+        print!("{:>9}", format!("±{half_length_px} px"));
+    }
+    println!();
+    for normals in [25, 50, 100, 200, 400, 800] {
+        print!("{normals:>8}");
+        for half_length_px in half_lengths_px {
+            let samples = vga.template(normals);
+            let mut iteration =
+                Iteration::new(Isa::detect(), samples, half_length_px, Some(SEVEN_TAPS_PX));
+            let (_, search_us, _) = stages(vga, &mut iteration);
+            let pixels = normals as f64 * (2.0 * half_length_px + 1.0);
+            print!("{:>9.2}", 1e3 * search_us / pixels);
+        }
+        println!();
+    }
+}
+
+fn frame(pixels: &[u8], [width, height]: [usize; 2]) -> Frame<'_> {
+    Frame::gray(GrayView::new(pixels, width, height, width).unwrap())
+}
+
+/// The compiled C limit and its frames.
+struct Limit {
+    program: PathBuf,
+    directory: PathBuf,
+}
+
+impl Drop for Limit {
+    fn drop(&mut self) {
+        // What cannot be removed is left to the system.
+        let _ = std::fs::remove_dir_all(&self.directory);
+    }
+}
+
+impl Limit {
+    /// Compiles the limit for this processor; none if that fails.
+    fn build(vga: &Sequence) -> Option<Self> {
+        let directory = env::temp_dir().join(format!("fingerpost-limit-{}", std::process::id()));
+        std::fs::create_dir_all(&directory).unwrap();
+        let limit = Self { program: directory.join("limit"), directory };
+        let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("limit/limit.c");
+        let compiled = Command::new("gcc")
+            .args(["-O3", "-ffast-math", "-DLB=16", "-march=native", "-o"])
+            .args([&limit.program, &source])
+            .arg("-lm")
+            .status();
+        compiled.is_ok_and(|status| status.success()).then_some(())?;
+        vga.write(&limit.directory, "finger_vga").unwrap();
+        Some(limit)
+    }
+
+    /// `copied_us` of `limit_fixed`.
+    fn copied_us(&self) -> f64 {
+        let mut run = Command::new(&self.program);
+        let output = run.arg(&self.directory).args(["finger_vga", "1"]).output().unwrap();
+        let output = String::from_utf8(output.stdout).unwrap();
+        let line = output.lines().find(|line| line.contains("limit_fixed")).unwrap();
+        let (_, value) = line.split_once("\"copied_us\":").unwrap();
+        value.split(',').next().unwrap().parse().unwrap()
+    }
+}
+
+/// Runs this program again on one core, if `taskset` can; whether it did.
+fn relaunched_on_one_core() -> bool {
+    if env::var_os(PINNED).is_some() {
+        return false;
+    }
+    let core = env::var("CORE").unwrap_or_else(|_| "1".into());
+    let program = env::current_exe().unwrap();
+    let mut run = Command::new("taskset");
+    run.args(["-c", &core]).arg(program).env(PINNED, "1");
+    let pinned = run.status().is_ok_and(|status| status.success());
+    if !pinned {
+        println!("no taskset: not bound to one core");
+    }
+    pinned
+}

@@ -1,0 +1,403 @@
+//! Search lines side by side: lane j of every vector belongs to line j.
+//!
+//! All of it is integer arithmetic, so every instruction set, and every number of lanes, gives the
+//! same bits. Coordinates are 16.16 fixed point; pixels are interpolated with 8 bits across and
+//! 7 bits down, to 1/128 grey level; so is the kernel's answer. On a flat picture every step is
+//! exact, and turning a line round negates its answers exactly.
+//!
+//! The work is cut into passes over all samples of the lines, because what scalar loads store one
+//! by one cannot at once be loaded as a vector.
+
+#![expect(
+    clippy::inline_always,
+    clippy::needless_bitwise_bool,
+    reason = "what is inlined into a function with wider instructions is compiled for them, and a \
+              vector has no branches"
+)]
+
+use super::{Miss, Polarity};
+use crate::appearance::{Ballot, VOTE_UNIT, Voters, Votes};
+use crate::image::GrayView;
+use crate::logarithm::ln;
+use crate::simd::{each, gather_cells, gather_words};
+
+/// The answer's and the samples' unit is a grey level over this.
+pub(super) const ANSWER_UNIT: f64 = 128.0;
+/// One pixel in fixed point, as a power of two.
+const PIXEL_BITS: u32 = 16;
+/// Half a step of the interpolation across and down: rounds a coordinate to its nearest step.
+const HALF_STEP: [i32; 2] = [1 << 7, 1 << 8];
+/// Half a pixel: rounds a coordinate to the nearest pixel.
+const HALF_PIXEL: [i32; 2] = [1 << 15; 2];
+/// The longest side of an image whose pixels have 16.16 coordinates \[px\].
+pub(super) const MAX_SIDE_PX: usize = i16::MAX as usize;
+/// The longest row, so that the place of every byte fits 32 bits.
+pub(super) const MAX_STRIDE: usize = (1 << 17) - 1;
+
+/// Where one line's samples lie, in 16.16 fixed point: the first, and the step to the next.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Track {
+    start: [i32; 2],
+    step: [i32; 2],
+}
+
+impl Track {
+    /// `samples` places from `start`, `step` apart \[px\]; none if one of them is not surrounded
+    /// by four pixels of an image of `size`. A start that is less than a step of the interpolation
+    /// outside is put inside.
+    #[inline]
+    pub(super) fn new(
+        start: [f64; 2],
+        step: [f64; 2],
+        samples: usize,
+        size: [usize; 2],
+    ) -> Option<Self> {
+        let mut track = Self::default();
+        let mut inside = true;
+        for axis in 0..2 {
+            // Half a step of the interpolation is added later.
+            let last = ((size[axis] as i32 - 1) << PIXEL_BITS) - 2 * HALF_STEP[1];
+            let from = fixed(start[axis]).clamp(0, last.max(0));
+            let by = fixed(step[axis]);
+            // The places are evenly spaced: those between two places inside are inside.
+            let to = i64::from(from) + i64::from(by) * (samples as i64 - 1);
+            inside &= 0 <= to && to <= i64::from(last);
+            (track.start[axis], track.step[axis]) = (from, by);
+        }
+        inside.then_some(track)
+    }
+}
+
+/// To the nearest 2⁻¹⁶ px. (The bit pattern of 1.5 · 2³⁶ + x ends in x with 16 binary places.)
+#[inline]
+fn fixed(x: f64) -> i32 {
+    const SHIFT: f64 = (3_u64 << 35) as f64;
+    (x + SHIFT).to_bits() as i32
+}
+
+/// What lines look for.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Kernel<'a> {
+    /// Weights at +1, +2, … px, times 2¹⁶.
+    pub weights: &'a [u16],
+    /// The least answer that counts, positive \[1/128 grey level\].
+    pub least: i16,
+    pub polarity: Polarity,
+}
+
+/// The smallest difference of votes that makes an edge the hand's, and what an e-fold of strength
+/// adds.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Scoring {
+    pub min_separation: f32,
+    pub strength_say: f32,
+}
+
+/// The best peak of a line.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Peak {
+    /// Index of the answer, at least 1.
+    pub at: usize,
+    /// The answers before it, there and after it \[1/128 grey level\].
+    pub answers: [i16; 3],
+}
+
+/// `N` lines of equally many samples, and the buffers to search them.
+#[derive(Debug, Clone)]
+pub(super) struct Lanes<const N: usize> {
+    start: [[i32; N]; 2],
+    step: [[i32; N]; 2],
+    /// The places of the bytes of every sample, or what was read there.
+    places: Vec<[u32; N]>,
+    /// How far the samples lie across and down their cells, in 1/256 and 1/128 px.
+    fractions: Vec<[[u16; N]; 2]>,
+    /// The votes of the samples.
+    cast: Vec<[i16; N]>,
+    /// The kernel's weights, repeated in every lane.
+    weights: Vec<[u16; N]>,
+    /// Grey levels at the samples, in 1/128.
+    grey: Vec<[u16; N]>,
+    /// The kernel's answers, from the first offset at which it fits.
+    answers: Vec<[i16; N]>,
+    /// Sums of the votes from the inner end up to each sample.
+    votes: Vec<[i32; N]>,
+    peaks: [i16; N],
+    rises_to_end: [bool; N],
+}
+
+/// No peak was found.
+const NONE: i16 = 0;
+
+impl<const N: usize> Lanes<N> {
+    /// Lanes of up to `samples` samples.
+    pub fn with_capacity(samples: usize) -> Self {
+        Self {
+            start: [[0; N]; 2],
+            step: [[0; N]; 2],
+            places: Vec::with_capacity(samples),
+            fractions: Vec::with_capacity(samples),
+            cast: Vec::with_capacity(samples),
+            weights: Vec::with_capacity(samples),
+            grey: Vec::with_capacity(samples),
+            answers: Vec::with_capacity(samples),
+            votes: Vec::with_capacity(samples + 1),
+            peaks: [NONE; N],
+            rises_to_end: [false; N],
+        }
+    }
+
+    /// Sets the lines: lanes without one repeat the last.
+    #[inline]
+    pub fn set(&mut self, tracks: &[Track], samples: usize) {
+        let Some(last) = tracks.last() else { return };
+        for j in 0..N {
+            let track = tracks.get(j).unwrap_or(last);
+            for axis in 0..2 {
+                self.start[axis][j] = track.start[axis];
+                self.step[axis][j] = track.step[axis];
+            }
+        }
+        self.places.resize(samples, [0; N]);
+        self.fractions.resize(samples, [[0; N]; 2]);
+        self.cast.resize(samples, [0; N]);
+        self.grey.resize(samples, [0; N]);
+        self.votes.resize(samples + 1, [0; N]);
+    }
+
+    /// Finds the best peak of every line.
+    #[inline(always)]
+    pub fn find_edges(
+        &mut self,
+        image: &GrayView<'_>,
+        kernel: &Kernel<'_>,
+        ballot: Option<(&Ballot<'_>, &Scoring)>,
+    ) {
+        self.locate(image.stride(), 1, HALF_STEP);
+        gather_cells(image.data(), image.stride() as u32, &mut self.places);
+        self.interpolate();
+        self.correlate(kernel.weights);
+        match kernel.polarity {
+            Polarity::Bright => self.choose(kernel, ballot, |r| r),
+            Polarity::Dark => self.choose(kernel, ballot, |r| -r),
+            Polarity::Unknown => self.choose(kernel, ballot, |r| if r < 0 { -r } else { r }),
+        }
+    }
+
+    /// Sums up the votes along every line.
+    #[inline(always)]
+    pub fn count_votes(&mut self, ballot: &Ballot<'_>) {
+        match ballot.pixels {
+            Voters::Gray(bytes, stride) => {
+                self.locate(stride, 1, HALF_PIXEL);
+                gather_words(bytes, &mut self.places);
+                self.sum_up(ballot.votes, |word| (word & 0xff) >> 2);
+            }
+            Voters::Colour(bytes, stride) => {
+                self.locate(stride, 3, HALF_PIXEL);
+                gather_words(bytes, &mut self.places);
+                // The upper halves of three bytes, the first one's in front.
+                self.sum_up(ballot.votes, |word| {
+                    ((word & 0xf0) << 4) | ((word >> 8) & 0xf0) | ((word >> 20) & 0xf)
+                });
+            }
+            Voters::Nobody => self.votes.fill([0; N]),
+        }
+    }
+
+    /// The peak of line `j`, or why there is none.
+    #[inline]
+    pub fn peak(&self, j: usize) -> Result<Peak, Miss> {
+        let at = self.peaks[j];
+        if at == NONE {
+            return Err(if self.rises_to_end[j] { Miss::BeyondEnd } else { Miss::NoContrast });
+        }
+        let at = at as usize;
+        let answers = each(|i| self.answers[at + i - 1][j]);
+        Ok(Peak { at, answers })
+    }
+
+    /// Mean vote of the pixels inside the peak at `at` of line `j` minus that of those outside,
+    /// both over the window that the kernel covers; the edge's own pixel is of neither side.
+    #[inline]
+    pub fn separation(&self, j: usize, at: usize, reach: usize) -> f32 {
+        let inside = self.votes[at + reach][j] - self.votes[at][j];
+        let outside = self.votes[at + 2 * reach + 1][j] - self.votes[at + reach + 1][j];
+        (inside - outside) as f32 / (reach as f32 * VOTE_UNIT)
+    }
+
+    /// Where the sum of the votes of line `j` is largest: before which sample, and how different
+    /// the `reach` samples to either side vote, if that many there are.
+    #[inline]
+    pub fn change_of_votes(&self, j: usize, reach: usize) -> Result<(usize, f32), Miss> {
+        let (mut best, mut at) = (i32::MIN, 0);
+        for (i, sum) in self.votes.iter().enumerate() {
+            if sum[j] > best {
+                (best, at) = (sum[j], i);
+            }
+        }
+        if at < reach || at + reach >= self.votes.len() {
+            return Err(Miss::BeyondEnd);
+        }
+        let around: [_; 3] = each(|i| self.votes[at + i * reach - reach][j]);
+        let difference = (2 * around[1] - around[0] - around[2]) as f32;
+        Ok((at, difference / (reach as f32 * VOTE_UNIT)))
+    }
+
+    /// Places of all samples, rounded by `half`, of `pitch` bytes each; and where in their cells
+    /// they lie.
+    #[inline(always)]
+    fn locate(&mut self, stride: usize, pitch: u32, half: [i32; 2]) {
+        let stride = stride as u32;
+        let [dx, dy] = self.step;
+        let mut x: [_; N] = each(|j| self.start[0][j] + half[0]);
+        let mut y: [_; N] = each(|j| self.start[1][j] + half[1]);
+        for (place, [across, down]) in self.places.iter_mut().zip(&mut self.fractions) {
+            *place = each(|j| {
+                let (row, column) = ((y[j] >> PIXEL_BITS) as u32, (x[j] >> PIXEL_BITS) as u32);
+                row.wrapping_mul(stride).wrapping_add(column.wrapping_mul(pitch))
+            });
+            *across = each(|j| ((x[j] >> 8) & 255) as u16);
+            *down = each(|j| ((y[j] >> 9) & 127) as u16);
+            x = each(|j| x[j].wrapping_add(dx[j]));
+            y = each(|j| y[j].wrapping_add(dy[j]));
+        }
+    }
+
+    /// Grey levels at all samples.
+    #[inline(always)]
+    fn interpolate(&mut self) {
+        for ((grey, cells), [across, down]) in
+            self.grey.iter_mut().zip(&self.places).zip(&self.fractions)
+        {
+            let above: [_; N] = each(|j| cells[j] as u16);
+            let below: [_; N] = each(|j| (cells[j] >> 16) as u16);
+            *grey = each(|j| {
+                let (right, lower) = (across[j], down[j]);
+                let row = |pair: u16| (pair & 255) * (256 - right) + (pair >> 8) * right;
+                high(row(above[j]), (128 - lower) << 8) + high(row(below[j]), lower << 8)
+            });
+        }
+    }
+
+    /// Inside minus outside, weighted by the kernel, at every offset that the kernel fits.
+    #[inline(always)]
+    fn correlate(&mut self, weights: &[u16]) {
+        let (reach, grey) = (weights.len(), &self.grey);
+        let count = grey.len() - 2 * reach;
+        self.answers.clear();
+        self.answers.resize(count, [0; N]);
+        // Repeated in memory: the compiler sees a product of 16-bit numbers only in vectors of them.
+        self.weights.clear();
+        self.weights.extend(weights.iter().map(|&w| [w; N]));
+        for (k, weight) in (1..).zip(&self.weights) {
+            let (inside, outside) = (&grey[reach - k..][..count], &grey[reach + k..][..count]);
+            for ((answer, inside), outside) in self.answers.iter_mut().zip(inside).zip(outside) {
+                let (plus, minus) = (scaled(inside, weight), scaled(outside, weight));
+                let sum = *answer;
+                *answer = each(|j| sum[j].wrapping_add(plus[j].wrapping_sub(minus[j]) as i16));
+            }
+        }
+    }
+
+    /// The edge to believe, among the peaks of the wanted polarity: the strongest; where the
+    /// pixels vote, the one whose sides they tell apart best.
+    #[inline(always)]
+    fn choose(
+        &mut self,
+        kernel: &Kernel<'_>,
+        ballot: Option<(&Ballot<'_>, &Scoring)>,
+        strength: impl Fn(i16) -> i16 + Copy,
+    ) {
+        if let Some((ballot, scoring)) = ballot {
+            self.count_votes(ballot);
+            self.best_separated(kernel, *scoring, strength);
+        } else {
+            self.strongest(kernel.least, strength);
+        }
+        let n = self.answers.len();
+        let [first, second, before_last, last] = [0, 1, n - 2, n - 1].map(|i| &self.answers[i]);
+        for j in 0..N {
+            let [first, second, before_last, last] =
+                [first[j], second[j], before_last[j], last[j]].map(strength);
+            self.rises_to_end[j] = (first >= kernel.least && first > second)
+                || (last >= kernel.least && last >= before_last);
+        }
+    }
+
+    #[inline(always)]
+    fn strongest(&mut self, least: i16, strength: impl Fn(i16) -> i16 + Copy) {
+        let (mut best, mut at) = ([least - 1; N], [NONE; N]);
+        for (i, three) in (1_i16..).zip(self.answers.windows(3)) {
+            for j in 0..N {
+                let before = strength(three[0][j]);
+                let here = strength(three[1][j]);
+                let after = strength(three[2][j]);
+                let better = (here >= before) & (here > after) & (here > best[j]);
+                best[j] = if better { here } else { best[j] };
+                at[j] = if better { i } else { at[j] };
+            }
+        }
+        self.peaks = at;
+    }
+
+    #[inline(always)]
+    fn best_separated(
+        &mut self,
+        kernel: &Kernel<'_>,
+        scoring: Scoring,
+        strength: impl Fn(i16) -> i16 + Copy,
+    ) {
+        let Scoring { min_separation, strength_say } = scoring;
+        let reach = kernel.weights.len();
+        let unit = 1.0 / (reach as f32 * VOTE_UNIT);
+        let (mut best, mut at) = ([f32::NEG_INFINITY; N], [i32::from(NONE); N]);
+        let sums = self.votes[1..].windows(2 * reach + 2);
+        for (i, (three, sums)) in (1_i32..).zip(self.answers.windows(3).zip(sums)) {
+            let [a, b, c, d] = [0, reach, reach + 1, 2 * reach + 1].map(|k| &sums[k]);
+            for j in 0..N {
+                let before = strength(three[0][j]);
+                let here = strength(three[1][j]);
+                let after = strength(three[2][j]);
+                let peak = (here >= before) & (here > after) & (here >= kernel.least);
+                let separation = (b[j] - a[j] - d[j] + c[j]) as f32 * unit;
+                let score = separation + strength_say * ln(f32::from(here.max(1)));
+                let better = peak & (separation >= min_separation) & (score > best[j]);
+                best[j] = if better { score } else { best[j] };
+                at[j] = if better { i } else { at[j] };
+            }
+        }
+        self.peaks = each(|j| at[j] as i16);
+    }
+
+    /// The sums of the votes of all samples, each in the bin that `bin` makes of its bytes.
+    #[inline(always)]
+    fn sum_up(&mut self, votes: &Votes, bin: impl Fn(u32) -> u32) {
+        for place in &mut self.places {
+            let words = *place;
+            *place = each(|j| bin(words[j]));
+        }
+        for (vote, bins) in self.cast.iter_mut().zip(&self.places) {
+            for (vote, &bin) in vote.iter_mut().zip(bins) {
+                *vote = votes[bin as usize % votes.len()];
+            }
+        }
+        let mut sum = [0; N];
+        self.votes[0] = sum;
+        for (total, cast) in self.votes[1..].iter_mut().zip(&self.cast) {
+            sum = each(|j| sum[j] + i32::from(cast[j]));
+            *total = sum;
+        }
+    }
+}
+
+/// Every number times its weight, in 2⁻¹⁶.
+#[inline(always)]
+fn scaled<const N: usize>(numbers: &[u16; N], weights: &[u16; N]) -> [u16; N] {
+    each(|j| high(numbers[j], weights[j]))
+}
+
+/// The upper half of a product.
+#[inline(always)]
+fn high(a: u16, b: u16) -> u16 {
+    ((u32::from(a) * u32::from(b)) >> 16) as u16
+}
