@@ -129,6 +129,20 @@ impl Appearance {
         });
     }
 
+    /// Mean vote of what was seen of the hand minus that of what was seen behind it, 0–6: how well
+    /// the votes tell the two apart.
+    #[must_use]
+    pub fn separation(&self) -> f64 {
+        let mean = |sides: &[&Histogram]| {
+            let seen = sides.iter().flat_map(|h| h.bins.iter().zip(&*self.votes));
+            let sum: f64 = seen.map(|(n, v)| f64::from(*n) * f64::from(*v)).sum();
+            let total: f64 = sides.iter().map(|h| h.total).sum();
+            if total > 0.0 { sum / total } else { 0.0 }
+        };
+        let apart = mean(&[&self.hand, &self.anchor]) - mean(&[&self.background]);
+        apart / f64::from(VOTE_UNIT)
+    }
+
     /// The vote of the pixel nearest to (u, v): positive for the hand, negative for what is behind
     /// it, in ±3; zero outside the frame. Votes are rounded to 1/1024.
     #[must_use]

@@ -165,8 +165,8 @@ impl Discriminant {
 #[derive(Debug, Clone, Default)]
 pub struct DiscriminantImage {
     pixels: Vec<u8>,
-    /// What of the present frame is there: columns and rows, from and to.
-    made: Option<[usize; 4]>,
+    /// What of the present frame is there, and by which mixture: columns and rows, from and to.
+    made: Option<(Mixture, [usize; 4])>,
 }
 
 impl DiscriminantImage {
@@ -196,15 +196,16 @@ impl DiscriminantImage {
             top.floor().clamp(0.0, height as f64) as usize,
             (bottom.ceil() + 1.0).clamp(0.0, height as f64) as usize,
         ];
-        if !self.made.is_some_and(|m| covers(&m, &wanted)) {
-            let [x0, x1, y0, y1] = self.made.map_or(wanted, |m| hull(&m, &wanted));
+        let made = self.made.filter(|(by, _)| by == mixture).map(|(_, made)| made);
+        if !made.is_some_and(|m| covers(&m, &wanted)) {
+            let [x0, x1, y0, y1] = made.map_or(wanted, |m| hull(&m, &wanted));
             for y in y0..y1 {
                 let row = self.pixels.get_mut(y * width..).and_then(|r| r.get_mut(x0..x1));
                 if let (Some(row), Some(colours)) = (row, colour.row(y)) {
                     mixture.mix(&colours[3 * x0..], row);
                 }
             }
-            self.made = Some([x0, x1, y0, y1]);
+            self.made = Some((*mixture, [x0, x1, y0, y1]));
         }
         Frame::coloured(GrayView::new(&self.pixels, width, height, width)?, *colour)
     }

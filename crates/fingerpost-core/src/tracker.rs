@@ -23,23 +23,21 @@
 //! Source: Cipolla, Hadfield & Hollinghurst 1994, section 3.2.
 
 mod convergence;
+mod looks;
 mod mould;
 mod options;
 
-use crate::appearance::Appearance;
-use crate::discriminant::Discriminant;
 use crate::fit::Prior;
 use crate::frame::Frame;
-use crate::search::{
-    Cue, EdgeMeasurement, MAX_HALF_LENGTH_PX, Polarity, Scale, SearchLine, check_size,
-};
+use crate::search::{EdgeMeasurement, MAX_HALF_LENGTH_PX, Polarity, Scale, SearchLine, check_size};
 use crate::shape_space::{
     Affine, AffineMap, Axis, BandMeasure, PlacedSample, PlanarSpace, Pose, RIBBON_DOF, Ribbon,
     RibbonVector, Rigid, RigidShear, ShapeSpace, Similarity, Translation, ribbon_of,
 };
-use crate::template::{HALF_LENGTH, Template, TemplateSample};
+use crate::template::{HALF_LENGTH, Limb, Template, TemplateSample};
 use crate::{Error, Result};
-use convergence::{Attempt, Converged, Convergence, Fit};
+use convergence::{Attempt, Converged, Convergence, Fit, Seen};
+use looks::{Lead, Looks, Sight, Silhouette};
 use mould::{Kind, Mould, finger_samples};
 use nalgebra::{Matrix2, Point2, SMatrix, SVector, Vector2};
 pub use options::{AcceptOptions, AcquireOptions, Model, TrackOptions, TrackerOptions};
@@ -155,9 +153,7 @@ struct Hand {
     /// The planar template moulded to this hand; unused by the band model.
     moulded: Vec<TemplateSample>,
     /// What it looks like, once it was seen.
-    appearance: Option<Appearance>,
-    /// The mixture of colours that shows it best.
-    discriminant: Discriminant,
+    looks: Option<Looks>,
 }
 
 /// What the contour in the image is made from.
@@ -193,13 +189,13 @@ struct Motion {
 #[derive(Debug, Clone, Copy)]
 struct Look {
     half_length_px: f64,
-    votes: bool,
+    lead: Lead,
     scale: Scale,
 }
 
 impl Look {
     fn edges(half_length_px: f64) -> Self {
-        Self { half_length_px, votes: false, scale: Scale::Fine }
+        Self { half_length_px, lead: Lead::HandEdges, scale: Scale::Fine }
     }
 }
 
@@ -214,6 +210,23 @@ impl Hand {
         if self.moulded.is_empty() { samples } else { &self.moulded }
     }
 
+    /// Lets the dimensions that a hand cannot change follow slowly: it may come nearer.
+    fn grow(&mut self) {
+        if let Shape::Ribbon(x) = self.shape {
+            for k in [3, 4, 8] {
+                self.acquired[k] += HELD_RATE * (x[k] - self.acquired[k]);
+            }
+        }
+    }
+
+    /// How many of its samples are the finger's: the first ones.
+    fn fingers(&self, samples: &[TemplateSample]) -> usize {
+        match self.shape {
+            Shape::Ribbon(_) => finger_samples(samples).len(),
+            Shape::Planar(_) => finger_samples(self.planar(samples)).len(),
+        }
+    }
+
     /// A search for these samples by what is known of the hand.
     fn attempt<'a>(
         &'a self,
@@ -222,25 +235,20 @@ impl Hand {
         look: Look,
         polarity: Polarity,
     ) -> Attempt<'a> {
-        let Look { half_length_px, scale, votes } = look;
-        let coloured = frame.colour().is_some();
-        let mixture = self.discriminant.mixture().filter(|_| coloured && !votes);
-        // In the discriminant's image the hand is the brighter side.
-        let polarity = if mixture.is_some() { Polarity::Bright } else { polarity };
-        Attempt { samples, cue: self.cue(frame, look), scale, half_length_px, polarity, mixture }
+        let Look { half_length_px, scale, lead } = look;
+        let known = self.looks.as_ref().and_then(|l| l.sight(frame, lead, polarity));
+        let sight = known.unwrap_or(Sight::unknown(polarity));
+        Attempt { samples, sight, scale, half_length_px }
     }
 
-    /// What is known of the hand's looks that this frame can show: its colours only in colour.
-    fn known_in(&self, frame: &Frame<'_>) -> Option<&Appearance> {
-        self.appearance.as_ref().filter(|a| !a.is_coloured() || frame.colour().is_some())
+    /// Whether a mixture of colours shows it better than the grey image.
+    fn is_mixed(&self) -> bool {
+        self.looks.as_ref().is_some_and(Looks::is_mixed)
     }
 
-    fn cue(&self, frame: &Frame<'_>, look: Look) -> Cue<'_> {
-        match self.known_in(frame) {
-            Some(appearance) if look.votes => Cue::Votes(appearance),
-            Some(appearance) => Cue::HandEdges(appearance),
-            None => Cue::Edges,
-        }
+    /// Whether its looks are known so far that this frame can show them.
+    fn votes_in(&self, frame: &Frame<'_>) -> bool {
+        self.looks.as_ref().is_some_and(|l| !l.is_coloured() || frame.colour().is_some())
     }
 }
 
@@ -282,6 +290,15 @@ impl From<Converged<RIBBON_DOF>> for Found {
 const HELD_WIDTH_SIGMA: f64 = 0.06;
 const HELD_TAPER_SIGMA: f64 = 0.03;
 const HELD_THUMB_SIGMA: f64 = 0.1;
+/// Part of a change of these that is taken over per accepted frame.
+const HELD_RATE: f64 = 0.05;
+/// While the thumb is fitted, the finger stays within this of where it is \[px, rad, 1\].
+const PINNED_SIGMA: f64 = 1e-4;
+
+/// How often the settled hand is looked at anew in its own colours, and how much more freely than
+/// while it is tracked.
+const BED_IN_ROUNDS: usize = 3;
+const BED_IN_SLACK: f64 = 4.0;
 
 /// A lost hand is looked for this much further than a tracked one.
 const LOST_REACH: f64 = 2.0;
@@ -289,10 +306,6 @@ const LOST_REACH: f64 = 2.0;
 const SURE: f64 = 0.85;
 /// Once votes have led the contour to the hand, its edges are looked for this far \[px\].
 const NEAR_PX: f64 = 10.0;
-/// The edge itself, this far to either side, is of neither colour; appearance is learned up to that
-/// far from it \[px\].
-const EDGE_PX: f64 = 2.0;
-const APPEARANCE_REACH_PX: f64 = 14.0;
 
 impl ContourTracker {
     /// A tracker whose template waits at `start`.
@@ -324,8 +337,7 @@ impl ContourTracker {
             acquired: ribbon,
             kind: waiting.kind(&options),
             moulded: Vec::with_capacity(samples.len()),
-            appearance: None,
-            discriminant: Discriminant::default(),
+            looks: None,
         };
         Ok(Self {
             convergence: Convergence::new(&options)?,
@@ -411,7 +423,7 @@ impl ContourTracker {
             self.hand.shape = found.shape;
             let motion = Motion::at_rest(time_s, found.shape.centre());
             self.phase = Phase::Tracking { missed: 0, motion };
-            return Ok(self.track(time_s, Status::Tracking, &found, true));
+            return Ok(Self::track(time_s, Status::Tracking, &found, true));
         }
         self.hand.kind = settling;
         self.acquire(frame, time_s, settled, Some(last))
@@ -447,14 +459,14 @@ impl ContourTracker {
         {
             let motion = Motion::at_rest(time_s, acquired.shape.centre());
             self.phase = Phase::Tracking { missed: 0, motion };
-            return Ok(self.track(time_s, Status::Tracking, &acquired, true));
+            return Ok(Self::track(time_s, Status::Tracking, &acquired, true));
         }
         let (phase, status) = lost
             .map_or((Phase::Acquiring { settled }, Status::Acquiring), |last| {
                 (Phase::Lost { last, settled }, Status::Lost)
             });
         self.phase = phase;
-        Ok(self.track(time_s, status, &found, accepted))
+        Ok(Self::track(time_s, status, &found, accepted))
     }
 
     /// The hand at the waiting template, or where an earlier frame has found it.
@@ -483,12 +495,9 @@ impl ContourTracker {
     /// paper's template cannot take them on.
     fn freeze(&mut self, frame: &Frame<'_>) -> Result<Option<Found>> {
         let before = self.hand.clone();
-        self.hand.appearance = None;
-        self.hand.discriminant = Discriminant::default();
-        self.learn_appearance(frame);
-        self.hand.discriminant.anchor();
-        if let Some(appearance) = &mut self.hand.appearance {
-            appearance.anchor();
+        self.bed_in(frame)?;
+        if let Some(looks) = &mut self.hand.looks {
+            looks.anchor();
         }
         let frozen = match (self.hand.shape, self.options.model) {
             (Shape::Ribbon(x), Model::Ribbon) => {
@@ -522,6 +531,32 @@ impl ContourTracker {
         }
     }
 
+    /// Learns what the settled hand looks like, and looks at it once more in the mixture of colours
+    /// that shows it best: a shaded flank or the tip, which grey may have hidden, comes out now.
+    fn bed_in(&mut self, frame: &Frame<'_>) -> Result<()> {
+        for _ in 0..BED_IN_ROUNDS {
+            self.hand.looks = None;
+            self.learn_looks(frame)?;
+            let (Shape::Ribbon(x), true) = (self.hand.shape, self.hand.is_mixed()) else {
+                return Ok(());
+            };
+            let half_length_px = self.options.acquire.half_length_px;
+            let look = Look { half_length_px, lead: Lead::AnyEdge, scale: Scale::Fine };
+            let turned = self.run_ribbon::<3>(frame, &x, Limb::Finger, look, None)?;
+            self.hand.acquired = x;
+            let held = self.held::<5>(&x, BED_IN_SLACK);
+            let finger = self.run_ribbon::<5>(frame, &turned.x, Limb::Finger, look, Some(&held))?;
+            if Found::from(finger).is_accepted(&self.options.acquire.accept) {
+                let slid = finger.x.fixed_rows::<2>(0) - x.fixed_rows::<2>(0);
+                let mut x = finger.x;
+                // The thumb stays where it was.
+                x[5] -= slid.dot(&Vector2::new(x[2].cos(), x[2].sin()));
+                self.hand.shape = Shape::Ribbon(x);
+            }
+        }
+        Ok(())
+    }
+
     /// Whether the planar template has a thumb that shows length and shear; a traced outline is
     /// taken to be no mere finger.
     fn shows_shear(&self) -> bool {
@@ -545,9 +580,10 @@ impl ContourTracker {
         if found.is_accepted(&accept) {
             let motion = motion.seen(found.shape.centre(), time_s);
             self.hand.shape = found.shape;
-            self.learn_appearance(frame);
+            self.hand.grow();
+            self.learn_looks(frame)?;
             self.phase = Phase::Tracking { missed: 0, motion };
-            return Ok(self.track(time_s, Status::Tracking, &found, true));
+            return Ok(Self::track(time_s, Status::Tracking, &found, true));
         }
         let missed = missed + 1;
         let status = if missed >= lose_after_frames {
@@ -557,7 +593,7 @@ impl ContourTracker {
             self.phase = Phase::Tracking { missed, motion };
             Status::Tracking
         };
-        Ok(self.track(time_s, status, &found, false))
+        Ok(Self::track(time_s, status, &found, false))
     }
 
     /// The hand about a predicted shape. Its edges are usually near and sharp; when they explain
@@ -582,16 +618,16 @@ impl ContourTracker {
 
     /// From afar: the template moves, then turns, until it covers what looks like the hand.
     fn approach(&mut self, frame: &Frame<'_>, from: Shape, half_length_px: f64) -> Result<Shape> {
-        let votes = self.hand.known_in(frame).is_some();
-        let look = Look { half_length_px, votes, scale: Scale::Fine };
+        let lead = if self.hand.votes_in(frame) { Lead::Votes } else { Lead::HandEdges };
+        let look = Look { half_length_px, lead, scale: Scale::Fine };
         Ok(match from {
             Shape::Planar(map) => {
                 let moved = self.planar::<Translation, 2>(frame, map, look)?;
                 Shape::Planar(self.planar::<Rigid, 3>(frame, moved.shape, look)?.shape)
             }
             Shape::Ribbon(x) => {
-                let moved = self.run_ribbon::<2>(frame, &x, look, None)?;
-                Shape::Ribbon(self.run_ribbon::<3>(frame, &moved.x, look, None)?.x)
+                let moved = self.run_ribbon::<2>(frame, &x, Limb::Thumb, look, None)?;
+                Shape::Ribbon(self.run_ribbon::<3>(frame, &moved.x, Limb::Finger, look, None)?.x)
             }
         })
     }
@@ -607,13 +643,15 @@ impl ContourTracker {
             }
             Shape::Planar(map) => self.planar::<Rigid, 3>(frame, map, look)?.into(),
             Shape::Ribbon(x) => {
-                let turned = self.run_ribbon::<3>(frame, &x, look, None)?;
-                if self.hand.kind.has_thumb {
-                    let held = self.held::<RIBBON_DOF>(&x);
-                    self.run_ribbon::<RIBBON_DOF>(frame, &turned.x, look, Some(&held))?.into()
-                } else {
-                    let held = self.held::<5>(&x);
-                    self.run_ribbon::<5>(frame, &turned.x, look, Some(&held))?.into()
+                let turned = self.run_ribbon::<3>(frame, &x, Limb::Finger, look, None)?;
+                let held = self.held::<5>(&x, 1.0);
+                let finger =
+                    self.run_ribbon::<5>(frame, &turned.x, Limb::Finger, look, Some(&held))?;
+                match &finger.fit {
+                    Some(fit) if self.hand.kind.has_thumb => {
+                        self.lean_thumb(frame, &finger, fit, look)?.into()
+                    }
+                    _ => finger.into(),
                 }
             }
         })
@@ -654,16 +692,53 @@ impl ContourTracker {
         })
     }
 
-    /// One prefix of the band template's shape vector.
+    /// The thumb of a finger that was fitted. A thumb bends and leans; it must not turn the finger,
+    /// whose line and covariance stay as they are.
+    fn lean_thumb(
+        &mut self,
+        frame: &Frame<'_>,
+        finger: &Converged<RIBBON_DOF>,
+        fit: &Fit,
+        look: Look,
+    ) -> Result<Converged<RIBBON_DOF>> {
+        let mut held = self.held::<RIBBON_DOF>(&finger.x, 1.0);
+        for i in 0..5 {
+            held.mean[i] = finger.x[i];
+            held.information[(i, i)] = PINNED_SIGMA.powi(-2);
+        }
+        let whole = self.run_ribbon(frame, &finger.x, Limb::Thumb, look, Some(&held))?;
+        let Some(with_thumb) = whole.fit else { return Ok(*finger) };
+        let mut shape = with_thumb.shape;
+        for i in 0..5 {
+            shape.vector[i] = finger.x[i];
+        }
+        shape
+            .covariance
+            .view_mut((0, 0), (5, 5))
+            .copy_from(&fit.shape.covariance.view((0, 0), (5, 5)));
+        let iterations = finger.iterations + whole.iterations;
+        Ok(Converged {
+            x: shape.vector,
+            fit: Some(Fit { shape, rank: with_thumb.rank, seen: with_thumb.seen, ..*fit }),
+            iterations,
+        })
+    }
+
+    /// One prefix of the band template's shape vector, by the samples of the finger or of all of
+    /// the hand, down to the thumb.
     fn run_ribbon<const D: usize>(
         &mut self,
         frame: &Frame<'_>,
         from: &RibbonVector,
+        down_to: Limb,
         look: Look,
         held: Option<&Prior<D>>,
     ) -> Result<Converged<RIBBON_DOF>> {
         let space = self.ribbon::<D>(from)?;
-        let samples = self.hand.bands(&self.samples);
+        let samples = match down_to {
+            Limb::Finger => finger_samples(&self.samples),
+            Limb::Thumb => self.hand.bands(&self.samples),
+        };
         let attempt = self.hand.attempt(samples, frame, look, self.options.polarity);
         let x = Ribbon::<D>::free(from);
         let found = self.convergence.run(frame, &space, x, &attempt, held)?;
@@ -676,7 +751,7 @@ impl ContourTracker {
 
     /// What the hand cannot change: the widths and the taper are those it was acquired with, the
     /// thumb is near where it was in the last frame.
-    fn held<const D: usize>(&self, last: &RibbonVector) -> Prior<D> {
+    fn held<const D: usize>(&self, last: &RibbonVector, slack: f64) -> Prior<D> {
         let acquired = &self.hand.acquired;
         let thumb_px = HELD_THUMB_SIGMA * self.waiting.measure.length_px;
         let held = [
@@ -693,46 +768,30 @@ impl ContourTracker {
         let mut prior = Prior { mean: SVector::zeros(), information: SMatrix::zeros() };
         for (i, (mean, sigma)) in held.iter().take(D).enumerate() {
             prior.mean[i] = *mean;
-            prior.information[(i, i)] = sigma.powi(-2);
+            prior.information[(i, i)] = (slack * sigma).powi(-2);
         }
         prior
     }
 
     /// Takes over what the last accepted fit saw on either side of the contour.
-    fn learn_appearance(&mut self, frame: &Frame<'_>) {
-        let depth_px = (2.0 * self.hand.shape.width() - EDGE_PX).clamp(3.0, APPEARANCE_REACH_PX);
+    fn learn_looks(&mut self, frame: &Frame<'_>) -> Result<()> {
         let coloured = frame.colour().is_some();
-        if self.hand.appearance.as_ref().is_some_and(|a| a.is_coloured() && !coloured) {
-            return;
+        let known = self.hand.looks.as_ref().map(Looks::is_coloured);
+        if known == Some(true) && !coloured {
+            return Ok(());
         }
-        let known = self.hand.appearance.take().filter(|a| a.is_coloured() == coloured);
-        let mut appearance = known.unwrap_or_else(|| Appearance::new(coloured));
-        let discriminant = &mut self.hand.discriminant;
+        if known != Some(coloured) {
+            self.hand.looks = None;
+        }
+        let (samples, finger) = (self.hand.fingers(&self.samples), self.hand.shape.silhouette());
         let keep = 1.0 - self.options.track.appearance_rate;
-        appearance.fade(keep as f32);
-        discriminant.fade(keep);
-        for PlacedSample { position, normal } in self.convergence.agreeing() {
-            let mut k = EDGE_PX;
-            while k <= APPEARANCE_REACH_PX {
-                let (inside, outside) = (position - normal * k, position + normal * k);
-                if k <= depth_px {
-                    appearance.observe(frame, inside.x, inside.y, true);
-                    discriminant.observe(frame, inside.x, inside.y, true);
-                }
-                if k >= 2.0 * EDGE_PX {
-                    appearance.observe(frame, outside.x, outside.y, false);
-                    discriminant.observe(frame, outside.x, outside.y, false);
-                }
-                k += 1.0;
-            }
-        }
-        appearance.learn();
-        discriminant.learn();
-        self.hand.appearance = Some(appearance);
+        let looks = self.hand.looks.get_or_insert_with(|| Looks::new(coloured));
+        self.convergence.teach(looks, samples, frame, &finger, keep)
     }
 
     /// The story of one frame.
-    fn track(&self, time_s: f64, status: Status, found: &Found, accepted: bool) -> Track {
+    fn track(time_s: f64, status: Status, found: &Found, accepted: bool) -> Track {
+        let seen = found.fit.map_or(Seen::default(), |f| f.seen);
         let shown = found.fit.filter(|_| accepted);
         Track {
             time_s,
@@ -742,11 +801,11 @@ impl ContourTracker {
                 .filter(|_| status == Status::Tracking)
                 .map(|f| FingerLine { axis: f.axis, covariance: f.line_covariance }),
             diagnostics: Diagnostics {
-                hits: self.convergence.hits(),
+                hits: seen.hits,
                 iterations: found.iterations,
                 accepted,
-                visible: found.fit.map_or(0, |f| f.visible),
-                inliers: found.fit.map_or(0, |f| f.inliers),
+                visible: seen.visible,
+                inliers: seen.inliers,
                 residual_rms_px: found.fit.map_or(0.0, |f| f.residual_rms_px),
                 rank: found.fit.map_or(0, |f| f.rank),
             },
@@ -774,6 +833,14 @@ impl Shape {
             Self::Ribbon(x) => Point2::new(x[0], x[1]),
             Self::Planar(map) => map.centre,
         }
+    }
+
+    fn silhouette(&self) -> Silhouette {
+        let ahead = match self {
+            Self::Ribbon(x) => Vector2::new(x[2].cos(), x[2].sin()),
+            Self::Planar(map) => map.linear.column(0).normalize(),
+        };
+        Silhouette { ahead, half_width_px: self.width() }
     }
 
     /// Half the width of the finger, up to a factor that the template fixes.

@@ -1,12 +1,13 @@
 //! Gauss–Newton in one shape space: measure, linearise, solve, move, until nothing moves.
 
+use super::looks::{Looks, Sight, Silhouette};
 use super::options::{AcceptOptions, TrackerOptions};
 use super::{MAX_DOF, ShapeEstimate};
 use crate::Result;
-use crate::discriminant::{DiscriminantImage, Mixture};
+use crate::discriminant::DiscriminantImage;
 use crate::fit::{EquationBuffer, Equations, FitReport, Fitter, Outcome, Prior};
 use crate::frame::Frame;
-use crate::search::{Cue, EdgeMeasurement, EdgeSearch, Polarity, Scale, SearchLine};
+use crate::search::{EdgeMeasurement, EdgeSearch, Scale, SearchLine};
 use crate::shape_space::{Axis, PlacedSample, Pose, ShapeSpace};
 use crate::template::{Part, TemplateSample};
 use nalgebra::{Matrix2, SMatrix, SVector};
@@ -27,13 +28,10 @@ const SUPPORT_PX: f64 = 1.5;
 pub(super) struct Attempt<'a> {
     /// The samples that take part.
     pub samples: &'a [TemplateSample],
-    /// What the search lines look for.
-    pub cue: Cue<'a>,
+    /// What the search lines look for, and in which image.
+    pub sight: Sight<'a>,
     pub scale: Scale,
     pub half_length_px: f64,
-    pub polarity: Polarity,
-    /// The channels' mixture to search in place of the grey image.
-    pub mixture: Option<&'a Mixture>,
 }
 
 /// Where the template came to rest.
@@ -62,11 +60,24 @@ pub(super) struct Fit {
     pub shape: ShapeEstimate,
     pub axis: Axis,
     pub line_covariance: Matrix2<f64>,
-    pub visible: usize,
+    /// What became of the samples, those of a thumb that was fitted afterwards included.
+    pub seen: Seen,
+    /// The part of the samples that were fitted whose edges agree with the fit, 0–1.
+    pub agreement: f64,
     pub support: Support,
-    pub inliers: usize,
     pub residual_rms_px: f64,
     pub rank: usize,
+}
+
+/// What became of the samples of a search.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Seen {
+    /// Those that no other limb hides.
+    pub visible: usize,
+    /// Those that found an edge.
+    pub hits: usize,
+    /// Those whose edge agrees with the fit.
+    pub inliers: usize,
 }
 
 /// How many samples of each part of the outline a fit explains, and how many there are.
@@ -99,8 +110,7 @@ impl Support {
 
 impl Fit {
     pub fn is_accepted(&self, accept: &AcceptOptions) -> bool {
-        self.inliers as f64 >= accept.min_inliers * self.visible as f64
-            && self.residual_rms_px <= accept.max_residual_px
+        self.agreement >= accept.min_inliers && self.residual_rms_px <= accept.max_residual_px
     }
 }
 
@@ -116,6 +126,8 @@ pub(super) struct Convergence {
     lines: Vec<SearchLine>,
     measurements: Vec<EdgeMeasurement>,
     equations: EquationBuffer,
+    /// Where edges agree with the fit.
+    agreeing: Vec<PlacedSample>,
     /// The present frame as the hand's discriminant shows it.
     image: DiscriminantImage,
 }
@@ -131,6 +143,7 @@ impl Convergence {
             lines: Vec::with_capacity(options.samples),
             measurements: Vec::with_capacity(options.samples),
             equations: EquationBuffer::with_capacity(options.samples, MAX_DOF),
+            agreeing: Vec::with_capacity(options.samples),
             image: DiscriminantImage::default(),
         })
     }
@@ -145,21 +158,29 @@ impl Convergence {
         self.lines.iter().zip(&self.measurements)
     }
 
-    /// Placed samples of the last search whose edges agree with the fit, each moved to its edge.
-    pub fn agreeing(&self) -> impl Iterator<Item = PlacedSample> {
-        let hits = self.lines.iter().zip(&self.measurements);
-        hits.filter_map(|(line, found)| found.as_ref().ok().map(|edge| (line, edge)))
+    /// Shows the finger's samples of the last search whose edges agree with the fit, each moved to
+    /// its edge, to the looks of the hand; see [`Looks::learn`]. The finger's are the first
+    /// `samples` of all. A thumb may be lit quite differently, and it is the finger that points.
+    pub fn teach(
+        &mut self,
+        looks: &mut Looks,
+        samples: usize,
+        frame: &Frame<'_>,
+        finger: &Silhouette,
+        keep: f64,
+    ) -> Result<()> {
+        self.agreeing.clear();
+        let hits = self.visible.iter().zip(&self.lines).zip(&self.measurements);
+        let agreeing = hits
+            .filter_map(|((&i, line), found)| found.as_ref().ok().map(|edge| (i, line, edge)))
             .zip(self.fitter.weights())
-            .filter(|&(_, &weight)| weight > 0.5)
-            .map(|((line, edge), _)| {
+            .filter(|&((i, ..), &weight)| i < samples && weight > 0.5)
+            .map(|((_, line, edge), _)| {
                 let PlacedSample { position, normal } = line.sample;
                 PlacedSample { position: position + normal * edge.offset_px, normal }
-            })
-    }
-
-    /// How many lines of the last search found an edge.
-    pub fn hits(&self) -> usize {
-        self.measurements.iter().flatten().count()
+            });
+        self.agreeing.extend(agreeing);
+        looks.learn(frame, &mut self.image, &self.agreeing, finger, keep)
     }
 
     /// From `x`, where the image takes it in this space. `believed` is a prior on the shape vector
@@ -234,15 +255,21 @@ impl Convergence {
                 self.lines.push(SearchLine {
                     sample: placed,
                     half_length_px,
-                    polarity: attempt.polarity,
+                    polarity: attempt.sight.polarity,
                 });
             }
         }
-        let shown = match attempt.mixture {
+        let shown = match attempt.sight.mixture {
             Some(mixture) => self.image.of(frame, mixture, region(&self.lines))?,
             None => *frame,
         };
-        self.search.search(&shown, attempt.cue, attempt.scale, &self.lines, &mut self.measurements)
+        self.search.search(
+            &shown,
+            attempt.sight.cue,
+            attempt.scale,
+            &self.lines,
+            &mut self.measurements,
+        )
     }
 
     /// Which samples the last solution explains: those whose edge it leaves close by.
@@ -280,9 +307,9 @@ impl Convergence {
             shape,
             axis: pose.axis(),
             line_covariance: j * covariance * j.transpose(),
-            visible: self.lines.len(),
+            seen: Seen { visible: self.lines.len(), hits: fit.equations, inliers: fit.inliers },
+            agreement: fit.inliers as f64 / self.lines.len().max(1) as f64,
             support,
-            inliers: fit.inliers,
             residual_rms_px: fit.residual_rms_px,
             rank: fit.rank,
         }

@@ -7,11 +7,12 @@
 //! together with the finger.
 
 use super::convergence::{Attempt, Converged, Convergence, Support};
+use super::looks::Sight;
 use super::options::TrackerOptions;
 use crate::Result;
 use crate::fit::Prior;
 use crate::frame::Frame;
-use crate::search::{Cue, MAX_HALF_LENGTH_PX, Polarity, Scale};
+use crate::search::{MAX_HALF_LENGTH_PX, Polarity, Scale};
 use crate::shape_space::{Axis, BandMeasure, RIBBON_DOF, Ribbon, RibbonVector};
 use crate::template::{Limb, Part, TemplateSample};
 use nalgebra::{Point2, Rotation2, SMatrix, Vector2};
@@ -234,14 +235,8 @@ impl Mould<'_> {
     ) -> Result<Converged<RIBBON_DOF>> {
         let has_thumb = D > 5;
         let samples = if has_thumb { self.samples } else { finger_samples(self.samples) };
-        let attempt = Attempt {
-            samples,
-            cue: Cue::Edges,
-            scale: Scale::Fine,
-            half_length_px,
-            polarity,
-            mixture: None,
-        };
+        let sight = Sight::unknown(polarity);
+        let attempt = Attempt { samples, sight, scale: Scale::Fine, half_length_px };
         let space = Ribbon::<D>::about(x, &self.measure.with_thumb(has_thumb))?;
         let prior = (D > 3).then(|| self.belief::<D>(believed));
         let start = Ribbon::<D>::free(x);
@@ -304,14 +299,8 @@ impl Mould<'_> {
     ) -> Result<u64> {
         let space = Ribbon::<RIBBON_DOF>::about(x, &self.measure)?;
         let samples = thumb_samples(self.samples);
-        let attempt = Attempt {
-            samples,
-            cue: Cue::Edges,
-            scale: Scale::Fine,
-            half_length_px: reach_px,
-            polarity,
-            mixture: None,
-        };
+        let sight = Sight::unknown(polarity);
+        let attempt = Attempt { samples, sight, scale: Scale::Fine, half_length_px: reach_px };
         let offsets = convergence.offsets(frame, &space, x, &attempt)?;
         Ok(offsets.map(|d| (1000.0 * (1.0 - (d / reach_px).abs()).max(0.0)) as u64).sum())
     }

@@ -1,0 +1,172 @@
+//! What a hand looks like: all that is learned from either side of its contour.
+
+use crate::Result;
+use crate::appearance::Appearance;
+use crate::discriminant::{Discriminant, DiscriminantImage, Mixture};
+use crate::frame::Frame;
+use crate::search::{Cue, Polarity};
+use crate::shape_space::PlacedSample;
+use nalgebra::{Point2, Vector2};
+
+/// The edge itself, this far to either side, is of neither colour; looks are learned up to that
+/// far from it \[px\].
+const EDGE_PX: f64 = 2.0;
+const REACH_PX: f64 = 14.0;
+/// Ahead of the tip they are learned so many half-widths further, but no further than that \[px\].
+const AHEAD_WIDTHS: f64 = 5.0;
+const MOST_REACH_PX: f64 = 120.0;
+
+/// What leads the contour.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Lead {
+    /// The pixels' votes.
+    Votes,
+    /// Edges whose sides vote differently.
+    HandEdges,
+    /// The strongest edge.
+    AnyEdge,
+}
+
+/// How a search line sees the hand, by what is known of it.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Sight<'a> {
+    pub cue: Cue<'a>,
+    /// The mixture to search in place of the grey image.
+    pub mixture: Option<&'a Mixture>,
+    pub polarity: Polarity,
+}
+
+impl Sight<'_> {
+    /// Any edge of this polarity: all that can be looked for before a hand was seen.
+    pub fn unknown(polarity: Polarity) -> Self {
+        Self { cue: Cue::Edges, mixture: None, polarity }
+    }
+}
+
+/// A finger as far as its looks are concerned.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Silhouette {
+    /// Unit vector of pointing.
+    pub ahead: Vector2<f64>,
+    pub half_width_px: f64,
+}
+
+/// The looks of one hand.
+#[derive(Debug, Clone)]
+pub(super) struct Looks {
+    /// Of colours, or of grey levels where there are none.
+    plain: Appearance,
+    discriminant: Discriminant,
+    /// Of grey levels in the discriminant's image: what its fine shades tell is lost among the
+    /// coarse bins of three channels.
+    mixed: Appearance,
+    /// The pixels of one frame, and whether they are the hand.
+    pixels: Vec<(Point2<f64>, bool)>,
+}
+
+impl Looks {
+    pub fn new(coloured: bool) -> Self {
+        Self {
+            plain: Appearance::new(coloured),
+            discriminant: Discriminant::default(),
+            mixed: Appearance::new(false),
+            pixels: Vec::new(),
+        }
+    }
+
+    /// Whether they were learned from colours.
+    pub fn is_coloured(&self) -> bool {
+        self.plain.is_coloured()
+    }
+
+    /// Keeps the hand as it is known now for good.
+    pub fn anchor(&mut self) {
+        self.plain.anchor();
+        self.discriminant.anchor();
+        self.mixed.anchor();
+    }
+
+    /// Takes over what a frame shows on either side of a finger's contour; what was known keeps a
+    /// part `keep` of its weight.
+    pub fn learn(
+        &mut self,
+        frame: &Frame<'_>,
+        image: &mut DiscriminantImage,
+        contour: &[PlacedSample],
+        finger: &Silhouette,
+        keep: f64,
+    ) -> Result<()> {
+        self.gather(contour, finger);
+        self.plain.fade(keep as f32);
+        self.discriminant.fade(keep);
+        for &(p, is_hand) in &self.pixels {
+            self.plain.observe(frame, p.x, p.y, is_hand);
+            self.discriminant.observe(frame, p.x, p.y, is_hand);
+        }
+        self.plain.learn();
+        // The image that the frame was searched in is there already.
+        let searched = self.discriminant.mixture().copied();
+        self.discriminant.learn();
+        if let Some(mixture) = searched.as_ref().or(self.discriminant.mixture()) {
+            let shown = image.of(frame, mixture, region(&self.pixels))?;
+            self.mixed.fade(keep as f32);
+            for &(p, is_hand) in &self.pixels {
+                self.mixed.observe(&shown, p.x, p.y, is_hand);
+            }
+            self.mixed.learn();
+        }
+        Ok(())
+    }
+
+    /// Whether a mixture of colours shows the hand better than the grey image.
+    pub fn is_mixed(&self) -> bool {
+        self.discriminant.mixture().is_some()
+    }
+
+    /// How to look for the hand in a frame; none if it shows no colours and only these are known.
+    pub fn sight(&self, frame: &Frame<'_>, lead: Lead, polarity: Polarity) -> Option<Sight<'_>> {
+        let coloured = frame.colour().is_some();
+        if self.is_coloured() && !coloured {
+            return None;
+        }
+        let mixture = self.discriminant.mixture().filter(|_| coloured);
+        let finer = mixture.is_some() && self.mixed.separation() > self.plain.separation();
+        let known = if finer { &self.mixed } else { &self.plain };
+        // In the discriminant's image the hand is the brighter side.
+        let polarity = if mixture.is_some() { Polarity::Bright } else { polarity };
+        Some(match lead {
+            Lead::Votes => {
+                Sight { cue: Cue::Votes(known), mixture: mixture.filter(|_| finer), polarity }
+            }
+            Lead::HandEdges => Sight { cue: Cue::HandEdges(known), mixture, polarity },
+            Lead::AnyEdge => Sight { cue: Cue::Edges, mixture, polarity },
+        })
+    }
+
+    fn gather(&mut self, contour: &[PlacedSample], finger: &Silhouette) {
+        let depth_px = (2.0 * finger.half_width_px - EDGE_PX).clamp(3.0, REACH_PX);
+        self.pixels.clear();
+        for PlacedSample { position, normal } in contour {
+            // Ahead of a fingertip there is nothing of the hand, and it may go there next.
+            let ahead_px = normal.dot(&finger.ahead).max(0.0) * AHEAD_WIDTHS * finger.half_width_px;
+            let outer_px = (REACH_PX + ahead_px).min(MOST_REACH_PX);
+            let mut k = EDGE_PX;
+            while k <= outer_px {
+                if k <= depth_px {
+                    self.pixels.push((position - normal * k, true));
+                }
+                if k >= 2.0 * EDGE_PX {
+                    self.pixels.push((position + normal * k, false));
+                }
+                k += 1.0;
+            }
+        }
+    }
+}
+
+fn region(pixels: &[(Point2<f64>, bool)]) -> [f64; 4] {
+    let nothing = [f64::INFINITY, f64::NEG_INFINITY, f64::INFINITY, f64::NEG_INFINITY];
+    pixels.iter().fold(nothing, |[left, right, top, bottom], (p, _)| {
+        [left.min(p.x), right.max(p.x), top.min(p.y), bottom.max(p.y)]
+    })
+}
