@@ -14,6 +14,7 @@ from typing import Any, NoReturn
 
 import click
 
+from fingerpost.cli.advise import advise
 from fingerpost.cli.demo import demo
 from fingerpost.cli.experiment import experiment
 from fingerpost.cli.robot import robot
@@ -65,5 +66,5 @@ def main(verbose: bool) -> None:
     )
 
 
-for _command in (demo, run, experiment, robot):
+for _command in (demo, run, advise, experiment, robot):
     main.add_command(_command)
