@@ -14,7 +14,9 @@ from typing import Any, NoReturn
 
 import click
 
+from fingerpost.cli.advise import advise
 from fingerpost.cli.demo import demo
+from fingerpost.cli.doctor import doctor
 from fingerpost.cli.experiment import experiment
 from fingerpost.cli.robot import robot
 from fingerpost.cli.run import run
@@ -65,5 +67,5 @@ def main(verbose: bool) -> None:
     )
 
 
-for _command in (demo, run, experiment, robot):
+for _command in (demo, run, advise, doctor, experiment, robot):
     main.add_command(_command)

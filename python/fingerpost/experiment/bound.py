@@ -101,8 +101,8 @@ def line_bound(
     contour = camera.ideal(visible_contour(camera, body, pose)[0])
     anchor = finger.flanks_px.mean(axis=(0, 1))
     along = np.array([math.cos(finger.axis_angle_rad), math.sin(finger.axis_angle_rad)])
-    total = np.zeros((4, 4))
-    for side, (base, tip) in zip((-1.0, 1.0), finger.flanks_px, strict=True):
+    moments = []
+    for base, tip in finger.flanks_px:
         flank = (tip - base) / np.linalg.norm(tip - base)
         place, across = np.array([flank, (-flank[1], flank[0])]) @ (contour - base).T
         within = (place >= 0.0) & ((contour - tip) @ flank <= 0.0)
@@ -110,12 +110,39 @@ def line_bound(
         p = (contour[on_flank] - anchor) @ along
         if len(p) * CONTOUR_STEP_PX < _LEAST_FLANK_PX:
             return None
-        J = np.stack([np.full_like(p, side), side * p, np.ones_like(p), p])
         # A flank at an angle to the axis moves across itself by the cosine of what it moves
         # across the axis.
-        total += information * (flank @ along) ** 2 * CONTOUR_STEP_PX * (J @ J.T)
-    covariance = np.asarray(np.linalg.inv(total), dtype=np.float64)[:2, :2]
+        step = (flank @ along) ** 2 * CONTOUR_STEP_PX
+        moments.append([step * (p**power).sum() for power in (0, 1, 2)])
+    covariance = axis_covariance(np.array(moments), information)
     return LineBound(anchor, finger.axis_angle_rad, covariance)
+
+
+def axis_covariance(
+    flank_moments_px: NDArray[np.float64], information: float
+) -> NDArray[np.float64]:
+    """Least covariance of an axis between two free flanks.
+
+    Parameters
+    ----------
+    flank_moments_px : (..., 2, 3)
+        ``∫ (1, p, p²) ds`` over the stretches of the left and of the right flank that are seen,
+        p counting from the anchor along the axis [px, px², px³].
+    information
+        As `edge_information` gives it.
+
+    Returns
+    -------
+    (..., 2, 2)
+        Of offset [px] at the anchor and angle [rad].
+    """
+    m0, m1, m2 = np.moveaxis(flank_moments_px, -1, 0)
+    straight = np.stack([np.stack([m0, m1], axis=-1), np.stack([m1, m2], axis=-1)], axis=-1)
+    # J = (σ, σ p, 1, p) makes four blocks of the same moments: those of d and ϑ, of w₀ and w₁, and
+    # between them, where the flanks' signs cancel what they share.
+    both, between = straight.sum(axis=-3), straight[..., 1, :, :] - straight[..., 0, :, :]
+    hidden = between @ np.linalg.solve(both, between)
+    return np.asarray(np.linalg.inv(information * (both - hidden)))
 
 
 def point_bound(

@@ -1,0 +1,103 @@
+"""What the advisor is told about hands, pictures and units."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from fingerpost.checks import in_range
+from fingerpost.errors import InvalidInputError
+from fingerpost.pipeline import DEFAULT_REFERENCE_SIGMA_PX
+from fingerpost.pointing import PointingOptions
+from fingerpost.simulate import PoseLimits
+
+UNITS_MM = {"µm": 1e-3, "mm": 1.0, "cm": 10.0, "dm": 100.0, "m": 1000.0, "in": 25.4, "inch": 25.4}
+"""Names of plane units whose length is known [mm]."""
+
+BARE_HAND = PointingOptions(bias_offset_px=0.05, bias_angle_rad=0.005)
+"""A finger is no cylinder: how far its medial line misses its axis (see `PointingOptions`)."""
+
+ROD = PointingOptions()
+"""A straight rod of even brightness has no bias to allow for."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class AdviceOptions:
+    """The defaults are the hand of the accuracy experiment in an ordinary picture."""
+
+    poses: PoseLimits = field(default_factory=PoseLimits)
+    """Hover, slant and azimuth to expect, the angle to the view ray below which a finger is seen
+    end-on, and the border that it keeps from the edge of an image."""
+
+    length_mm: float = 80.0
+    """Straight, visible part of the index finger [mm], > 0."""
+
+    diameter_mm: float = 16.0
+    """Its thickness [mm], > 0, below `length_mm`."""
+
+    contrast: float = 80.0
+    """Finger against background [grey levels], > 0."""
+
+    noise: float = 2.0
+    """Standard deviation of the image noise [grey levels], > 0."""
+
+    blur_px: float = 1.0
+    """Standard deviation of the point spread function [px], ≥ 0."""
+
+    efficiency: float = 0.15
+    """Least possible variance of a finger line's angle over the tracker's, above 0 and at most 1.
+    `fingerpost experiment` measures it: "angle variance, bound / meas."."""
+
+    reference_sigma_px: float = DEFAULT_REFERENCE_SIGMA_PX
+    """Standard deviation of each reference point in u and in v [px], > 0."""
+
+    pointing: PointingOptions = BARE_HAND
+    """When a point counts as one, and the allowance for what is no noise."""
+
+    unit_mm: float | None = None
+    """Length of a plane unit [mm], > 0; None: what the unit's name says."""
+
+    cells: int = 7
+    """Cells of the map along the longer side of the workspace, 2 to 50."""
+
+    sectors: int = 36
+    """Directions of pointing that are told apart, 8 to 360."""
+
+    samples: int = 300
+    """Poses by which moves of the cameras are compared, 10 to 100,000."""
+
+    def __post_init__(self) -> None:
+        tiny = float(np.finfo(np.float64).tiny)
+        for name in ("length_mm", "diameter_mm", "contrast", "noise", "reference_sigma_px"):
+            in_range(getattr(self, name), name, tiny)
+        in_range(self.blur_px, "blur_px", 0.0)
+        in_range(self.efficiency, "efficiency", tiny, 1.0)
+        if self.diameter_mm >= self.length_mm:
+            raise InvalidInputError(
+                f"diameter_mm is {self.diameter_mm:g} with length_mm {self.length_mm:g}; a finger "
+                "is longer than wide"
+            )
+        if self.unit_mm is not None:
+            in_range(self.unit_mm, "unit_mm", tiny)
+        for name, low, high in (("cells", 2, 50), ("sectors", 8, 360), ("samples", 10, 100_000)):
+            value = getattr(self, name)
+            if not isinstance(value, int) or not low <= value <= high:
+                raise InvalidInputError(f"{name} is {value!r}; a whole number from {low} to {high}")
+
+    def unit_length_mm(self, unit: str) -> float:
+        """Length of a plane unit [mm].
+
+        Raises
+        ------
+        InvalidInputError
+            Its name tells no length, and `unit_mm` is not given.
+        """
+        if self.unit_mm is not None:
+            return self.unit_mm
+        if unit not in UNITS_MM:
+            raise InvalidInputError(
+                f'plane.unit is "{unit}", which is no known length; a hand has millimetres: give '
+                f"unit_mm, the length of a unit in mm, or one of {', '.join(UNITS_MM)}"
+            )
+        return UNITS_MM[unit]

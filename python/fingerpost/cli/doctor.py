@@ -1,0 +1,46 @@
+"""`fingerpost doctor`: what is wrong with the pictures and the rig file."""
+
+from __future__ import annotations
+
+import json
+import sys
+from itertools import islice
+from pathlib import Path
+
+import click
+
+from fingerpost.cli.progress import watched
+
+SERIOUS = 1
+
+
+@click.command()
+@click.argument("rig_file", metavar="RIG.TOML", type=click.Path(path_type=Path))
+@click.option(
+    "--frames",
+    metavar="N",
+    type=click.IntRange(min=1),
+    help="Frames of each view to look at.  [default: 40]",
+)
+@click.option("--json", "as_json", is_flag=True, help="Print readings and findings as JSON.")
+def doctor(rig_file: Path, frames: int | None, as_json: bool) -> None:
+    """Look at some frames of every view and say what is wrong.
+
+    Contrast, focus, exposure, noise, size of the hand, reference points, lens, frame rates: what,
+    where and what would be right. Exits with 0 if nothing serious is found, with 1 if something
+    prevents tracking (marked "error").
+    """
+    from fingerpost.capture import open_source
+    from fingerpost.config import Rig
+    from fingerpost.doctor import DEFAULT_FRAMES, examine
+
+    rig = Rig.load(rig_file)
+    count = DEFAULT_FRAMES if frames is None else frames
+    seen = []
+    for view in watched(rig.views, len(rig.views), "looking"):
+        with open_source(view.source) as source:
+            seen.append(list(islice(source, count)))
+    diagnosis = examine(rig, seen)
+    click.echo(json.dumps(diagnosis.as_dict()) if as_json else "\n".join(diagnosis.table()))
+    if diagnosis.serious:
+        sys.exit(SERIOUS)

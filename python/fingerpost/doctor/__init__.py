@@ -1,0 +1,23 @@
+r"""What is wrong with a set-up, from a look at some frames of every view.
+
+    rig = Rig.load("rig.toml")
+    diagnosis = examine(rig, frames)        # a sequence of `fingerpost.capture.Frame` per view
+    print("\n".join(diagnosis.table()))
+
+Each finding says what, where and what would be right. Limits stand as constants, with where they
+come from, beside what they limit: `pictures` (exposure, noise, focus), `hand` (contrast, size),
+`references`, and `examine` (lens, rates, times).
+"""
+
+from fingerpost.doctor.examine import DEFAULT_FRAMES, examine
+from fingerpost.doctor.findings import Check, Diagnosis, Finding, Severity, ViewReadings
+
+__all__ = [
+    "DEFAULT_FRAMES",
+    "Check",
+    "Diagnosis",
+    "Finding",
+    "Severity",
+    "ViewReadings",
+    "examine",
+]

@@ -1,0 +1,212 @@
+"""The examination: frames of every view in, what is wrong out."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fingerpost.capture import Frame
+from fingerpost.config import Rig, View
+from fingerpost.doctor.findings import Check, Diagnosis, Finding, Severity, ViewReadings
+from fingerpost.doctor.hand import HandReadings, judge_hand, read_hand
+from fingerpost.doctor.pictures import judge_pictures, read_pictures, region_between
+from fingerpost.doctor.references import judge_together, judge_views
+from fingerpost.errors import InvalidInputError
+from fingerpost.pipeline import DEFAULT_REFERENCE_SIGMA_PX
+from fingerpost.pointing import DEFAULT_OPTIONS, PlaneView
+
+DEFAULT_FRAMES = 40
+"""Frames of each view that are looked at: a tracker needs a few to settle."""
+
+SLOW_FPS = 15.0
+"""Below this rate a hand moves further between two frames than the tracker looks."""
+
+UNEQUAL_RATES = 0.1
+"""Views whose rates differ by more than this share are probably not recorded together."""
+
+GAP_FRAMES = 2.5
+"""A pause of more than so many usual frames has lost some."""
+
+OFF_CENTRE_SHARE = 0.15
+"""How far a principal point may lie from the middle of the image, as a share of the longer side."""
+
+FOCAL_SHARES = (0.3, 8.0)
+"""Focal lengths of real lenses over the longer side of the image."""
+
+_ORDER = {Severity.ERROR: 0, Severity.WARNING: 1}
+_STILL_FRAMES = 9
+
+
+def examine(rig: Rig, frames: Sequence[Sequence[Frame]]) -> Diagnosis:
+    """Look at some frames of every view and say what is wrong.
+
+    Parameters
+    ----------
+    rig
+        One view or more.
+    frames
+        Frames of each view, in time, at least one; `DEFAULT_FRAMES` from the start of a
+        recording are usual.
+
+    Returns
+    -------
+    Diagnosis
+
+    Raises
+    ------
+    InvalidInputError
+        Another number of views than the rig's, or a view without frames.
+    """
+    if len(frames) != len(rig.views):
+        raise InvalidInputError(
+            f"frames of {len(frames)} views for a rig of {len(rig.views)}; one sequence for each"
+        )
+    for view, own in zip(rig.views, frames, strict=True):
+        if not own:
+            raise InvalidInputError(f'view "{view.name}": no frame; at least one is needed')
+    plane_views = [
+        PlaneView.from_reference_points(
+            rig.plane.points,
+            view.reference_points_px,
+            DEFAULT_REFERENCE_SIGMA_PX**2 * np.eye(2),
+            view.lens,
+        )
+        for view in rig.views
+    ]
+    stills = [_still(own) for own in frames]
+    readings, findings = [], []
+    for view, own in zip(rig.views, frames, strict=True):
+        reading, wrong = _examine_view(view, own)
+        readings.append(reading)
+        findings += wrong
+    findings += judge_views(rig, plane_views, stills)
+    findings += judge_together(rig, plane_views, stills)
+    findings += _judge_rates(readings)
+    findings += _judge_skew(rig, frames)
+    return Diagnosis(tuple(readings), tuple(sorted(findings, key=lambda f: _ORDER[f.severity])))
+
+
+def _examine_view(view: View, frames: Sequence[Frame]) -> tuple[ViewReadings, list[Finding]]:
+    height, width = frames[0].image.shape[:2]
+    greys = [frame.grey() for frame in frames]
+    region = region_between(np.array(view.reference_points_px), (height, width))
+    pictures = read_pictures(greys, region)
+    findings = list(judge_pictures(view.name, pictures))
+    hand: HandReadings | None = None
+    if view.start is not None:
+        hand = read_hand(frames, view.start)
+        findings += judge_hand(view.name, hand, view.start, (width, height), len(frames))
+    findings += _judge_lens(view, (width, height))
+    findings += _judge_times(view.name, frames)
+    steps = np.diff([frame.time_s for frame in frames])
+    positive = steps[steps > 0.0]
+    reading = ViewReadings(
+        view=view.name,
+        frames=len(frames),
+        size_px=(width, height),
+        frames_per_s=float(1.0 / np.median(positive)) if len(positive) else None,
+        grey_percentiles=pictures.grey_percentiles,
+        clipped=pictures.clipped,
+        noise=pictures.noise,
+        blur_px=pictures.blur_px,
+        hand_found=None if hand is None else hand.found,
+        contrast=None if hand is None else hand.contrast,
+        finger_px=None if hand is None else hand.finger_px,
+    )
+    return reading, findings
+
+
+def _still(frames: Sequence[Frame]) -> NDArray[np.uint8]:
+    """Median of some frames: what keeps still."""
+    chosen = np.unique(np.linspace(0, len(frames) - 1, min(len(frames), _STILL_FRAMES)).astype(int))
+    stack = np.stack([frames[k].grey() for k in chosen])
+    return np.asarray(np.median(stack, axis=0)).astype(np.uint8)
+
+
+def _judge_lens(view: View, size_px: tuple[int, int]) -> Iterator[Finding]:
+    lens = view.lens
+    if lens is None:
+        return
+    longer = max(size_px)
+    middle = (np.array(size_px) - 1.0) / 2.0
+    off = float(np.abs(np.array([lens.cx, lens.cy]) - middle).max())
+    shares = (lens.fx / longer, lens.fy / longer)
+    likely = FOCAL_SHARES[0] <= min(shares) and max(shares) <= FOCAL_SHARES[1]
+    if off <= OFF_CENTRE_SHARE * longer and likely:
+        return
+    yield Finding(
+        Severity.WARNING,
+        Check.LENS,
+        view.name,
+        f"lens fx, fy, cx, cy ({lens.fx:g}, {lens.fy:g}, {lens.cx:g}, {lens.cy:g}) do not fit "
+        f"images of {size_px[0]} × {size_px[1]} px",
+        "they hold for the size at which the camera was calibrated: scale them, or calibrate again",
+    )
+
+
+def _judge_times(name: str, frames: Sequence[Frame]) -> Iterator[Finding]:
+    times = np.array([frame.time_s for frame in frames])
+    steps = np.diff(times)
+    if not len(steps):
+        return
+    if (steps <= 0.0).any():
+        k = int(np.argmax(steps <= 0.0)) + 1
+        yield Finding(
+            Severity.ERROR,
+            Check.TIMING,
+            name,
+            f"frame {frames[k].index} is of {times[k]:.4f} s, after one of {times[k - 1]:.4f} s",
+            "times are to increase: a clock that stands or jumps cannot bring views together",
+        )
+        return
+    usual = float(np.median(steps))
+    if usual > 1.0 / SLOW_FPS:
+        yield Finding(
+            Severity.WARNING,
+            Check.TIMING,
+            name,
+            f"{1.0 / usual:.1f} frames a second",
+            f"{SLOW_FPS:.0f} or more is right, or hands must move slowly",
+        )
+    longest = int(np.argmax(steps))
+    if steps[longest] > GAP_FRAMES * usual:
+        yield Finding(
+            Severity.WARNING,
+            Check.TIMING,
+            name,
+            f"a pause of {steps[longest]:.3f} s after frame {frames[longest].index}, where "
+            f"{usual:.3f} s is usual",
+            "frames are lost: a slower rate, smaller images, or a bus of its own for each camera",
+        )
+
+
+def _judge_rates(readings: Sequence[ViewReadings]) -> Iterator[Finding]:
+    rates = {r.view: r.frames_per_s for r in readings if r.frames_per_s is not None}
+    if len(rates) < 2 or max(rates.values()) <= (1.0 + UNEQUAL_RATES) * min(rates.values()):
+        return
+    words = ", ".join(f"{view} {rate:.1f}" for view, rate in rates.items())
+    yield Finding(
+        Severity.WARNING,
+        Check.TIMING,
+        "",
+        f"the views run at different rates: {words} frames a second",
+        "equal rates are right; check that the recordings belong together",
+    )
+
+
+def _judge_skew(rig: Rig, frames: Sequence[Sequence[Frame]]) -> Iterator[Finding]:
+    """Say which views never come near the first in time, so that there is no fix."""
+    first = np.array([frame.time_s for frame in frames[0]])
+    for view, own in zip(rig.views[1:], frames[1:], strict=True):
+        times = np.array([frame.time_s for frame in own])
+        skew = float(np.median(np.abs(first[:, None] - times).min(axis=1)))
+        if skew > DEFAULT_OPTIONS.max_gap_s:
+            yield Finding(
+                Severity.ERROR,
+                Check.TIMING,
+                view.name,
+                f"its frames are {skew:.3g} s off those of {rig.views[0].name}",
+                f"at most {DEFAULT_OPTIONS.max_gap_s:g} s can be bridged: one clock for all views",
+            )

@@ -1,0 +1,284 @@
+"""What may be wrong with reference points.
+
+- *mirrored*: the homographies of all views keep or reverse the sense of rotation alike
+  (``det`` of `image_from_plane`'s derivative), for all cameras stand on one side of the plane;
+- *order*: carried onto the plane, the views show one and the same table. Where another order of
+  one view's four points makes them agree much better, it is that one's order. A table that looks
+  alike from four sides does not tell;
+- *weak*: errors of the points grow inside the workspace (`fingerpost.advise.reference_weakness`);
+- *inconsistent*: with more than four points, one is off by more than it can be;
+- *off their corner*: a sharp corner stands beside the point rather than under it. Points without
+  any sharp corner nearby, as crossings of lines or round corners have, are left alone, and so are
+  those where the hand waits.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fingerpost.advise import reference_weakness
+from fingerpost.config import Rig, View
+from fingerpost.doctor.findings import Check, Finding, Severity
+from fingerpost.homography import transfer_jacobian_by_point
+from fingerpost.pipeline import DEFAULT_REFERENCE_SIGMA_PX
+from fingerpost.pointing import PlaneView
+
+Array = NDArray[np.float64]
+Grey = NDArray[np.uint8]
+
+WEAKNESS = (2.0, 8.0)
+"""How much errors of the points grow inside the workspace; between four corners well apart: below
+1. At the second, half a pixel is four."""
+
+INCONSISTENT_SIGMAS = 5.0
+"""Residual of one of N > 4 points, in standard deviations of a point."""
+
+CORNER_PX = (3.0, 8.0)
+"""A sharp corner nearer than the first is the point's own; one nearer than the second, if there is
+no nearer one, was probably meant. Corners of rendered sheets were within 0.7 px."""
+
+SHARP_CORNER = 0.02
+"""Smaller eigenvalue of the structure tensor over the squared local contrast: 0.03 to 0.12 at
+sheet corners, below 0.01 at round ones."""
+
+BETTER_ORDER = 0.25
+"""By how much the views' correlation on the plane must grow with another order of the points, and
+how high it must be."""
+
+_PATCH = 96
+# So much of the plane is looked at around the reference points, as a share of their extent.
+_AROUND = 0.25
+# Pictures that vary by less [grey levels] say nothing.
+_PLAIN = 2.0
+# How far around the waiting fingertip points may be covered by the hand, in finger lengths.
+_HAND_LENGTHS = 1.5
+_LEAST_CONTRAST = 12.0
+
+
+def judge_views(
+    rig: Rig, plane_views: Sequence[PlaneView], stills: Sequence[Grey]
+) -> Iterator[Finding]:
+    """Say what is wrong with the reference points of each view.
+
+    Parameters
+    ----------
+    rig
+        The rig.
+    plane_views
+        Its views as they see the plane.
+    stills
+        One picture of each without what moves.
+    """
+    for view, plane_view, still in zip(rig.views, plane_views, stills, strict=True):
+        points_px = np.array(view.reference_points_px)
+        yield from _judge_place(view.name, points_px, still)
+        yield from _judge_strength(view.name, plane_view)
+        if len(points_px) > 4:
+            yield from _judge_consistency(view.name, plane_view, points_px)
+        yield from _judge_corners(view, still)
+
+
+def judge_together(
+    rig: Rig, plane_views: Sequence[PlaneView], stills: Sequence[Grey]
+) -> Iterator[Finding]:
+    """Say what is wrong between the views."""
+    signs = [_turns(view) for view in plane_views]
+    if len(set(signs)) > 1:
+        ways = ", ".join(
+            f"{view.name} {'clockwise' if sign > 0 else 'anticlockwise'}"
+            for view, sign in zip(rig.views, signs, strict=True)
+        )
+        yield Finding(
+            Severity.ERROR,
+            Check.REFERENCES,
+            "",
+            f"the views see the plane from different sides: from X to Y it turns {ways}",
+            "reference_points_px must be in the order of plane.points, and no image mirrored",
+        )
+        return
+    if len(rig.plane.points) == 4:
+        yield from _judge_order(rig, plane_views, stills)
+
+
+def _judge_place(name: str, points_px: Array, still: Grey) -> Iterator[Finding]:
+    height, width = still.shape
+    inside = ((points_px >= -0.5) & (points_px <= np.array([width, height]) - 0.5)).all(axis=1)
+    if inside.sum() * 2 >= len(points_px):
+        return
+    severity = Severity.WARNING if inside.any() else Severity.ERROR
+    yield Finding(
+        severity,
+        Check.REFERENCES,
+        name,
+        f"{len(points_px) - int(inside.sum())} of {len(points_px)} reference points lie outside "
+        f"the image of {width} × {height} px",
+        "were they measured in images of another size? the workspace should be in view",
+    )
+
+
+def _judge_strength(name: str, plane_view: PlaneView) -> Iterator[Finding]:
+    weakness = reference_weakness(plane_view, DEFAULT_REFERENCE_SIGMA_PX, plane_view.plane_points)
+    if weakness > WEAKNESS[0]:
+        yield Finding(
+            Severity.ERROR if weakness > WEAKNESS[1] else Severity.WARNING,
+            Check.REFERENCES,
+            name,
+            f"errors of the reference points grow {weakness:.1f} times between them: they lie "
+            "nearly on a line, or close together",
+            f"below {WEAKNESS[0]:g} is right: spread them, no three near one line",
+        )
+
+
+def _judge_consistency(name: str, plane_view: PlaneView, points_px: Array) -> Iterator[Finding]:
+    off = np.hypot(*(plane_view.project(plane_view.plane_points) - points_px).T)
+    worst = int(np.argmax(off))
+    limit = INCONSISTENT_SIGMAS * DEFAULT_REFERENCE_SIGMA_PX
+    if off[worst] > limit:
+        yield Finding(
+            Severity.WARNING,
+            Check.REFERENCES,
+            name,
+            f"reference_points_px[{worst}] is {off[worst]:.1f} px off what the others say",
+            f"below {limit:g} px is right: measure it again, or plane.points[{worst}]",
+        )
+
+
+def _judge_corners(view: View, still: Grey) -> Iterator[Finding]:
+    for k, point in enumerate(np.array(view.reference_points_px)):
+        if _near_hand(view, point):  # whose own outline has corners
+            continue
+        corner = _corner_beside(still, point)
+        if corner is not None:
+            yield Finding(
+                Severity.WARNING,
+                Check.REFERENCES,
+                view.name,
+                f"reference_points_px[{k}] is {math.dist(corner, point):.1f} px off the corner at "
+                f"({corner[0]:.1f}, {corner[1]:.1f})",
+                f"below {CORNER_PX[0]:g} px is right, if that corner is meant",
+            )
+
+
+def _near_hand(view: View, point: Array) -> bool:
+    start = view.start
+    return start is not None and math.dist(start.tip_px, point) < _HAND_LENGTHS * start.length_px
+
+
+def _corner_beside(still: Grey, point: Array) -> Array | None:
+    """Sharp corner that stands near a point with none on it; None if there is no such."""
+    import cv2
+
+    height, width = still.shape
+    reach = math.ceil(CORNER_PX[1])
+    margin = reach + 6
+    u, v = (round(value) for value in point.tolist())
+    if not (margin <= u < width - margin and margin <= v < height - margin):
+        return None
+    patch = np.ascontiguousarray(still[v - margin : v + margin + 1, u - margin : u + margin + 1])
+    low, high = np.percentile(patch, (5, 95)).tolist()
+    if high - low < _LEAST_CONTRAST:
+        return None
+    strength = np.asarray(cv2.cornerMinEigenVal(patch, 5, ksize=3)) * (255.0 / (high - low)) ** 2
+    strongest_around = np.asarray(cv2.dilate(strength, np.ones((5, 5), np.uint8)))
+    row, column = np.nonzero((strength >= strongest_around) & (strength >= SHARP_CORNER))
+    offset = np.stack([column, row], axis=-1) - margin
+    near = np.hypot(*offset.T) <= CORNER_PX[1]
+    if not near.any():
+        return None
+    guesses = (offset[near] + margin).astype(np.float32).reshape(-1, 1, 2)
+    criteria = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 50, 0.01)
+    refined = np.asarray(cv2.cornerSubPix(patch, guesses, (4, 4), (-1, -1), criteria))
+    corners = refined.reshape(-1, 2).astype(np.float64) - margin + (u, v)
+    distances = np.hypot(*(corners - point).T)
+    nearest = int(np.argmin(distances))
+    if not CORNER_PX[0] < distances[nearest] <= CORNER_PX[1]:
+        return None
+    return np.asarray(corners[nearest])
+
+
+def _turns(plane_view: PlaneView) -> float:
+    """Sense of rotation of the plane's axes in the image: 1 or −1."""
+    centroid = plane_view.plane_points.mean(axis=0)
+    jacobian = transfer_jacobian_by_point(plane_view.image_from_plane, centroid)
+    return float(np.sign(np.linalg.det(jacobian)))
+
+
+def _judge_order(
+    rig: Rig, plane_views: Sequence[PlaneView], stills: Sequence[Grey]
+) -> Iterator[Finding]:
+    """Compare the views on the plane, with the first one's order taken for right."""
+    first, *others = (
+        _asymmetries(rig, view, plane_view, still)
+        for view, plane_view, still in zip(rig.views, plane_views, stills, strict=True)
+    )
+    for view, turned in zip(rig.views[1:], others, strict=True):
+        agreements = [_agreement(first[0], picture) for picture in turned]
+        shift = int(np.argmax(agreements))
+        as_given, best = agreements[0], agreements[shift]
+        if best > max(as_given + BETTER_ORDER, 2.0 * BETTER_ORDER):
+            order = [(k + shift) % 4 for k in range(4)]
+            yield Finding(
+                Severity.ERROR,
+                Check.REFERENCES,
+                view.name,
+                f"the table looks as in {rig.views[0].name} when its reference points are taken "
+                f"in the order {order} (correlation {best:.2f} against {as_given:.2f})",
+                "all views must name the points in the order of plane.points",
+            )
+
+
+def _asymmetries(rig: Rig, view: View, plane_view: PlaneView, still: Grey) -> Array:
+    """(4, n, n) pictures of the plane with the points taken from the 1st, 2nd, 3rd, 4th on.
+
+    What they have in common, a plain sheet on a plain table above all, tells no order and is taken
+    out.
+    """
+    points_px = np.array(view.reference_points_px)
+    pictures = np.stack(
+        [
+            _on_plane(
+                PlaneView.from_reference_points(
+                    rig.plane.points, np.roll(points_px, -shift, axis=0), None, view.lens
+                ),
+                plane_view.plane_points,
+                still,
+            )
+            for shift in range(4)
+        ]
+    )
+    return np.asarray(pictures - pictures.mean(axis=0))
+
+
+def _on_plane(plane_view: PlaneView, plane_points: Array, still: Grey) -> Array:
+    """Picture of the plane around its reference points, as a view shows it; NaN outside."""
+    import cv2
+
+    lower, upper = plane_points.min(axis=0), plane_points.max(axis=0)
+    border = _AROUND * (upper - lower)
+    axes = [np.linspace(lower[i] - border[i], upper[i] + border[i], _PATCH) for i in (0, 1)]
+    grid = np.stack(np.meshgrid(*axes), axis=-1)
+    places = plane_view.project(grid)
+    height, width = still.shape
+    last = np.array([width, height]) - 1.0
+    with np.errstate(invalid="ignore"):  # beyond the horizon there is nothing
+        seen = np.asarray(((places >= 0.0) & (places <= last)).all(axis=-1))
+    smooth = cv2.GaussianBlur(still, (0, 0), 2.0)
+    fixed = np.where(seen[..., None], places, 0.0).astype(np.float32)
+    patch = np.asarray(cv2.remap(smooth, fixed[..., 0], fixed[..., 1], cv2.INTER_LINEAR))
+    return np.where(seen, patch.astype(np.float64), np.nan)
+
+
+def _agreement(first: Array, second: Array) -> float:
+    """Correlation of two pictures of the plane where both show it, −1 to 1; 0 if plain."""
+    both = np.isfinite(first) & np.isfinite(second)
+    if both.sum() < _PATCH:
+        return 0.0
+    a, b = first[both], second[both]
+    a, b = a - a.mean(), b - b.mean()
+    if min(a.std(), b.std()) < _PLAIN:
+        return 0.0
+    return float((a @ b) / math.sqrt((a @ a) * (b @ b)))

@@ -1,0 +1,408 @@
+"""The doctor: every fault put into a recording is found, and a clean one is passed over."""
+
+import json
+import math
+from pathlib import Path
+
+import cv2
+import msgspec
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from fingerpost.capture import Frame
+from fingerpost.cli import main
+from fingerpost.config import FixedReference, LensParameters, Plane, Rig, Start, View
+from fingerpost.doctor import Check, Severity, examine
+from fingerpost.doctor.pictures import read_pictures, region_between
+from fingerpost.errors import InvalidInputError
+from fingerpost.simulate import (
+    Background,
+    DevicePose,
+    LightChange,
+    Lighting,
+    Placement,
+    RodAndProng,
+    Sensor,
+    SimulatedRig,
+    Workspace,
+    write_recording,
+)
+
+SEED = 1994
+FRAMES = 6
+TABLE = Background(clutter=20.0, seed=3, sheet=-40.0, level=110.0)
+LIGHT = Lighting(contrast=100.0)
+POSE = DevicePose.pointing_at((180.0, 190.0), hover_mm=90.0, slant_deg=50.0, azimuth_deg=20.0)
+
+
+def recording(
+    *,
+    placement=None,
+    workspace=None,
+    background=TABLE,
+    lighting=LIGHT,
+    sensor=None,
+    motion=POSE,
+    fps=(30.0, 30.0),
+    late_s=0.0,
+    start_pose=POSE,
+):
+    """A rig as a user would have written it, and frames of its views."""
+    simulated = SimulatedRig(
+        placement, workspace=workspace, background=background, lighting=lighting, sensor=sensor
+    )
+    rng = np.random.default_rng(SEED)
+    rod = RodAndProng()
+    truth = simulated.truth(start_pose, device=rod)
+    frames = [[] for _ in simulated.cameras]
+    for k in range(FRAMES):
+        pictured = simulated.render(motion, rng=rng, device=rod)
+        for i, image in enumerate(pictured.images):
+            frames[i].append(Frame(k, k / fps[i] + i * late_s, image))
+    views = []
+    for i, camera in enumerate(simulated.cameras):
+        start = truth.views[i].finger.start()
+        views.append(
+            View(
+                name=camera.name,
+                source=f"{camera.name}.mp4",
+                reference_points_px=tuple(map(tuple, simulated.reference_points_px[i].tolist())),
+                start=Start(
+                    tip_px=start.tip_px,
+                    angle_deg=start.angle_deg,
+                    length_px=start.length_px,
+                    thumb=start.thumb,
+                ),
+            )
+        )
+    plane = Plane(unit="mm", points=tuple(map(tuple, simulated.plane_points.tolist())))
+    return Rig(plane=plane, views=tuple(views)), frames
+
+
+def with_view(rig, index, **changes):
+    views = list(rig.views)
+    views[index] = msgspec.structs.replace(views[index], **changes)
+    return msgspec.structs.replace(rig, views=tuple(views))
+
+
+def found(diagnosis):
+    return {(finding.severity, finding.check, finding.view) for finding in diagnosis.findings}
+
+
+@pytest.fixture(scope="module")
+def clean():
+    return recording()
+
+
+# --- clean recordings ------------------------------------------------------------------------
+
+
+def test_a_clean_recording_is_passed_over(clean):
+    rig, frames = clean
+    diagnosis = examine(rig, frames)
+    assert diagnosis.findings == ()
+    assert not diagnosis.serious
+    assert diagnosis.table()[-1] == "nothing is wrong"
+
+
+def test_what_is_measured_is_what_was_rendered(clean):
+    rig, frames = clean
+    for reading in examine(rig, frames).readings:
+        assert reading.size_px == (640, 480)
+        assert reading.frames_per_s == pytest.approx(30.0)
+        assert reading.noise == pytest.approx(2.0, rel=0.05)
+        assert reading.blur_px == pytest.approx(1.1, abs=0.2)
+        assert reading.hand_found
+        # The rod is 100 above the table and 140 above the sheet; the tracker sees both.
+        assert 95.0 < reading.contrast < 145.0
+        assert reading.finger_px > 40.0
+
+
+@pytest.mark.parametrize(
+    ("sensor", "placement"),
+    [
+        (Sensor(channels="bgr"), None),
+        (Sensor(noise=0.0), None),
+        (Sensor(blur_px=0.5, noise=4.0), Placement.webcams()),
+    ],
+    ids=["colour", "without noise", "webcams"],
+)
+def test_other_clean_recordings_are_passed_over(sensor, placement):
+    assert examine(*recording(sensor=sensor, placement=placement)).findings == ()
+
+
+def test_the_built_in_clip_is_clean():
+    rig_file = Path(__file__).parents[1] / "python" / "fingerpost" / "data" / "desk" / "rig.toml"
+    done = CliRunner().invoke(main, ["doctor", str(rig_file), "--frames", "90"])
+    assert done.exit_code == 0, done.output
+    assert "nothing is wrong" in done.stdout
+
+
+# --- pictures --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("noise", [0.5, 1.0, 2.0, 6.0, 15.0])
+@pytest.mark.parametrize("frames", [1, 3])
+def test_noise_is_measured_in_one_frame_or_between_frames(noise, frames):
+    rng = np.random.default_rng(SEED)
+    pictures = [
+        np.clip(np.round(120 + rng.normal(0, noise, (200, 200))), 0, 255).astype(np.uint8)
+        for _ in range(frames)
+    ]
+    measured = read_pictures(pictures, np.ones((200, 200), dtype=bool)).noise
+    # Rounding to whole levels adds 1/12 to the variance, and makes little noise coarse.
+    assert measured == pytest.approx(math.hypot(noise, 12**-0.5), rel=0.15 if noise < 1 else 0.08)
+
+
+@pytest.mark.parametrize("blur_px", [0.7, 1.5, 3.0])
+def test_blur_is_that_of_the_edges(blur_px):
+    picture = np.full((240, 240), 60.0)
+    cv2.fillPoly(picture, [np.array([(40, 50), (200, 80), (170, 200), (60, 180)])], 180.0)
+    picture = cv2.GaussianBlur(picture, (0, 0), blur_px)
+    rng = np.random.default_rng(SEED)
+    pictures = [
+        np.round(picture + rng.normal(0, 2, picture.shape)).astype(np.uint8) for _ in range(3)
+    ]
+    measured = read_pictures(pictures, np.ones(picture.shape, dtype=bool)).blur_px
+    assert measured == pytest.approx(blur_px, abs=0.3)
+
+
+def test_a_picture_without_edges_has_no_blur():
+    plain = [np.full((100, 100), 90, np.uint8)]
+    assert read_pictures(plain, np.ones((100, 100), dtype=bool)).blur_px is None
+
+
+def test_the_region_is_what_the_image_shows_between_the_points():
+    region = region_between(np.array([[10.0, 10], [90, 10], [90, 1e9], [10, 90]]), (80, 100))
+    assert region[40, 50]
+    assert not region[40, 5]
+    assert region_between(np.full((4, 2), 1e9), (80, 100)).all()
+
+
+@pytest.mark.parametrize(
+    ("changes", "severity", "check"),
+    [
+        ({"lighting": Lighting(contrast=100.0, change=LightChange(-1.0, 0.25))},
+         Severity.WARNING, Check.EXPOSURE),
+        ({"lighting": Lighting(contrast=100.0, change=LightChange(-1.0, 0.05))},
+         Severity.ERROR, Check.EXPOSURE),
+        ({"lighting": Lighting(contrast=100.0, change=LightChange(-1.0, 4.0))},
+         Severity.ERROR, Check.EXPOSURE),
+        ({"sensor": Sensor(noise=14.0)}, Severity.WARNING, Check.NOISE),
+        ({"sensor": Sensor(blur_px=3.5)}, Severity.WARNING, Check.FOCUS),
+        ({"background": Background(level=80.0), "lighting": Lighting(contrast=14.0)},
+         Severity.WARNING, Check.CONTRAST),
+        ({"background": Background(level=80.0), "lighting": Lighting(contrast=6.0)},
+         Severity.ERROR, Check.CONTRAST),
+        ({"motion": None}, Severity.ERROR, Check.HAND),
+        ({"placement": Placement(workspace_fill=0.2)}, Severity.WARNING, Check.HAND),
+    ],
+    ids=["dim", "dark", "clipped", "noisy", "blurred", "faint", "too faint", "no hand", "small"],
+)  # fmt: skip
+def test_a_fault_of_the_pictures_is_found_in_every_view(changes, severity, check):
+    diagnosis = examine(*recording(**changes))
+    for view in ("left", "right"):
+        assert (severity, check, view) in found(diagnosis)
+    if severity is Severity.ERROR:
+        assert diagnosis.serious
+
+
+def test_what_is_merely_out_of_focus_is_not_called_anything_else():
+    diagnosis = examine(*recording(sensor=Sensor(blur_px=3.5)))
+    assert {finding.check for finding in diagnosis.findings} == {Check.FOCUS}
+    assert not diagnosis.serious
+
+
+# --- hand and start --------------------------------------------------------------------------
+
+
+def test_a_start_outside_the_image_is_found(clean):
+    rig, frames = clean
+    start = msgspec.structs.replace(rig.views[1].start, tip_px=(700.0, 100.0))
+    diagnosis = examine(with_view(rig, 1, start=start), frames)
+    what = [finding.what for finding in diagnosis.findings if finding.view == "right"]
+    assert any("start.tip_px (700, 100) is outside the image of 640 × 480 px" in w for w in what)
+
+
+def test_without_a_start_the_hand_is_not_judged(clean):
+    rig, frames = clean
+    diagnosis = examine(with_view(with_view(rig, 0, start=None), 1, start=None), frames)
+    assert diagnosis.findings == ()
+    assert diagnosis.readings[0].hand_found is None
+
+
+# --- reference points ------------------------------------------------------------------------
+
+
+def reordered(rig, index, order):
+    points = [rig.views[index].reference_points_px[k] for k in order]
+    return with_view(rig, index, reference_points_px=tuple(points))
+
+
+def test_mirrored_points_are_found(clean):
+    rig, frames = clean
+    diagnosis = examine(reordered(rig, 1, (0, 3, 2, 1)), frames)
+    (finding,) = [f for f in diagnosis.findings if f.check is Check.REFERENCES]
+    assert finding.severity is Severity.ERROR
+    assert "left clockwise, right anticlockwise" in finding.what or (
+        "left anticlockwise, right clockwise" in finding.what
+    )
+
+
+@pytest.mark.parametrize("shift", [1, 2, 3])
+def test_points_that_begin_elsewhere_are_found_and_put_in_order(clean, shift):
+    rig, frames = clean
+    order = tuple((k - shift) % 4 for k in range(4))
+    diagnosis = examine(reordered(rig, 1, order), frames)
+    (finding,) = [f for f in diagnosis.findings if f.check is Check.REFERENCES]
+    assert (finding.severity, finding.view) == (Severity.ERROR, "right")
+    right = [(k + shift) % 4 for k in range(4)]
+    assert f"in the order {right}" in finding.what
+
+
+def test_two_neighbours_swapped_are_refused_by_the_rig_file(clean, tmp_path):
+    rig, _ = clean
+    text = msgspec.structs.replace(rig).dumps()
+    first, second = (json.dumps(list(p)) for p in rig.views[0].reference_points_px[:2])
+    text = text.replace(first, "?").replace(second, first).replace("?", second)
+    (tmp_path / "rig.toml").write_text(text, encoding="utf-8")
+    done = CliRunner().invoke(main, ["doctor", str(tmp_path / "rig.toml")])
+    assert done.exit_code == 2
+    assert "order of the plane points" in done.output
+
+
+def test_a_point_beside_its_corner_is_found(clean):
+    rig, frames = clean
+    points = np.array(rig.views[0].reference_points_px)
+    exact = points[1].copy()
+    points[1] += (-4.0, 2.5)
+    diagnosis = examine(with_view(rig, 0, reference_points_px=tuple(map(tuple, points))), frames)
+    (finding,) = diagnosis.findings
+    assert (finding.severity, finding.check, finding.view) == (
+        Severity.WARNING,
+        Check.REFERENCES,
+        "left",
+    )
+    assert finding.what.startswith("reference_points_px[1] is 4.")
+    told = [float(x) for x in finding.what.partition("at (")[2].rstrip(")").split(",")]
+    assert told == pytest.approx(exact, abs=0.5)
+
+
+def test_points_nearly_on_a_line_are_found(clean):
+    rig, frames = clean
+    plane = ((0.0, 0.0), (400.0, 0.0), (400.0, 12.0), (190.0, 11.0))
+    simulated = SimulatedRig()
+    views = [
+        msgspec.structs.replace(
+            view,
+            reference_points_px=tuple(
+                map(tuple, camera.project(np.pad(np.array(plane), ((0, 0), (0, 1)))).tolist())
+            ),
+        )
+        for view, camera in zip(rig.views, simulated.cameras, strict=True)
+    ]
+    weak = Rig(plane=Plane(unit="mm", points=plane), views=tuple(views))
+    assert any("nearly on a line" in f.what for f in examine(weak, frames).findings)
+
+
+def test_one_of_many_points_that_is_off_is_found():
+    rig, frames = recording(workspace=Workspace(points_per_side=3))
+    assert examine(rig, frames).findings == ()
+    points = np.array(rig.views[1].reference_points_px)
+    points[6] += (9.0, -6.0)
+    diagnosis = examine(with_view(rig, 1, reference_points_px=tuple(map(tuple, points))), frames)
+    assert any(
+        f.what.startswith("reference_points_px[6] is") and f.view == "right"
+        for f in diagnosis.findings
+    )
+
+
+def test_points_of_another_resolution_are_found(clean):
+    rig, frames = clean
+    points = 3.0 * np.array(rig.views[0].reference_points_px)
+    diagnosis = examine(with_view(rig, 0, reference_points_px=tuple(map(tuple, points))), frames)
+    assert any("of another size?" in f.right and f.view == "left" for f in diagnosis.findings)
+
+
+def test_a_lens_of_another_resolution_is_found(clean):
+    rig, frames = clean
+    for factor, wrong in ((1.0, False), (2.0, True)):
+        lens = LensParameters(
+            fx=factor * 1690, fy=factor * 1690, cx=factor * 319.5, cy=factor * 239.5, k1=-0.01
+        )
+        diagnosis = examine(with_view(rig, 0, lens_parameters=lens), frames)
+        assert ((Severity.WARNING, Check.LENS, "left") in found(diagnosis)) is wrong
+
+
+# --- times -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("changes", "severity", "view", "words"),
+    [
+        ({"fps": (30.0, 24.0)}, Severity.WARNING, "", "left 30.0, right 24.0"),
+        ({"fps": (9.0, 9.0)}, Severity.WARNING, "left", "9.0 frames a second"),
+        ({"late_s": 3.0}, Severity.ERROR, "right", "s off those of left"),
+    ],
+)
+def test_faults_of_the_clocks_are_found(changes, severity, view, words):
+    diagnosis = examine(*recording(**changes))
+    assert any(
+        (f.severity, f.check, f.view) == (severity, Check.TIMING, view) and words in f.what
+        for f in diagnosis.findings
+    )
+
+
+def test_lost_frames_and_a_clock_that_stands_are_found(clean):
+    rig, frames = clean
+    pause = [Frame(f.index, f.time_s + 0.2 * (f.index > 3), f.image) for f in frames[0]]
+    diagnosis = examine(rig, [pause, frames[1]])
+    assert any("after frame 3" in f.what for f in diagnosis.findings)
+    stands = [Frame(f.index, min(f.time_s, 0.1), f.image) for f in frames[0]]
+    diagnosis = examine(rig, [stands, frames[1]])
+    assert (Severity.ERROR, Check.TIMING, "left") in found(diagnosis)
+
+
+# --- the boundary ----------------------------------------------------------------------------
+
+
+def test_frames_that_do_not_belong_to_the_rig_are_refused(clean):
+    rig, frames = clean
+    with pytest.raises(InvalidInputError, match="frames of 1 views for a rig of 2"):
+        examine(rig, frames[:1])
+    with pytest.raises(InvalidInputError, match='view "right": no frame'):
+        examine(rig, [frames[0], []])
+
+
+def test_one_view_and_one_frame_are_enough(clean):
+    rig, frames = clean
+    alone = msgspec.structs.replace(rig, views=rig.views[:1])
+    reading = examine(alone, [frames[0][:1]]).readings[0]
+    assert reading.frames_per_s is None
+    assert reading.noise == pytest.approx(2.0, rel=0.5)
+
+
+def test_the_command_says_what_is_wrong_and_exits_with_1(tmp_path):
+    simulated = SimulatedRig(
+        background=TABLE, lighting=Lighting(contrast=100.0, change=LightChange(-1.0, 0.05))
+    )
+    rig_file = write_recording(tmp_path, simulated, POSE, frames=4)
+    done = CliRunner().invoke(main, ["doctor", str(rig_file)])
+    assert done.exit_code == 1
+    assert "error: left: the picture is dark" in done.stdout
+    done = CliRunner().invoke(main, ["doctor", str(rig_file), "--json", "--frames", "2"])
+    assert done.exit_code == 1
+    told = json.loads(done.stdout)
+    assert told["serious"]
+    assert told["readings"][0]["frames"] == 2
+    assert {"severity", "check", "view", "what", "right"} == set(told["findings"][0])
+
+
+def test_a_missing_source_is_one_line(tmp_path, clean):
+    rig, _ = clean
+    assert rig.views[0].reference == FixedReference()
+    rig.save(tmp_path / "rig.toml")
+    done = CliRunner().invoke(main, ["doctor", str(tmp_path / "rig.toml")])
+    assert done.exit_code == 1
+    assert "no such file" in done.output
