@@ -64,6 +64,7 @@ mod error;
 pub mod fit;
 pub mod frame;
 pub mod image;
+pub mod refine;
 pub mod search;
 pub mod shape_space;
 pub mod template;
