@@ -8,6 +8,7 @@
 
 mod background;
 mod bisector;
+mod block;
 mod blur;
 mod gram;
 mod noise;
@@ -15,6 +16,7 @@ mod photometric;
 mod pixels;
 mod profile;
 mod sketch;
+mod unknowns;
 
 pub use background::KnownBackground;
 
@@ -107,20 +109,19 @@ pub struct PhotometricOptions {
     /// Standard deviation of the change of brightness between the middle of the stretch and its
     /// end, in parts of the contrast, positive.
     pub change: f64,
-    /// Standard deviations of the slope and the limb of shading, in parts of the contrast, positive.
+    /// Standard deviation of what light from the side adds to the brightness in the middle of the
+    /// finger, in parts of the contrast, positive.
     pub ramp: f64,
-    #[allow(missing_docs)]
+    /// Standard deviation of what light from the camera adds there, which falls off towards the
+    /// limb as the root of the depth, in parts of the contrast, positive.
     pub limb: f64,
     /// The line has settled when an iteration moves it less than this \[px\], positive.
     pub tolerance_px: f64,
     /// At most this many iterations, 1–100.
     pub max_iterations: usize,
-    #[allow(missing_docs)]
-    pub effects: [f64; 3],
-    #[allow(missing_docs)]
-    pub nu: f64,
-    #[allow(missing_docs)]
-    pub t1: f64,
+    /// How far background that changes from block to block may shift the edge unseen, for a change
+    /// as large as the contrast \[px\], 0–5.
+    pub restlessness_px: f64,
 }
 
 /// Options of a [`Refiner`].
@@ -151,7 +152,7 @@ impl Default for RefineOptions {
             },
             photometric: PhotometricOptions {
                 inner_px: 5.0,
-                outer_px: 2.5,
+                outer_px: 2.0,
                 cap: 0.5,
                 block_px: 3.0,
                 min_blocks: 4,
@@ -163,9 +164,7 @@ impl Default for RefineOptions {
                 limb: 0.3,
                 tolerance_px: 5e-4,
                 max_iterations: 15,
-                effects: [1.0, 1.0, 1.0],
-                nu: 4.0,
-                t1: 2.0,
+                restlessness_px: 1.25,
             },
             max_residual: 4.0,
             max_rejected: 0.1,
@@ -200,8 +199,8 @@ pub struct PhotometricReport {
     pub pixels: usize,
     /// Blocks that they lie in.
     pub blocks: usize,
-    /// How many blocks' worth of say they have.
-    pub say: f64,
+    /// How much the blocks count on average, 0–1: those that something disturbs count less.
+    pub trusted: f64,
     /// The part of the pixels that had no say.
     pub rejected: f64,
     /// Standard deviation of the pixels about the model \[grey levels\].
@@ -212,10 +211,12 @@ pub struct PhotometricReport {
     pub bend_px: f64,
     /// Contrast at either flank, finger minus background \[grey levels\].
     pub contrast_grey: [f64; 2],
-    /// How much the levels inside and outside scatter along either flank \[grey levels\].
-    pub texture_grey: [[f64; 2]; 2],
-    /// How much the edge of either flank scatters about its smooth line \[px\].
-    pub jitter_px: [f64; 2],
+    /// Standard deviation of the inside level along either flank \[grey levels\].
+    pub inside_grey: [f64; 2],
+    /// Standard deviation of the background's level along either flank \[grey levels\].
+    pub outside_grey: [f64; 2],
+    /// Standard deviation of the edge of either flank about its smooth line \[px\].
+    pub edge_px: [f64; 2],
     /// Iterations until the line had settled, or until the last that was allowed.
     pub iterations: usize,
     /// Whether it had settled.
