@@ -82,6 +82,14 @@ pub enum Error {
         /// Width and height of the colours in px.
         colour: (usize, usize),
     },
+    /// A known background that is not of the size of the frame before it.
+    #[error("the background is {} × {} px and the frame {} × {} px; they must be of one size", .background.0, .background.1, .gray.0, .gray.1)]
+    BackgroundSize {
+        /// Width and height of the frame in px.
+        gray: (usize, usize),
+        /// Width and height of the background in px.
+        background: (usize, usize),
+    },
     /// A sequence is shorter than what it is for needs.
     #[error("{given} {what}; at least {needed} are needed")]
     TooFew {

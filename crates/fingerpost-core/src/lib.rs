@@ -66,6 +66,7 @@ pub mod fit;
 pub mod frame;
 pub mod image;
 mod logarithm;
+pub mod refine;
 pub mod search;
 pub mod shape_space;
 pub mod simd;

@@ -1,0 +1,85 @@
+//! What a camera that does not move sees where the hand is not.
+
+use crate::{Error, Result};
+use nalgebra::Vector2;
+
+/// A borrowed view of a learned background: the mean grey level of every pixel and how sure it is.
+///
+/// ```
+/// use fingerpost_core::refine::KnownBackground;
+///
+/// let (mean, sigma) = ([80.0_f32; 12], [0.4_f32; 12]);
+/// let background = KnownBackground::new(&mean, &sigma, 4, 3)?;
+/// assert_eq!((background.width(), background.height()), (4, 3));
+/// # Ok::<(), fingerpost_core::Error>(())
+/// ```
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct KnownBackground<'a> {
+    mean_grey: &'a [f32],
+    sigma_grey: &'a [f32],
+    width: usize,
+    height: usize,
+}
+
+impl<'a> KnownBackground<'a> {
+    /// A background of `width` × `height` pixels, row by row without padding: the mean grey level
+    /// \[0–255\] and the standard deviation of that mean \[grey levels, not negative\]. A pixel that
+    /// was never seen without the hand has an infinite standard deviation, and is not used.
+    ///
+    /// # Errors
+    /// When a side is zero or a slice is not of `width` · `height` numbers. The numbers themselves
+    /// are looked at where they are used: a pixel whose mean is not finite, or whose standard
+    /// deviation is negative or not finite, counts as never seen.
+    pub fn new(
+        mean_grey: &'a [f32],
+        sigma_grey: &'a [f32],
+        width: usize,
+        height: usize,
+    ) -> Result<Self> {
+        if width == 0 || height == 0 {
+            return Err(Error::EmptyImage { width, height });
+        }
+        let needed = width.saturating_mul(height);
+        for (what, given) in [
+            ("mean grey levels of the background", mean_grey.len()),
+            ("standard deviations of the background", sigma_grey.len()),
+        ] {
+            if given != needed {
+                return Err(Error::WrongCount { what, given, needed });
+            }
+        }
+        Ok(Self { mean_grey, sigma_grey, width, height })
+    }
+
+    /// Width in px.
+    #[must_use]
+    pub fn width(&self) -> usize {
+        self.width
+    }
+
+    /// Height in px.
+    #[must_use]
+    pub fn height(&self) -> usize {
+        self.height
+    }
+
+    /// Level, first and second derivative along the unit vector `n`, and variance of a pixel;
+    /// `None` where it is not known, or on the border, where it has no derivatives.
+    pub(super) fn local(&self, x: usize, y: usize, n: Vector2<f64>) -> Option<[f32; 4]> {
+        if x == 0 || y == 0 || x + 1 >= self.width || y + 1 >= self.height {
+            return None;
+        }
+        let i = y * self.width + x;
+        let sigma = *self.sigma_grey.get(i)?;
+        let rows = [i - self.width, i, i + self.width].map(|c| self.mean_grey.get(c - 1..=c + 1));
+        let [&[a, b, c], &[d, e, f], &[g, h, k]] = [rows[0]?, rows[1]?, rows[2]?] else {
+            return None;
+        };
+        let (u, v) = (n.x as f32, n.y as f32);
+        let slope = 0.5 * (u * (f - d) + v * (h - b));
+        let curvature =
+            u * u * (f - 2.0 * e + d) + v * v * (h - 2.0 * e + b) + 0.5 * u * v * (k - c - g + a);
+        let known = (e + slope + curvature).is_finite() && sigma >= 0.0 && sigma.is_finite();
+        known.then_some([e, slope, curvature, sigma * sigma])
+    }
+}

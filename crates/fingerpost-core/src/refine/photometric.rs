@@ -1,0 +1,400 @@
+//! The line that the pixels themselves make most likely.
+//!
+//! Both flanks are fitted at once: the bisector q = d + ϑ p, the half-width w₀ + w₁ p, a bend and a
+//! bulge of the finger along the Legendre polynomial P₂(p / h), the blur, the middle of the round
+//! end, and for each flank the brightness of the finger and of what is behind it
+//! ([`profile`](super::profile)). With t = p / h, neither P₂ term shifts or turns the straight line
+//! that runs closest to the medial line of an evenly seen finger.
+//!
+//! What no smooth model says is random from block to block ([`block`](super::block)): the inside
+//! level, the background level and the place of the edge. Each has a variance that is estimated from
+//! the picture itself, so that a flat scene costs nothing and a cluttered one widens the covariance
+//! by what it is worth. Two things more keep clutter from being believed:
+//!
+//! - A block whose pixels scatter more than the others do has something in it that is not in the
+//!   model, and counts less.
+//! - Where the background's level changes from block to block, something begins or ends behind the
+//!   finger, and whatever of it runs along the flank, nearer than the blur, has shifted the edge
+//!   without a trace in the residuals. Such a shift is about the change of level over the contrast,
+//!   times the distance over which the edge is blurred; that much is added to the variance of the
+//!   block's edge.
+
+use super::block::{Deviation, EDGE_EFFECT, Evidence, OUTSIDE_EFFECT};
+use super::blur::BlurTable;
+use super::gram::{Accumulator, Gram, Weighing};
+use super::pixels::{Block, LANES, Strip};
+use super::profile::{CLEAR, RoundEnd};
+use super::sketch::{FlankLines, Sketch};
+use super::unknowns::{
+    self, BEND, BULGE, FlankEquations, Information, LEAST_CONTRAST_GREY, OFFSET, SLOPE, UNKNOWNS,
+    Unknowns, Vector,
+};
+use super::{KnownBackground, PhotometricOptions, PhotometricReport};
+use crate::image::GrayView;
+use nalgebra::{Cholesky, Const, Matrix2, Matrix4, Vector2};
+
+/// The first iteration takes residuals of this part of the contrast for noise: it starts from the
+/// sketch, a part of a px off.
+const FIRST_SCALE: f64 = 0.1;
+/// Pixels scatter no less than this part of the image's noise: few that happen to agree prove
+/// nothing.
+const LEAST_SCALE: f64 = 0.7;
+/// The median of χ² / n of blocks of some 25 pixels, (1 − 2 / 9 n)³.
+const MEDIAN_OF_BLOCKS: f64 = 0.974;
+/// Above this χ² per pixel a block counts less, by its square. Of clean blocks of 25 pixels, 5 % are.
+const MOST_CHI_SQUARED: f64 = 1.5;
+/// Variances, weights of blocks and the scale are estimated in so many iterations, then held: the
+/// rest is Gauss–Newton and converges.
+const ADAPTING_ITERATIONS: usize = 8;
+/// No iteration moves the flanks by more than this \[px\], or the blur by more than this part.
+const LONGEST_STEP_PX: f64 = 1.0;
+const LARGEST_BLUR_CHANGE: f64 = 0.3;
+/// Levels to start from are those of the pixels so far inside and outside the sketch's edge \[px\].
+const CLEAR_INSIDE_PX: f32 = 2.0;
+const CLEAR_OUTSIDE_PX: f32 = 1.0;
+
+/// Fits lines to pixels; owns the buffers.
+#[derive(Debug, Clone)]
+pub(super) struct Photometric {
+    options: PhotometricOptions,
+    table: BlurTable,
+    flanks: [Flank; 2],
+    sorted: Vec<f64>,
+}
+
+/// One flank's pixels, and what deviates along it.
+#[derive(Debug, Clone, Default)]
+struct Flank {
+    strip: Strip,
+    deviations: Vec<Deviation>,
+    /// Variance of each deviation, in the square of its unit.
+    variances: [f64; 3],
+}
+
+/// A photometric line in the frame of the sketch that it was fitted from.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct PhotometricFit {
+    pub line: FlankLines,
+    /// Of d and ϑ.
+    pub covariance: Matrix2<f64>,
+    pub report: PhotometricReport,
+}
+
+/// The normal equations of all unknowns, and what the covariance needs beyond.
+struct Normal {
+    information: Information,
+    right: Vector,
+    tally: Tally,
+}
+
+/// Sums over all pixels.
+#[derive(Default)]
+struct Tally {
+    weight: f64,
+    psi_squared: f64,
+    psi_slope: f64,
+    rejected: f64,
+    freed: f64,
+    say: f64,
+}
+
+impl Tally {
+    fn add(&mut self, gram: &Gram, say: f64, freed: f64) {
+        self.weight += say * gram.weight;
+        self.psi_squared += say * gram.psi_squared;
+        self.psi_slope += say * gram.psi_slope;
+        self.rejected += gram.rejected;
+        self.freed += freed;
+        self.say += say;
+    }
+}
+
+impl Photometric {
+    pub fn new(options: PhotometricOptions) -> Self {
+        Self {
+            options,
+            table: BlurTable::new(),
+            flanks: [Flank::default(), Flank::default()],
+            sorted: Vec::with_capacity(128),
+        }
+    }
+
+    /// The line near the sketch, or `None` if too little of a flank shows or the pixels do not
+    /// determine the line.
+    pub fn fit(
+        &mut self,
+        image: &GrayView<'_>,
+        background: Option<&KnownBackground<'_>>,
+        noise_grey: f64,
+        sketch: &Sketch,
+    ) -> Option<PhotometricFit> {
+        for (index, flank) in self.flanks.iter_mut().enumerate() {
+            flank.strip.gather(image, background, sketch, index, &self.options);
+            flank.deviations.clear();
+            flank.deviations.resize(flank.strip.blocks.len(), Deviation::none());
+            flank.variances = [0.0; 3];
+            if flank.strip.blocks.len() < self.options.min_blocks {
+                return None;
+            }
+        }
+        let mut x = self.start(sketch)?;
+        let pixels = self.flanks.iter().map(|f| f.strip.pixels()).sum::<usize>() as f64;
+        let contrast = x.contrast_grey(0).abs().max(x.contrast_grey(1).abs());
+        let prior = unknowns::prior(&self.options, contrast);
+        let mean = x;
+        let mut scale = (FIRST_SCALE * contrast.max(LEAST_CONTRAST_GREY)).max(noise_grey);
+        let mut iteration = 0;
+        loop {
+            iteration += 1;
+            let adapting = iteration <= ADAPTING_ITERATIONS;
+            let mut normal = self.normal(sketch, &x, scale, iteration);
+            let freedom = pixels / (pixels - UNKNOWNS as f64 - normal.tally.freed).max(1.0);
+            if adapting {
+                scale = self.residual_scale(scale, freedom).max(LEAST_SCALE * noise_grey);
+            }
+            for i in 0..UNKNOWNS {
+                let own = scale * scale * prior[i];
+                normal.information[(i, i)] += own;
+                normal.right[i] += own * (mean.0[i] - x.0[i]);
+            }
+            let factor = Cholesky::new(normal.information)?;
+            let step = factor.solve(&normal.right);
+            let motion = Unknowns::motion_px(&step, sketch.half_length_px);
+            if !motion.is_finite() {
+                return None;
+            }
+            let blur = LARGEST_BLUR_CHANGE * x.blur_px() / step[unknowns::BLUR].abs();
+            let part = (LONGEST_STEP_PX / motion).min(blur).min(1.0);
+            x.0 += step * part;
+            self.follow(sketch, &step, part);
+            let settled = iteration > 2 && motion < self.options.tolerance_px;
+            if settled || iteration >= self.options.max_iterations {
+                let covariance = covariance(&factor, &normal.tally, freedom)?;
+                let report = self.report(&x, &normal.tally, scale, pixels, iteration, settled);
+                return straight(&x, &covariance, report);
+            }
+        }
+    }
+
+    /// Where the search begins: on the sketch, with the middle levels of the blocks' pixels that are
+    /// clear of the edge. `None` if a flank has none on either side.
+    fn start(&mut self, sketch: &Sketch) -> Option<Unknowns> {
+        let mut levels = [[0.0; 2]; 2];
+        for (levels, flank) in levels.iter_mut().zip(&self.flanks) {
+            for (level, inside) in levels.iter_mut().zip([true, false]) {
+                self.sorted.clear();
+                let means = flank.strip.blocks.iter().filter_map(|block| {
+                    mean_level(&flank.strip, block, sketch.half_width_at(block.p), inside)
+                });
+                self.sorted.extend(means);
+                *level = median(&mut self.sorted)?;
+            }
+        }
+        Some(Unknowns::on(sketch, levels, self.options.blur_px))
+    }
+
+    /// Linearises the model at `x` and eliminates the deviations of every block.
+    fn normal(&mut self, sketch: &Sketch, x: &Unknowns, scale: f64, iteration: usize) -> Normal {
+        let mut normal = Normal {
+            information: Information::zeros(),
+            right: Vector::zeros(),
+            tally: Tally::default(),
+        };
+        let weighing = Weighing { noise_grey: scale, cutoff: self.options.cutoff };
+        let end = sketch
+            .end_radius_px()
+            .map(|radius| RoundEnd { middle: x.end_px() as f32, radius: radius as f32 });
+        // Up to here no pixel of a block feels the round end.
+        let clear = x.end_px() - CLEAR * x.blur_px() - 0.5 * self.options.block_px;
+        for (index, flank) in self.flanks.iter_mut().enumerate() {
+            let mut equations = FlankEquations::default();
+            let mut evidence = Evidence::default();
+            for (block, deviation) in flank.strip.blocks.iter().zip(&mut flank.deviations) {
+                let profile = x.profile(sketch, index, block.p, &deviation.effects);
+                let mut sums = Accumulator::new(&weighing);
+                let chunks = flank.strip.chunks(block);
+                match &end {
+                    Some(end) if block.p > clear => {
+                        for chunk in chunks {
+                            sums.add(chunk, &profile.round(self.table, chunk, end));
+                        }
+                    }
+                    _ => {
+                        for chunk in chunks {
+                            sums.add(chunk, &profile.straight(self.table, chunk));
+                        }
+                    }
+                }
+                let gram = sums.total();
+                deviation.chi_squared = gram.chi_squared / block.pixels as f64;
+                if 1 < iteration && iteration <= ADAPTING_ITERATIONS {
+                    deviation.say = (MOST_CHI_SQUARED / deviation.chi_squared).powi(2).min(1.0);
+                }
+                let mut variances = flank.variances;
+                variances[EDGE_EFFECT] += deviation.restless_px2;
+                let reduced = deviation.eliminate(&gram, &variances, scale * scale, &mut evidence);
+                let factors = unknowns::factors(block.p, sketch.half_length_px);
+                equations.add(deviation.say, &factors, &reduced.information, &reduced.right);
+                normal.tally.add(&gram, deviation.say, reduced.freed);
+            }
+            equations.spread(index, &mut normal.information, &mut normal.right);
+            if iteration <= ADAPTING_ITERATIONS {
+                flank.adapt(&evidence, iteration);
+                let contrast = x.contrast_grey(index);
+                flank.watch_background(self.options.restlessness_px, contrast, scale);
+            }
+        }
+        normal
+    }
+
+    /// Takes all deviations along with a step of the unknowns.
+    fn follow(&mut self, sketch: &Sketch, step: &Vector, part: f64) {
+        let taken = step * part;
+        for (index, flank) in self.flanks.iter_mut().enumerate() {
+            for (block, deviation) in flank.strip.blocks.iter().zip(&mut flank.deviations) {
+                let factors = unknowns::factors(block.p, sketch.half_length_px);
+                deviation.follow(&Unknowns::by_feature(&taken, index, &factors), part);
+            }
+        }
+    }
+
+    /// Standard deviation of a pixel: that of the middle one of the blocks, so that up to half of
+    /// them may have something in them \[grey levels\].
+    fn residual_scale(&mut self, scale: f64, freedom: f64) -> f64 {
+        self.sorted.clear();
+        self.sorted.extend(self.flanks.iter().flat_map(|f| &f.deviations).map(|d| d.chi_squared));
+        let middle = median(&mut self.sorted).unwrap_or(1.0);
+        scale * (middle * freedom / MEDIAN_OF_BLOCKS).sqrt()
+    }
+
+    fn report(
+        &self,
+        x: &Unknowns,
+        tally: &Tally,
+        residual_grey: f64,
+        pixels: f64,
+        iterations: usize,
+        converged: bool,
+    ) -> PhotometricReport {
+        let blocks = self.flanks.iter().map(|f| f.deviations.len()).sum();
+        let sigma = |effect: usize| [0, 1].map(|f| self.flanks[f].variances[effect].sqrt());
+        PhotometricReport {
+            pixels: pixels as usize,
+            rejected: tally.rejected / pixels,
+            blocks,
+            trusted: tally.say / blocks as f64,
+            residual_grey,
+            contrast_grey: [x.contrast_grey(0), x.contrast_grey(1)],
+            inside_grey: sigma(0),
+            outside_grey: sigma(OUTSIDE_EFFECT),
+            edge_px: sigma(EDGE_EFFECT),
+            blur_px: x.blur_px(),
+            bend_px: x.0[BEND],
+            iterations,
+            converged,
+        }
+    }
+}
+
+impl Flank {
+    /// Takes over the variances that the evidence speaks for; by half once there are some, so that
+    /// they do not swing with the deviations that depend on them.
+    fn adapt(&mut self, evidence: &Evidence, iteration: usize) {
+        let keep = if iteration <= 2 { 0.0 } else { 0.5 };
+        for (variance, told) in self.variances.iter_mut().zip(evidence.variances()) {
+            *variance = keep * *variance + (1.0 - keep) * told;
+        }
+    }
+
+    /// Works out how much the background's changes from block to block leave each edge in doubt.
+    fn watch_background(&mut self, restlessness_px: f64, contrast_grey: f64, scale: f64) {
+        for k in 0..self.deviations.len() {
+            let level = |k: usize| self.deviations.get(k).map(|d| d.effects[OUTSIDE_EFFECT]);
+            let Some(here) = level(k) else { continue };
+            let (mut sum, mut weight) = (0.0, 0.0);
+            for (away, share) in [(1, 1.0), (2, 0.5)] {
+                for other in [k.checked_sub(away), Some(k + away)] {
+                    if let Some(there) = other.and_then(level) {
+                        sum += share * (there - here).powi(2);
+                        weight += share;
+                    }
+                }
+            }
+            // An edge of no contrast says nothing anyhow.
+            let contrast2 = (contrast_grey - here).powi(2).max(9.0 * scale * scale);
+            let change2 = if weight > 0.0 { sum / weight } else { 0.0 };
+            if let Some(deviation) = self.deviations.get_mut(k) {
+                deviation.restless_px2 = restlessness_px.powi(2) * change2 / contrast2;
+            }
+        }
+    }
+}
+
+/// Covariance of d, ϑ, bend and bulge: that of a robust fit, E\[ψ²\] / E\[ψ′\]² H⁻¹.
+fn covariance(
+    factor: &Cholesky<f64, Const<UNKNOWNS>>,
+    tally: &Tally,
+    freedom: f64,
+) -> Option<Matrix4<f64>> {
+    let kappa = tally.psi_slope / tally.weight;
+    let variance = freedom * tally.psi_squared / tally.weight / (kappa * kappa);
+    if !(kappa > 0.0 && variance > 0.0) {
+        return None;
+    }
+    let rows = [OFFSET, SLOPE, BEND, BULGE];
+    let mut covariance = Matrix4::zeros();
+    for (j, unknown) in rows.into_iter().enumerate() {
+        let mut unit = Vector::zeros();
+        unit[unknown] = variance;
+        factor.solve_mut(&mut unit);
+        for (i, row) in rows.into_iter().enumerate() {
+            covariance[(i, j)] = unit[row];
+        }
+    }
+    Some(covariance)
+}
+
+/// The straight line that runs closest to the bent medial line, where closeness counts by what the
+/// pixels say: the estimate of d and ϑ given that there is no bend and no bulge.
+fn straight(
+    x: &Unknowns,
+    covariance: &Matrix4<f64>,
+    report: PhotometricReport,
+) -> Option<PhotometricFit> {
+    let information = covariance.try_inverse()?;
+    let own: Matrix2<f64> = information.fixed_view::<2, 2>(0, 0).into_owned();
+    let to_bend: Matrix2<f64> = information.fixed_view::<2, 2>(0, 2).into_owned();
+    let covariance = own.try_inverse()?;
+    let shift = covariance * (to_bend * Vector2::new(x.0[BEND], x.0[BULGE]));
+    let mut line = x.line();
+    line.offset_px += shift.x;
+    line.slope += shift.y;
+    let positive = covariance[(0, 0)] > 0.0 && covariance.determinant() > 0.0;
+    positive.then_some(PhotometricFit { line, covariance, report })
+}
+
+/// Mean level of the block's pixels that are clear of the edge on one side of it.
+fn mean_level(strip: &Strip, block: &Block, half_width_px: f64, inside: bool) -> Option<f64> {
+    let (mut sum, mut count) = (0.0, 0.0);
+    for chunk in strip.chunks(block) {
+        for i in 0..LANES {
+            let outside = chunk.v[i] - half_width_px as f32;
+            let behind = if inside { 0.0 } else { chunk.background[i] };
+            let clear =
+                if inside { outside < -CLEAR_INSIDE_PX } else { outside > CLEAR_OUTSIDE_PX };
+            if clear {
+                sum += chunk.weight[i] * (chunk.grey[i] - behind);
+                count += chunk.weight[i];
+            }
+        }
+    }
+    (count > 0.0).then(|| f64::from(sum / count))
+}
+
+fn median(values: &mut [f64]) -> Option<f64> {
+    let middle = values.len() / 2;
+    if values.is_empty() {
+        return None;
+    }
+    Some(*values.select_nth_unstable_by(middle, f64::total_cmp).1)
+}

@@ -1,0 +1,232 @@
+//! What a camera records of a finger near one flank, and how that changes.
+//!
+//! A pixel lies y outside the edge of its flank. With blur s, depth z = −y / s and
+//! Mₖ(z) = E\[(z + Z)₊ᵏ\], its grey level is
+//!
+//! ```text
+//! I = β + (α − β) M₀(z) + l √(2 s / W) M½(z) + c (s / W) M₁(z)
+//! α = a + a₁ p        β = B + b + b₁ p
+//! ```
+//!
+//! a is the finger's brightness at the flank and b that of what is behind it, a₁ and b₁ their change
+//! along the finger. A diffuse cylinder of half-width W has l √(1 − (1 − depth/W)²) + c depth / W on
+//! top, for light from the camera and from the side; l has its first term. B is the known background
+//! or zero. It is known as the camera blurs it, and the finger covers it before: to second order in
+//! its derivatives B′, B″ outward, E\[B(y + s Z); outside\] = B Φ(−z) + B′ s φ + ½ B″ s² z φ.
+//!
+//! Beyond e, the middle of the round end, the outline is a circle of radius R: with u = p − e the
+//! distance is √(u² + (y + R)²) − R. Blur moves a curved edge inwards, by s² / 2R where it is a
+//! circle, and by E\[(u + s Z)₊²\] / 2R − u₊² / 2R about the place where the circle begins.
+//!
+//! The profile of the blurred step is exact for a Gaussian point spread function on square pixels up
+//! to its fourth moment, with s² the blur's variance plus 1/12 px².
+
+use super::blur::{BlurTable, Moments};
+use super::pixels::{Chunk, LANES, Lanes};
+
+/// How the grey level of a pixel changes with what its block depends on.
+pub const FEATURES: usize = 7;
+/// By the place of the edge, outward \[grey levels / px\].
+pub const EDGE: usize = 0;
+/// By the blur s \[grey levels / px\].
+pub const BLUR: usize = 1;
+/// By the middle of the round end \[grey levels / px\].
+pub const END: usize = 2;
+/// By the inside level a, and by the background level b.
+pub const INSIDE: usize = 3;
+pub const OUTSIDE: usize = 4;
+/// By the slope c and by the limb l.
+pub const RAMP: usize = 5;
+pub const LIMB: usize = 6;
+
+/// What the pixels of one block depend on.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Profile {
+    /// Edge at v = e₀ + e₁ p + e₂ p² \[px\].
+    pub edge: [f32; 3],
+    /// Blur s \[px\], positive.
+    pub blur: f32,
+    /// a, a₁ and b, b₁ \[grey levels, per px\].
+    pub inside: [f32; 2],
+    pub outside: [f32; 2],
+    /// c and l \[grey levels\].
+    pub ramp: f32,
+    pub limb: f32,
+    /// W \[px\], positive.
+    pub half_width: f32,
+}
+
+/// The round end of a finger.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct RoundEnd {
+    /// e \[px\].
+    pub middle: f32,
+    /// R \[px\], positive.
+    pub radius: f32,
+}
+
+/// So many standard deviations of the blur before it, the round end is not felt.
+pub const CLEAR: f64 = 4.5;
+/// The middle of the round end, from where no direction is outward, is kept this far away, in radii.
+const LEAST_RANGE: f32 = 0.1;
+
+/// What the model says of some pixels.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Prediction {
+    pub grey: Lanes,
+    /// Its derivatives, by feature.
+    pub features: [Lanes; FEATURES],
+}
+
+/// How far outside its edge a pixel lies, and how that distance changes.
+#[derive(Default)]
+struct Distance {
+    y: Lanes,
+    /// By the distance from the straight flank, by u and by s.
+    by_flank: Lanes,
+    by_u: Lanes,
+    by_blur: Lanes,
+    /// How `by_flank`, the cosine of the outline's lean, changes in turn.
+    by_flank_twice: Lanes,
+    by_flank_and_u: Lanes,
+}
+
+impl Profile {
+    /// The distance from the straight flank.
+    #[inline]
+    fn from_flank(&self, chunk: &Chunk) -> Lanes {
+        let [e0, e1, e2] = self.edge;
+        let mut y = [0.0; LANES];
+        for i in 0..LANES {
+            let p = chunk.p[i];
+            y[i] = chunk.v[i] - (e0 + p * (e1 + p * e2));
+        }
+        y
+    }
+
+    /// What pixels clear of the round end record.
+    #[inline]
+    pub fn straight(&self, table: BlurTable, chunk: &Chunk) -> Prediction {
+        let y = self.from_flank(chunk);
+        let s = self.blur;
+        let mut z = [0.0; LANES];
+        for i in 0..LANES {
+            z[i] = -y[i] / s;
+        }
+        let m = moments(table, &z);
+        let (root, per_width, per_blur) =
+            ((2.0 * s / self.half_width).sqrt(), 1.0 / self.half_width, 1.0 / s);
+        let (ramp, limb) = (self.ramp * per_width, self.limb * root);
+        let mut at = Prediction::default();
+        for i in 0..LANES {
+            let (share, density, p) = (m.step[i], m.step_slope[i], chunk.p[i]);
+            let (slope, curvature) = (chunk.background_slope[i], chunk.background_curvature[i]);
+            let outside = chunk.background[i] + self.outside[0] + self.outside[1] * p;
+            let step = self.inside[0] + self.inside[1] * p - outside;
+            let rise = s * density - y[i] * share;
+            let behind = slope * s + 0.5 * curvature * s * s * z[i];
+            let by_z = limb * m.root_slope[i]
+                + density
+                    * (step - slope * s * z[i] + 0.5 * curvature * s * s * (1.0 - z[i] * z[i]));
+            at.grey[i] = outside + step * share + density * behind + ramp * rise + limb * m.root[i];
+            at.features[EDGE][i] = by_z * per_blur + ramp * share;
+            at.features[BLUR][i] = (0.5 * limb * m.root[i] - by_z * z[i]) * per_blur
+                + density * (ramp + slope + curvature * s * z[i]);
+            at.features[INSIDE][i] = share;
+            at.features[OUTSIDE][i] = 1.0 - share;
+            at.features[RAMP][i] = rise * per_width;
+            at.features[LIMB][i] = m.root[i] * root;
+        }
+        at
+    }
+
+    /// What pixels near the round end record.
+    #[inline]
+    pub fn round(&self, table: BlurTable, chunk: &Chunk, end: &RoundEnd) -> Prediction {
+        let from_flank = self.from_flank(chunk);
+        let s = self.blur;
+        let d = end.distance(table, &from_flank, &chunk.p, s);
+        let mut z = [0.0; LANES];
+        for i in 0..LANES {
+            z[i] = -d.y[i] / s;
+        }
+        let m = moments(table, &z);
+        let (root, per_width, per_blur) =
+            ((2.0 * s / self.half_width).sqrt(), 1.0 / self.half_width, 1.0 / s);
+        let (ramp, limb) = (self.ramp * per_width, self.limb * root);
+        let mut at = Prediction::default();
+        for i in 0..LANES {
+            let (share, density, p) = (m.step[i], m.step_slope[i], chunk.p[i]);
+            let (slope, curvature) = (chunk.background_slope[i], chunk.background_curvature[i]);
+            let outside = chunk.background[i] + self.outside[0] + self.outside[1] * p;
+            let step = self.inside[0] + self.inside[1] * p - outside;
+            // The ramp goes by the distance from the flank, which blur mixes along its own normal.
+            let lean = s * d.by_flank[i];
+            let rise = lean * density - from_flank[i] * share;
+            let behind = slope * s + 0.5 * curvature * s * s * z[i];
+            let by_z = limb * m.root_slope[i]
+                + density
+                    * (step - slope * s * z[i] + 0.5 * curvature * s * s * (1.0 - z[i] * z[i])
+                        - ramp * (from_flank[i] + lean * z[i]));
+            let (by_y, by_lean) = (-by_z * per_blur, ramp * s * density);
+            at.grey[i] = outside + step * share + density * behind + ramp * rise + limb * m.root[i];
+            at.features[EDGE][i] =
+                ramp * share - by_y * d.by_flank[i] - by_lean * d.by_flank_twice[i];
+            at.features[BLUR][i] = 0.5 * limb * m.root[i] * per_blur
+                + by_y * (d.by_blur[i] + z[i])
+                + density * (ramp * d.by_flank[i] + slope + curvature * s * z[i]);
+            at.features[END][i] = -(by_y * d.by_u[i] + by_lean * d.by_flank_and_u[i]);
+            at.features[INSIDE][i] = share;
+            at.features[OUTSIDE][i] = 1.0 - share;
+            at.features[RAMP][i] = rise * per_width;
+            at.features[LIMB][i] = m.root[i] * root;
+        }
+        at
+    }
+}
+
+impl RoundEnd {
+    #[inline]
+    fn distance(&self, table: BlurTable, from_flank: &Lanes, p: &Lanes, s: f32) -> Distance {
+        let radius = self.radius;
+        let mut d = Distance::default();
+        for i in 0..LANES {
+            let u = p[i] - self.middle;
+            let begun = table.moments(u / s);
+            // E[(u + s Z)₊²], halved, and its derivative by u.
+            let smooth = 0.5 * ((u * u + s * s) * begun.step + u * s * begun.step_slope);
+            let smooth_by_u = u * begun.step + s * begun.step_slope;
+            let sharp = u.max(0.0);
+            let from_middle = from_flank[i] + radius;
+            let range =
+                (sharp * sharp + from_middle * from_middle).sqrt().max(LEAST_RANGE * radius);
+            let cube = range * range * range;
+            d.y[i] = range - radius + (smooth - 0.5 * sharp * sharp) / radius;
+            d.by_flank[i] = from_middle / range;
+            d.by_u[i] = sharp / range + (smooth_by_u - sharp) / radius;
+            d.by_blur[i] = s * begun.step / radius;
+            d.by_flank_twice[i] = sharp * sharp / cube;
+            d.by_flank_and_u[i] = -sharp * from_middle / cube;
+        }
+        d
+    }
+}
+
+/// [`Moments`] of every lane.
+struct MomentLanes {
+    step: Lanes,
+    step_slope: Lanes,
+    root: Lanes,
+    root_slope: Lanes,
+}
+
+#[inline]
+fn moments(table: BlurTable, z: &Lanes) -> MomentLanes {
+    let at: [Moments; LANES] = z.map(|z| table.moments(z));
+    MomentLanes {
+        step: at.map(|m| m.step),
+        step_slope: at.map(|m| m.step_slope),
+        root: at.map(|m| m.root),
+        root_slope: at.map(|m| m.root_slope),
+    }
+}

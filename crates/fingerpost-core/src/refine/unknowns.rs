@@ -1,0 +1,213 @@
+//! What is fitted, and how it spreads over the features of a block's pixels.
+
+use super::PhotometricOptions;
+use super::profile::{self, EDGE, FEATURES, INSIDE, OUTSIDE, Profile, RAMP};
+use super::sketch::{FlankLines, SIDES, Sketch};
+use nalgebra::{SMatrix, SVector};
+
+/// Unknowns of both flanks: the bisector's and the half-width's coefficients of 1, p and P₂, blur,
+/// middle of the round end, changes of the levels along the finger.
+pub(super) const OFFSET: usize = 0;
+pub(super) const SLOPE: usize = 1;
+pub(super) const BEND: usize = 2;
+pub(super) const HALF_WIDTH: usize = 3;
+pub(super) const TAPER: usize = 4;
+pub(super) const BULGE: usize = 5;
+pub(super) const BLUR: usize = 6;
+const END: usize = 7;
+const INSIDE_CHANGE: usize = 8;
+const OUTSIDE_CHANGE: usize = 9;
+/// Unknowns of one flank: inside level a, background level b, slope c, limb l.
+const OWN: usize = 10;
+const OWN_COUNT: usize = 4;
+
+/// How many unknowns there are.
+pub(super) const UNKNOWNS: usize = OWN + 2 * OWN_COUNT;
+pub(super) type Vector = SVector<f64, UNKNOWNS>;
+pub(super) type Information = SMatrix<f64, UNKNOWNS, UNKNOWNS>;
+
+/// Where the sketch is believed \[px\], and its slope and taper.
+const LINE_SIGMA_PX: f64 = 3.0;
+const WIDTH_SIGMA_PX: f64 = 2.0;
+const SLOPE_SIGMA: f64 = 0.1;
+const BLUR_SIGMA_PX: f64 = 1.0;
+const END_SIGMA_PX: f64 = 1.0;
+/// Contrasts below this are taken for it when shading is weighed against them \[grey levels\].
+pub(super) const LEAST_CONTRAST_GREY: f64 = 10.0;
+
+/// What a flank depends on: a coefficient of its edge, the blur, …, each of them one feature times
+/// one function of p.
+const SLOTS: usize = 11;
+const SLOT_FEATURE: [usize; SLOTS] = [
+    EDGE,
+    EDGE,
+    EDGE,
+    profile::BLUR,
+    profile::END,
+    INSIDE,
+    OUTSIDE,
+    INSIDE,
+    OUTSIDE,
+    RAMP,
+    profile::LIMB,
+];
+
+/// The unknowns that a flank sees, and the slots of them: the edge is σ times the bisector plus the
+/// half-width.
+const SEEN: usize = OWN + OWN_COUNT;
+const SEEN_SLOT: [usize; SEEN] = [0, 1, 2, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10];
+
+fn seen_unknown(seen: usize, flank: usize) -> usize {
+    if seen < OWN { seen } else { seen + flank * OWN_COUNT }
+}
+
+fn seen_sign(seen: usize, flank: usize) -> f64 {
+    if seen < HALF_WIDTH { SIDES[flank] } else { 1.0 }
+}
+
+/// Values of all unknowns.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Unknowns(pub Vector);
+
+/// How the slots change at one block: a slot's factor times its feature is its derivative.
+pub(super) type Factors = [f64; SLOTS];
+
+/// The factors of a block whose middle is at p, with half the length in use h.
+pub(super) fn factors(p: f64, h: f64) -> Factors {
+    let t = p / h;
+    [1.0, p, 1.5 * t * t - 0.5, 1.0, 1.0, t, t, 1.0, 1.0, 1.0, 1.0]
+}
+
+impl Unknowns {
+    /// On the sketch, with the given inside and background level of either flank.
+    pub fn on(sketch: &Sketch, levels: [[f64; 2]; 2], blur_px: f64) -> Self {
+        let mut x = Vector::zeros();
+        x[HALF_WIDTH] = sketch.half_width_px;
+        x[TAPER] = sketch.taper;
+        x[BLUR] = blur_px;
+        x[END] = sketch.round_end_px.unwrap_or(0.0);
+        for (flank, [inside, outside]) in levels.into_iter().enumerate() {
+            x[OWN + flank * OWN_COUNT] = inside;
+            x[OWN + flank * OWN_COUNT + 1] = outside;
+        }
+        Self(x)
+    }
+
+    /// The straight part of the two flanks.
+    pub fn line(&self) -> FlankLines {
+        FlankLines {
+            offset_px: self.0[OFFSET],
+            slope: self.0[SLOPE],
+            half_width_px: self.0[HALF_WIDTH],
+            taper: self.0[TAPER],
+        }
+    }
+
+    pub fn blur_px(&self) -> f64 {
+        self.0[BLUR]
+    }
+
+    pub fn end_px(&self) -> f64 {
+        self.0[END]
+    }
+
+    /// Finger minus background at a flank \[grey levels\].
+    pub fn contrast_grey(&self, flank: usize) -> f64 {
+        self.0[OWN + flank * OWN_COUNT] - self.0[OWN + flank * OWN_COUNT + 1]
+    }
+
+    /// What a block of a flank looks like whose levels and edge deviate by `effects`: inside,
+    /// outside, edge.
+    pub fn profile(&self, sketch: &Sketch, flank: usize, p: f64, effects: &[f64; 3]) -> Profile {
+        let x = &self.0;
+        let h = sketch.half_length_px;
+        let edge = |k: usize| SIDES[flank] * x[OFFSET + k] + x[HALF_WIDTH + k];
+        let own = |k: usize| x[OWN + flank * OWN_COUNT + k];
+        // e₀ + e₁ p + e₂ P₂, in powers of p.
+        let [e0, e1, e2] = [edge(0), edge(1), edge(2)];
+        Profile {
+            edge: [e0 - 0.5 * e2 + effects[2], e1, 1.5 * e2 / (h * h)].map(|e| e as f32),
+            blur: x[BLUR] as f32,
+            inside: [own(0) + effects[0], x[INSIDE_CHANGE] / h].map(|a| a as f32),
+            outside: [own(1) + effects[1], x[OUTSIDE_CHANGE] / h].map(|b| b as f32),
+            ramp: own(2) as f32,
+            limb: own(3) as f32,
+            half_width: sketch.half_width_at(p) as f32,
+        }
+    }
+
+    /// How far a step moves the flanks anywhere in use, at most \[px\].
+    pub fn motion_px(step: &Vector, half_length_px: f64) -> f64 {
+        step[OFFSET].abs()
+            + step[HALF_WIDTH].abs()
+            + half_length_px * (step[SLOPE].abs() + step[TAPER].abs())
+    }
+
+    /// What a step of the unknowns changes in a block's features.
+    pub fn by_feature(step: &Vector, flank: usize, factors: &Factors) -> [f64; FEATURES] {
+        let mut by_feature = [0.0; FEATURES];
+        for seen in 0..SEEN {
+            let slot = SEEN_SLOT[seen];
+            by_feature[SLOT_FEATURE[slot]] +=
+                seen_sign(seen, flank) * factors[slot] * step[seen_unknown(seen, flank)];
+        }
+        by_feature
+    }
+}
+
+/// Information of the priors; their mean is where the search starts.
+pub(super) fn prior(options: &PhotometricOptions, contrast_grey: f64) -> Vector {
+    let PhotometricOptions { bend_px, change, ramp, limb, .. } = options;
+    let contrast = contrast_grey.max(LEAST_CONTRAST_GREY);
+    let mut sigma = Vector::repeat(f64::INFINITY);
+    (sigma[OFFSET], sigma[SLOPE]) = (LINE_SIGMA_PX, SLOPE_SIGMA);
+    (sigma[HALF_WIDTH], sigma[TAPER]) = (WIDTH_SIGMA_PX, SLOPE_SIGMA);
+    (sigma[BEND], sigma[BULGE]) = (*bend_px, *bend_px);
+    (sigma[BLUR], sigma[END]) = (BLUR_SIGMA_PX, END_SIGMA_PX);
+    (sigma[INSIDE_CHANGE], sigma[OUTSIDE_CHANGE]) = (change * contrast, change * contrast);
+    for own in [OWN, OWN + OWN_COUNT] {
+        (sigma[own + 2], sigma[own + 3]) = (ramp * contrast, limb * contrast);
+    }
+    sigma.map(|s| 1.0 / (s * s))
+}
+
+/// Normal equations of one flank, in its slots; only the upper half is kept.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct FlankEquations {
+    information: [[f64; SLOTS]; SLOTS],
+    right: [f64; SLOTS],
+}
+
+impl FlankEquations {
+    /// Adds a block's, which are those of its features.
+    pub fn add(
+        &mut self,
+        say: f64,
+        factors: &Factors,
+        information: &[[f64; FEATURES]; FEATURES],
+        right: &[f64; FEATURES],
+    ) {
+        for i in 0..SLOTS {
+            let (factor, feature) = (say * factors[i], SLOT_FEATURE[i]);
+            self.right[i] += factor * right[feature];
+            let from = &information[feature];
+            for j in i..SLOTS {
+                self.information[i][j] += factor * factors[j] * from[SLOT_FEATURE[j]];
+            }
+        }
+    }
+
+    /// Adds them to those of all unknowns.
+    pub fn spread(&self, flank: usize, information: &mut Information, right: &mut Vector) {
+        for a in 0..SEEN {
+            let (row, sign, i) = (seen_unknown(a, flank), seen_sign(a, flank), SEEN_SLOT[a]);
+            right[row] += sign * self.right[i];
+            for b in 0..SEEN {
+                let j = SEEN_SLOT[b];
+                let sign = sign * seen_sign(b, flank);
+                information[(row, seen_unknown(b, flank))] +=
+                    sign * self.information[i.min(j)][i.max(j)];
+            }
+        }
+    }
+}
