@@ -140,6 +140,8 @@ class _TrackerOptions(TypedDict, total=False):
     """How offsets become a step."""
     correlation: float
     """The covariance is multiplied by this, at least 1: neighbouring measurements share pixels."""
+    refine: bool
+    """Whether the band model's finger line is refined by the flanks alone; the paper's never is."""
     acquire: _AcquireOptions
     """Until the hand is acquired."""
     track: _TrackOptions
@@ -1432,6 +1434,15 @@ class FingerLine:
         """Covariance of (offset, angle), (2, 2).
 
         The offset [px] is along the line's normal (−sin, cos) at the anchor, the angle in radians.
+        """
+
+    @property
+    def source(self) -> Literal["contour", "edges", "pixels"]:
+        """What it was measured on.
+
+        The contour is the axis of the fitted template, edges are the bisector of both flanks,
+        pixels the line of maximum likelihood given what the camera recorded near the flanks. The
+        latter two come from the refinement; where the flanks cannot be believed there is neither.
         """
 
 @final

@@ -77,7 +77,8 @@ pub enum Cue<'a> {
 }
 
 impl<'a> Cue<'a> {
-    fn appearance(self) -> Option<&'a Appearance> {
+    /// What is known of the hand's looks.
+    pub(crate) fn appearance(self) -> Option<&'a Appearance> {
         match self {
             Self::Edges => None,
             Self::HandEdges(appearance) | Self::Votes(appearance) => Some(appearance),

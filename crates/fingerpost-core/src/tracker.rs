@@ -29,12 +29,13 @@ mod options;
 
 use crate::fit::Prior;
 use crate::frame::Frame;
+use crate::refine::{Finger, RefineOptions, Refiner, Source, Stretch};
 use crate::search::{EdgeMeasurement, MAX_HALF_LENGTH_PX, Polarity, Scale, SearchLine, check_size};
 use crate::shape_space::{
     Affine, AffineMap, Axis, BandMeasure, PlacedSample, PlanarSpace, Pose, RIBBON_DOF, Ribbon,
     RibbonVector, Rigid, RigidShear, ShapeSpace, Similarity, Translation, ribbon_of,
 };
-use crate::template::{HALF_LENGTH, Limb, Template, TemplateSample};
+use crate::template::{HALF_LENGTH, Limb, Part, Template, TemplateSample};
 use crate::{Error, Result};
 use convergence::{Attempt, Converged, Convergence, Fit, Seen};
 use looks::{Lead, Looks, Sight, Silhouette};
@@ -71,6 +72,28 @@ pub struct FingerLine {
     pub axis: Axis,
     /// Covariance of (offset \[px\] along the line's normal at the anchor, angle \[rad\]).
     pub covariance: Matrix2<f64>,
+    /// What it was measured on.
+    pub source: LineSource,
+}
+
+/// What a finger line was measured on.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum LineSource {
+    /// The contour: the axis of the fitted template.
+    Contour,
+    /// The edges of both flanks: their bisector ([`Source::Bisector`]).
+    Edges,
+    /// The pixels about both flanks ([`Source::Photometric`]).
+    Pixels,
+}
+
+impl From<Source> for LineSource {
+    fn from(source: Source) -> Self {
+        match source {
+            Source::Bisector => Self::Edges,
+            Source::Photometric => Self::Pixels,
+        }
+    }
 }
 
 /// Components of the largest shape space.
@@ -131,6 +154,7 @@ pub struct ContourTracker {
     convergence: Convergence,
     hand: Hand,
     phase: Phase,
+    refiner: Refiner,
     last_time_s: Option<f64>,
 }
 
@@ -236,9 +260,14 @@ impl Hand {
         polarity: Polarity,
     ) -> Attempt<'a> {
         let Look { half_length_px, scale, lead } = look;
-        let known = self.looks.as_ref().and_then(|l| l.sight(frame, lead, polarity));
-        let sight = known.unwrap_or(Sight::unknown(polarity));
+        let sight = self.sight(frame, lead, polarity);
         Attempt { samples, sight, scale, half_length_px }
+    }
+
+    /// How to look for it in a frame.
+    fn sight(&self, frame: &Frame<'_>, lead: Lead, polarity: Polarity) -> Sight<'_> {
+        let known = self.looks.as_ref().and_then(|l| l.sight(frame, lead, polarity));
+        known.unwrap_or(Sight::unknown(polarity))
     }
 
     /// Whether a mixture of colours shows it better than the grey image.
@@ -300,6 +329,11 @@ const PINNED_SIGMA: f64 = 1e-4;
 const BED_IN_ROUNDS: usize = 3;
 const BED_IN_SLACK: f64 = 4.0;
 
+/// Flanks are refined from so far beyond where another limb hides them \[px\], and round the tip to
+/// this part of the half-width beyond the middle of its round end.
+const CROTCH_PX: f64 = 2.0;
+const CAP: f64 = 0.7;
+
 /// A lost hand is looked for this much further than a tracked one.
 const LOST_REACH: f64 = 2.0;
 /// A fit that explains this part of the contour needs no second look from afar.
@@ -342,6 +376,7 @@ impl ContourTracker {
         Ok(Self {
             convergence: Convergence::new(&options)?,
             phase: Phase::Acquiring { settled: 0 },
+            refiner: Refiner::new(RefineOptions::default())?,
             last_time_s: None,
             template,
             options,
@@ -423,7 +458,7 @@ impl ContourTracker {
             self.hand.shape = found.shape;
             let motion = Motion::at_rest(time_s, found.shape.centre());
             self.phase = Phase::Tracking { missed: 0, motion };
-            return Ok(Self::track(time_s, Status::Tracking, &found, true));
+            return self.tracked(frame, time_s, &found);
         }
         self.hand.kind = settling;
         self.acquire(frame, time_s, settled, Some(last))
@@ -459,14 +494,14 @@ impl ContourTracker {
         {
             let motion = Motion::at_rest(time_s, acquired.shape.centre());
             self.phase = Phase::Tracking { missed: 0, motion };
-            return Ok(Self::track(time_s, Status::Tracking, &acquired, true));
+            return self.tracked(frame, time_s, &acquired);
         }
         let (phase, status) = lost
             .map_or((Phase::Acquiring { settled }, Status::Acquiring), |last| {
                 (Phase::Lost { last, settled }, Status::Lost)
             });
         self.phase = phase;
-        Ok(Self::track(time_s, status, &found, accepted))
+        Ok(track(time_s, status, &found, accepted))
     }
 
     /// The hand at the waiting template, or where an earlier frame has found it.
@@ -583,7 +618,7 @@ impl ContourTracker {
             self.hand.grow();
             self.learn_looks(frame)?;
             self.phase = Phase::Tracking { missed: 0, motion };
-            return Ok(Self::track(time_s, Status::Tracking, &found, true));
+            return self.tracked(frame, time_s, &found);
         }
         let missed = missed + 1;
         let status = if missed >= lose_after_frames {
@@ -593,7 +628,7 @@ impl ContourTracker {
             self.phase = Phase::Tracking { missed, motion };
             Status::Tracking
         };
-        Ok(Self::track(time_s, status, &found, false))
+        Ok(track(time_s, status, &found, false))
     }
 
     /// The hand about a predicted shape. Its edges are usually near and sharp; when they explain
@@ -789,27 +824,72 @@ impl ContourTracker {
         self.convergence.teach(looks, samples, frame, &finger, keep)
     }
 
-    /// The story of one frame.
-    fn track(time_s: f64, status: Status, found: &Found, accepted: bool) -> Track {
-        let seen = found.fit.map_or(Seen::default(), |f| f.seen);
-        let shown = found.fit.filter(|_| accepted);
-        Track {
-            time_s,
-            status,
-            shape: shown.map(|f| f.shape),
-            finger_line: shown
-                .filter(|_| status == Status::Tracking)
-                .map(|f| FingerLine { axis: f.axis, covariance: f.line_covariance }),
-            diagnostics: Diagnostics {
-                hits: seen.hits,
-                iterations: found.iterations,
-                accepted,
-                visible: seen.visible,
-                inliers: seen.inliers,
-                residual_rms_px: found.fit.map_or(0.0, |f| f.residual_rms_px),
-                rank: found.fit.map_or(0, |f| f.rank),
-            },
-        }
+    /// The story of a frame whose fit was accepted, with the finger line.
+    fn tracked(&mut self, frame: &Frame<'_>, time_s: f64, found: &Found) -> Result<Track> {
+        let refined = match self.hand.shape {
+            Shape::Ribbon(x) if self.options.refine => self.refine(frame, &x)?,
+            _ => None,
+        };
+        let fitted = found.fit.map(|f| FingerLine {
+            axis: f.axis,
+            covariance: f.line_covariance,
+            source: LineSource::Contour,
+        });
+        Ok(Track {
+            finger_line: refined.or(fitted),
+            ..track(time_s, Status::Tracking, found, true)
+        })
+    }
+
+    /// The finger line by the flanks alone; none if they cannot be believed.
+    fn refine(&mut self, frame: &Frame<'_>, x: &RibbonVector) -> Result<Option<FingerLine>> {
+        let Some(finger) = self.finger(x)? else { return Ok(None) };
+        let sight = self.hand.sight(frame, Lead::HandEdges, self.options.polarity);
+        let shown = self.convergence.shown(frame, sight.mixture, &finger)?;
+        let looks = sight.cue.appearance();
+        let refined = self.refiner.refine(&shown, &finger, sight.polarity, looks, None)?;
+        // Where the pixels disagree with a finger, the contour knows more than two bare flanks: the
+        // hand's colours, and its width.
+        Ok(refined.filter(|r| r.source == Source::Photometric).map(|r| FingerLine {
+            axis: r.axis,
+            covariance: r.covariance,
+            source: r.source.into(),
+        }))
+    }
+
+    /// The finger that the band template stands for, as far as both its flanks were seen.
+    fn finger(&self, x: &RibbonVector) -> Result<Option<Finger>> {
+        let flanks = [Part::RightFlank, Part::LeftFlank]
+            .map(|flank| self.convergence.beginning(&self.samples, flank));
+        let [Some(right), Some(left)] = flanks else { return Ok(None) };
+        let (half_width_px, taper) = (x[3], x[4]);
+        let BandMeasure { length_px, round_end_px, .. } = self.waiting.measure;
+        let flanks = [right, left].map(|along| Stretch {
+            from_px: along * length_px + CROTCH_PX,
+            to_px: round_end_px + CAP * half_width_px,
+        });
+        let axis = self.ribbon::<RIBBON_DOF>(x)?.pose(x).axis();
+        Ok(Some(Finger { axis, half_width_px, taper, flanks, round_end_px: Some(round_end_px) }))
+    }
+}
+
+/// The story of one frame, but for the finger line.
+fn track(time_s: f64, status: Status, found: &Found, accepted: bool) -> Track {
+    let seen = found.fit.map_or(Seen::default(), |f| f.seen);
+    Track {
+        time_s,
+        status,
+        shape: found.fit.filter(|_| accepted).map(|f| f.shape),
+        finger_line: None,
+        diagnostics: Diagnostics {
+            hits: seen.hits,
+            iterations: found.iterations,
+            accepted,
+            visible: seen.visible,
+            inliers: seen.inliers,
+            residual_rms_px: found.fit.map_or(0.0, |f| f.residual_rms_px),
+            rank: found.fit.map_or(0, |f| f.rank),
+        },
     }
 }
 

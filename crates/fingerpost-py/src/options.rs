@@ -35,6 +35,17 @@ impl Overlay for f64 {
     }
 }
 
+impl Overlay for bool {
+    fn overlay(&mut self, value: &Bound<'_, PyAny>, path: &str) -> PyResult<()> {
+        *self = value.extract().map_err(|_| wrong(path, value, "True or False"))?;
+        Ok(())
+    }
+
+    fn entry<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        Ok(self.into_pyobject(py)?.to_owned().into_any())
+    }
+}
+
 impl Overlay for usize {
     fn overlay(&mut self, value: &Bound<'_, PyAny>, path: &str) -> PyResult<()> {
         *self = whole(value, path)?;

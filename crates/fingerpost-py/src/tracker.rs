@@ -27,6 +27,7 @@ overlay_fields!(TrackerOptions {
     polarity,
     fit,
     correlation,
+    refine,
     acquire,
     track,
 });
@@ -266,8 +267,14 @@ impl PyFingerLine {
         flat_table(py, self.0.covariance.transpose().as_slice().to_vec(), 2)
     }
 
+    /// What it was measured on.
+    #[getter]
+    fn source(&self) -> &'static str {
+        self.0.source.word()
+    }
+
     fn __repr__(&self) -> String {
-        let FingerLine { axis: Axis { anchor, tip, angle_rad }, covariance } = &self.0;
+        let FingerLine { axis: Axis { anchor, tip, angle_rad }, covariance, .. } = &self.0;
         format!(
             "FingerLine(anchor_px=({:.2}, {:.2}), tip_px=({:.2}, {:.2}), \
              angle_rad={angle_rad:.4} ± {:.4}, offset_px=0 ± {:.3})",

@@ -5,7 +5,7 @@ use fingerpost_core::contour::HandSide;
 use fingerpost_core::fit::{Outcome, Solve};
 use fingerpost_core::search::{Miss, Polarity, Scale};
 use fingerpost_core::template::Thumb;
-use fingerpost_core::tracker::{Model, Status};
+use fingerpost_core::tracker::{LineSource, Model, Status};
 use pyo3::prelude::*;
 use pyo3::types::PyString;
 
@@ -75,6 +75,7 @@ words! {
         TooFewEquations = "too-few-equations",
         Undetermined = "undetermined",
     }
+    LineSource { Contour = "contour", Edges = "edges", Pixels = "pixels" }
     Model { Ribbon = "ribbon", Paper = "paper" }
     CueKind { Edges = "edges", HandEdges = "hand-edges", Votes = "votes" }
     Side { Hand = "hand", Background = "background" }

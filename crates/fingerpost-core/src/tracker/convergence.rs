@@ -4,13 +4,14 @@ use super::looks::{Looks, Sight, Silhouette};
 use super::options::{AcceptOptions, TrackerOptions};
 use super::{MAX_DOF, ShapeEstimate};
 use crate::Result;
-use crate::discriminant::DiscriminantImage;
+use crate::discriminant::{DiscriminantImage, Mixture};
 use crate::fit::{EquationBuffer, Equations, FitReport, Fitter, Outcome, Prior};
 use crate::frame::Frame;
+use crate::refine::Finger;
 use crate::search::{EdgeMeasurement, EdgeSearch, Scale, SearchLine};
 use crate::shape_space::{Axis, PlacedSample, Pose, ShapeSpace};
 use crate::template::{Part, TemplateSample};
-use nalgebra::{Matrix2, SMatrix, SVector};
+use nalgebra::{Matrix2, Point2, SMatrix, SVector};
 
 /// The contour has converged when no sample moves further than this \[px\].
 const CONVERGED_PX: f64 = 0.02;
@@ -183,6 +184,26 @@ impl Convergence {
         looks.learn(frame, &mut self.image, &self.agreeing, finger, keep)
     }
 
+    /// From where along the finger a flank was visible in the last search, in units of the template.
+    pub fn beginning(&self, samples: &[TemplateSample], flank: Part) -> Option<f64> {
+        let seen = self.visible.iter().filter_map(|&i| samples.get(i));
+        seen.filter(|s| s.part() == flank).map(|s| s.along).min_by(f64::total_cmp)
+    }
+
+    /// The frame about a finger, as a mixture shows it.
+    pub fn shown<'a>(
+        &'a mut self,
+        frame: &Frame<'a>,
+        mixture: Option<&Mixture>,
+        finger: &Finger,
+    ) -> Result<Frame<'a>> {
+        let Some(mixture) = mixture else { return Ok(*frame) };
+        let (axis, reach) = (finger.axis, 2.0 * finger.half_width_px + KERNEL_REACH_PX);
+        let from = finger.flanks[0].from_px.min(finger.flanks[1].from_px);
+        let ends = [axis.tip, axis.anchor + axis.direction() * from];
+        self.image.of(frame, mixture, hull(ends.iter().map(|end| (*end, reach))))
+    }
+
     /// From `x`, where the image takes it in this space. `believed` is a prior on the shape vector
     /// itself.
     pub fn run<S: ShapeSpace<D>, const D: usize>(
@@ -338,15 +359,18 @@ const KERNEL_REACH_PX: f64 = 32.0;
 
 /// The part of the image that search lines read: columns and rows, from and to \[px\].
 fn region(lines: &[SearchLine]) -> [f64; 4] {
+    hull(lines.iter().map(|l| (l.sample.position, l.half_length_px + KERNEL_REACH_PX)))
+}
+
+/// Columns and rows, from and to, of all that lies within reach of some points \[px\].
+fn hull(points: impl Iterator<Item = (Point2<f64>, f64)>) -> [f64; 4] {
     let nothing = [f64::INFINITY, f64::NEG_INFINITY, f64::INFINITY, f64::NEG_INFINITY];
-    lines.iter().fold(nothing, |[left, right, top, bottom], line| {
-        let PlacedSample { position, normal } = line.sample;
-        let reach = normal.abs() * (line.half_length_px + KERNEL_REACH_PX);
+    points.fold(nothing, |[left, right, top, bottom], (p, reach)| {
         [
-            left.min(position.x - reach.x),
-            right.max(position.x + reach.x),
-            top.min(position.y - reach.y),
-            bottom.max(position.y + reach.y),
+            left.min(p.x - reach),
+            right.max(p.x + reach),
+            top.min(p.y - reach),
+            bottom.max(p.y + reach),
         ]
     })
 }

@@ -70,6 +70,9 @@ pub struct TrackerOptions {
     /// Neighbouring edge measurements share pixels: the covariance of the fit is multiplied by
     /// this, at least 1.
     pub correlation: f64,
+    /// Whether the band model's finger line is refined by the flanks alone
+    /// ([`Refiner`](crate::refine::Refiner)); the paper's never is.
+    pub refine: bool,
     /// Until the hand is acquired.
     pub acquire: AcquireOptions,
     /// From then on.
@@ -86,6 +89,7 @@ impl Default for TrackerOptions {
             polarity: Polarity::Unknown,
             fit: FitOptions::default(),
             correlation: 1.5,
+            refine: true,
             acquire: AcquireOptions {
                 half_length_px: 20.0,
                 accept: AcceptOptions { min_inliers: 0.65, max_residual_px: 1.5 },
