@@ -1,0 +1,61 @@
+"""Where the hand's fixes and the robot meet: the plane by the robot, following, picking, placing.
+
+`define_plane` lets the gripper visit a plane and ties every view to the robot; `guard_of` makes the
+guard of a rig with a [robot] table. Nothing here knows a command line.
+"""
+
+from fingerpost.guidance.agreement import Agreement, Sightings, ViewTie, agree, need_certainty
+from fingerpost.guidance.errors import (
+    GripperNotFoundError,
+    InconsistentPlaneError,
+    PlaneError,
+    PoorPlaneError,
+)
+from fingerpost.guidance.finders import (
+    ContourFinder,
+    GivenFinder,
+    GripperFinder,
+    MarkerFinder,
+    MotionFinder,
+    Sighting,
+    load_outline,
+    load_pixels,
+)
+from fingerpost.guidance.plane import (
+    PlaneByRobot,
+    PlaneOptions,
+    Visit,
+    define_plane,
+    spread_places,
+)
+from fingerpost.guidance.setup import guard_of, held_down, plane_of, region_of, robot_of
+
+__all__ = [
+    "Agreement",
+    "ContourFinder",
+    "GivenFinder",
+    "GripperFinder",
+    "GripperNotFoundError",
+    "InconsistentPlaneError",
+    "MarkerFinder",
+    "MotionFinder",
+    "PlaneByRobot",
+    "PlaneError",
+    "PlaneOptions",
+    "PoorPlaneError",
+    "Sighting",
+    "Sightings",
+    "ViewTie",
+    "Visit",
+    "agree",
+    "define_plane",
+    "guard_of",
+    "held_down",
+    "load_outline",
+    "load_pixels",
+    "need_certainty",
+    "plane_of",
+    "region_of",
+    "robot_of",
+    "spread_places",
+]
