@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import math
+import threading
+import time
 
 import cv2
 import numpy as np
+from robot_rig import ManualClock
 
 from fingerpost.capture import Frame
 from fingerpost.config import Plane, Rig, RobotTable, View
@@ -23,7 +26,7 @@ HEIGHT_M = 0.02
 RIG = SimulatedRig()
 NAMES = ("left", "right")
 NOWHERE_PX = ((0.0, 0.0), (100.0, 0.0), (100.0, 100.0), (0.0, 100.0))
-GRIPPER = RodAndProng(diameter_mm=8.0, prong_length_mm=0.0)
+GRIPPER = RodAndProng(length_mm=250.0, diameter_mm=8.0, prong_length_mm=0.0)
 
 # A marker on a plate that stands on the gripper's tip and faces the cameras; in robot metres.
 MARKER_SIDE_M = 0.04
@@ -120,3 +123,22 @@ class DrawnViews:
         return [
             Frame(self.count, self.clock(), image) for image in self.draw(position, rng=self.rng)
         ]
+
+
+class LockstepClock(ManualClock):
+    """A clock that only the main thread moves; others wait until it has."""
+
+    def __init__(self):
+        super().__init__()
+        self.changed = threading.Condition()
+
+    def sleep(self, span_s):
+        if threading.current_thread() is threading.main_thread():
+            with self.changed:
+                super().sleep(span_s)
+                self.changed.notify_all()
+            time.sleep(0)  # let the others see it
+            return
+        end_s = self.now_s + span_s
+        with self.changed:
+            assert self.changed.wait_for(lambda: self.now_s >= end_s, timeout=20.0)

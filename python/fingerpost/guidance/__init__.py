@@ -21,6 +21,8 @@ from fingerpost.guidance.finders import (
     load_outline,
     load_pixels,
 )
+from fingerpost.guidance.keys import Keys
+from fingerpost.guidance.log import CommandLog
 from fingerpost.guidance.plane import (
     PlaneByRobot,
     PlaneOptions,
@@ -28,32 +30,48 @@ from fingerpost.guidance.plane import (
     define_plane,
     spread_places,
 )
+from fingerpost.guidance.session import (
+    KEY_HELP,
+    Attendance,
+    Session,
+    SessionReport,
+    attended,
+    paced,
+)
 from fingerpost.guidance.setup import guard_of, held_down, plane_of, region_of, robot_of
 
 __all__ = [
+    "KEY_HELP",
     "Agreement",
+    "Attendance",
+    "CommandLog",
     "ContourFinder",
     "GivenFinder",
     "GripperFinder",
     "GripperNotFoundError",
     "InconsistentPlaneError",
+    "Keys",
     "MarkerFinder",
     "MotionFinder",
     "PlaneByRobot",
     "PlaneError",
     "PlaneOptions",
     "PoorPlaneError",
+    "Session",
+    "SessionReport",
     "Sighting",
     "Sightings",
     "ViewTie",
     "Visit",
     "agree",
+    "attended",
     "define_plane",
     "guard_of",
     "held_down",
     "load_outline",
     "load_pixels",
     "need_certainty",
+    "paced",
     "plane_of",
     "region_of",
     "robot_of",

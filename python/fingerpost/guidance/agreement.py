@@ -39,11 +39,18 @@ from fingerpost.pointing import PlaneView
 ALARM = 1e-3
 """Share of good sets that a view takes for wrong; they cost a second visit."""
 
+RIVAL_CHI2 = 13.8
+"""Another set explains a contradiction as well if its χ² is no larger than the best one's by more
+than this: e^(13.8 / 2) is a likelihood a thousand times smaller."""
+
 MAX_WRONG = 2
 """So many wrong places are looked for."""
 
 MIN_CHECKED = 5
 """So many places must be left for their agreement to mean anything: 4 fit any homography."""
+
+NARROW = 5.0
+"""Places that spread by less than so many standard deviations of the finder show no plane."""
 
 NEARLY_A_LINE = 0.1
 """Places whose spread across their line is less than this share of that along it are called so."""
@@ -169,6 +176,29 @@ def tie_view(positions_m: ArrayLike, sightings: Sightings, arm_sigma_m: float) -
         As `fingerpost.pointing.PlaneView.from_reference_points`.
     """
     X = finite_array(positions_m, "positions_m", ("N", 2))
+    fit = _fit(X, sightings, arm_sigma_m)
+    distances = np.full(len(X), np.nan)
+    if len(X) > MIN_REFERENCE_POINTS:
+        distances = np.array([_left_out(k, X, sightings, fit.total) for k in range(len(X))])
+    return ViewTie(
+        sightings.name, fit.view, fit.total, fit.residuals, distances, fit.chi2, 2 * len(X) - 8
+    )
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Fit:
+    """One view's homography by some places, without a look at each place's part in it."""
+
+    view: PlaneView
+    total: NDArray[np.float64]
+    residuals: NDArray[np.float64]
+
+    @property
+    def chi2(self) -> float:
+        return float(np.sum(_squared_distances(self.residuals, self.total)))
+
+
+def _fit(X: NDArray[np.float64], sightings: Sightings, arm_sigma_m: float) -> _Fit:
     pixels, covariances, lens = sightings.pixels_px, sightings.covariances_px2, sightings.lens
     first = PlaneView.from_reference_points(X, pixels, covariances, lens)
     arm = transfer_jacobian_by_point(first.image_from_plane, X)
@@ -176,13 +206,7 @@ def tie_view(positions_m: ArrayLike, sightings: Sightings, arm_sigma_m: float) -
         arm = np.linalg.inv(lens.undistort_jacobian(pixels)) @ arm
     total = covariances + arm_sigma_m**2 * arm @ np.swapaxes(arm, 1, 2)
     view = PlaneView.from_reference_points(X, pixels, total, lens)
-    residuals = pixels - view.project(X)
-    chi2 = float(np.sum(_squared_distances(residuals, total)))
-    distances = np.full(len(X), np.nan)
-    if len(X) > MIN_REFERENCE_POINTS:
-        distances = np.array([_left_out(k, X, sightings, total) for k in range(len(X))])
-    freedom = 2 * len(X) - 8
-    return ViewTie(sightings.name, view, total, residuals, distances, chi2, freedom)
+    return _Fit(view, total, pixels - view.project(X))
 
 
 def agree(
@@ -221,19 +245,27 @@ def agree(
             f"{MIN_CHECKED + 1} or more to tell a wrong one"
         )
     _refuse_a_line(X)
+    for view in views:
+        _refuse_narrow(X, view)
     everything = range(len(X))
     most = max(0, min(MAX_WRONG, len(X) - MIN_CHECKED))
     for count in range(most + 1):
-        explained = []
+        explained: dict[tuple[int, ...], float] = {}
         for wrong in itertools.combinations(everything, count):
             kept = tuple(k for k in everything if k not in wrong)
-            ties = _ties(X, views, kept, arm_sigma_m)
-            if ties is not None and all(tie.chi2 <= _alarm_limit(tie.freedom) for tie in ties):
-                explained.append(Agreement(wrong, kept, ties))
-        if len(explained) == 1:
-            return explained[0]
-        if explained:
-            raise InconsistentPlaneError(_ambiguous(explained, numbers or range(1, len(X) + 1)))
+            if (chi2 := _agreed(X, views, kept, arm_sigma_m)) is not None:
+                explained[wrong] = chi2
+        best = min(explained.values(), default=0.0)
+        likely = [wrong for wrong, chi2 in explained.items() if chi2 <= best + RIVAL_CHI2]
+        if len(likely) == 1:
+            (wrong,) = likely
+            kept = tuple(k for k in everything if k not in wrong)
+            ties = tuple(tie_view(X[list(kept)], _some(v, kept), arm_sigma_m) for v in views)
+            return Agreement(wrong, kept, ties)
+        if likely:
+            raise InconsistentPlaneError(
+                _ambiguous(likely, len(X), numbers or range(1, len(X) + 1))
+            )
     raise InconsistentPlaneError(_unexplained(X, views, arm_sigma_m))
 
 
@@ -312,27 +344,31 @@ def _chi2_tail(x: float, freedom: int) -> float:
     return math.exp(-x / 2) * sum(terms)
 
 
-def _alarm_limit(freedom: int) -> float:
-    """Return the largest χ² that passes; four places fit to within rounding."""
-    return chi2_limit(freedom, ALARM) if freedom else np.inf
-
-
-def _ties(
+def _agreed(
     X: NDArray[np.float64], views: Sequence[Sightings], kept: tuple[int, ...], arm_sigma_m: float
-) -> tuple[ViewTie, ...] | None:
-    """Tie all views by the places kept; None if these fix no homography."""
+) -> float | None:
+    """Return the χ² of all views by some places; None if these do not agree in one of them.
+
+    Four places fit any homography, but not every four have one.
+    """
+    freedom = 2 * len(kept) - 8
+    limit = chi2_limit(freedom, ALARM) if freedom else math.inf
+    total = 0.0
+    for view in views:
+        try:
+            chi2 = _fit(X[list(kept)], _some(view, kept), arm_sigma_m).chi2
+        except InvalidInputError:  # they fix no homography
+            return None
+        if chi2 > limit:
+            return None
+        total += chi2
+    return total
+
+
+def _some(view: Sightings, kept: tuple[int, ...]) -> Sightings:
+    """Return the sightings of some places."""
     index = list(kept)
-    try:
-        return tuple(
-            tie_view(
-                X[index],
-                Sightings(view.name, view.pixels_px[index], view.covariances_px2[index], view.lens),
-                arm_sigma_m,
-            )
-            for view in views
-        )
-    except InvalidInputError:
-        return None
+    return Sightings(view.name, view.pixels_px[index], view.covariances_px2[index], view.lens)
 
 
 def _left_out(
@@ -377,45 +413,65 @@ def _refuse_a_line(X: NDArray[np.float64]) -> None:
         )
 
 
+def _refuse_narrow(X: NDArray[np.float64], view: Sightings) -> None:
+    _, across_px = _spread(view.pixels_px)
+    sigma_px = _sigma_px(view.covariances_px2)
+    if across_px < NARROW * sigma_px:
+        raise PoorPlaneError(
+            f"view {view.name}: the places spread by only {across_px:.1f} px in the image, found "
+            f"to {sigma_px:.1f} px: "
+            + (_line_remedy(X) or "bring the camera nearer or higher, or visit a wider region")
+        )
+
+
+def _line_remedy(X: NDArray[np.float64]) -> str:
+    """Say that places lie nearly on one line, if they do."""
+    along, across = _spread(X)
+    if across >= NEARLY_A_LINE * along:
+        return ""
+    return (
+        f"the places lie nearly on one line (spread {1000 * along:.0f} by {1000 * across:.0f} mm): "
+        "spread them in two directions, by a wider region"
+    )
+
+
+def _sigma_px(covariances_px2: NDArray[np.float64]) -> float:
+    """Root mean square of the standard deviations of u and v."""
+    return float(np.sqrt(np.trace(covariances_px2, axis1=1, axis2=2).mean() / 2))
+
+
 def _remedy(tie: ViewTie, corners: NDArray[np.float64]) -> str:
     """Say what most probably makes a plane uncertain, and what would be right."""
     X = tie.plane_view.plane_points
-    along, across = _spread(X)
-    if across < NEARLY_A_LINE * along:
-        return (
-            f"the places lie nearly on one line (spread {1000 * along:.0f} by {1000 * across:.0f} "
-            "mm): spread them in two directions, by a wider region"
-        )
-    _, across_px = _spread(tie.plane_view.project(X))
-    sigma_px = float(np.sqrt(np.mean([np.trace(Σ) / 2 for Σ in tie.covariances_px2])))
-    if across_px < 2 * np.sqrt(len(X)) * sigma_px:
-        return (
-            f"the places spread by only {across_px:.0f} px in the image, found to {sigma_px:.1f} "
-            "px: bring the camera nearer or higher, or visit a wider region"
-        )
+    if remedy := _line_remedy(X):
+        return remedy
     if float(np.ptp(X, axis=0).max()) < 0.5 * float(np.ptp(corners, axis=0).max()):
         return "the places cover little of the region: visit more of it"
-    return f"{len(X)} places, found to {sigma_px:.1f} px: visit more, or find the gripper better"
+    return (
+        f"{len(X)} places, found to {_sigma_px(tie.covariances_px2):.1f} px: visit more, find the "
+        "gripper better, or bring the camera nearer"
+    )
 
 
-def _ambiguous(explained: Sequence[Agreement], numbers: Sequence[int]) -> str:
-    suspects = sorted({place for one in explained for place in one.wrong})
+def _ambiguous(explained: Sequence[tuple[int, ...]], count: int, numbers: Sequence[int]) -> str:
+    suspects = sorted({place for wrong in explained for place in wrong})
     named = ", ".join(f"{numbers[place]}" for place in suspects)
     return (
-        f"one of the places {named} is wrong, but which one cannot be told from "
-        f"{len(explained[0].kept) + len(explained[0].wrong)}: visit more places"
+        f"one of the places {named} is wrong, but which one cannot be told from {count}: visit "
+        "more places"
     )
 
 
 def _unexplained(X: NDArray[np.float64], views: Sequence[Sightings], arm_sigma_m: float) -> str:
-    ties = _ties(X, views, tuple(range(len(X))), arm_sigma_m)
-    if ties is None:
+    try:
+        ties = [tie_view(X, view, arm_sigma_m) for view in views]
+    except InvalidInputError:
         return (
             "no homography fits what the views found at the places visited: see that what is found "
             "is the gripper, at every place the same part of it"
         )
     tie = max(ties, key=lambda one: one.chi2 / max(one.freedom, 1))
-    expected_px = float(np.sqrt(np.mean([np.trace(Σ) for Σ in tie.covariances_px2])))
+    expected_px = math.sqrt(2) * _sigma_px(tie.covariances_px2)
     return (
         f"view {tie.name}: the places miss one homography by {tie.rms_px:.2f} px (RMS) where "
         f"{expected_px:.2f} px is expected of the finder; give the view's lens, see that the "

@@ -13,7 +13,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import cv2
 import numpy as np
@@ -180,8 +180,8 @@ _MARKER_CORNERS = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
 class ContourFinder(GripperFinder):
     """Follows the gripper's outline with the package's own tracker.
 
-    The template waits where the gripper is before the visits begin, and follows it from place to
-    place; move slowly enough for that.
+    The template waits where the gripper stands before the first visit, over the middle of the safe
+    region at its top, and follows it from place to place; move slowly enough for that.
 
     Parameters
     ----------
@@ -194,8 +194,11 @@ class ContourFinder(GripperFinder):
         Standard deviation of the tip along the gripper, beyond what the fit tells [px], > 0.
     across_sigma_px
         The same across it [px], ≥ 0.
+    polarity
+        Whether the gripper is brighter or darker than what is behind it; a thin one needs to be
+        told, as the search lines reach across it.
     options
-        What differs from the tracker's defaults.
+        What else differs from the tracker's defaults.
     """
 
     watches = True
@@ -207,10 +210,13 @@ class ContourFinder(GripperFinder):
         *,
         along_sigma_px: float = 1.0,
         across_sigma_px: float = 0.5,
+        polarity: Literal["bright", "dark", "unknown"] = "unknown",
         options: Mapping[str, Any] | None = None,
     ) -> None:
-        model = {"model": "paper"} if template.proportions is None else {}
-        self._tracker = ContourTracker(template, start, {**model, **(options or {})})
+        model = "paper" if template.proportions is None else "ribbon"
+        self._tracker = ContourTracker(
+            template, start, {"model": model, "polarity": polarity, **(options or {})}
+        )
         self._along_sigma_px = in_range(along_sigma_px, "along_sigma_px", _SMALLEST)
         self._across_sigma_px = in_range(across_sigma_px, "across_sigma_px", 0.0)
 
@@ -269,7 +275,7 @@ class MotionFinder(GripperFinder):
         towards_deg: float = 90.0,
         threshold: float = 25.0,
         min_area_px: float = 50.0,
-        sigma_px: float = 2.0,
+        sigma_px: float = 1.0,
     ) -> None:
         angle = math.radians(in_range(towards_deg, "towards_deg", -360.0, 360.0))
         self._towards = np.array([math.cos(angle), math.sin(angle)])
@@ -314,9 +320,10 @@ class MotionFinder(GripperFinder):
         end = reach > reach.max() - 2.0
         weights = change[rows[end], columns[end]].astype(np.float64)
         middle = (weights[:, None] * pixels[end]).sum(axis=0) / weights.sum()
-        if not (0 < middle[0] < area.shape[1] - 1 and 0 < middle[1] < area.shape[0] - 1):
+        tip = middle + (reach.max() - middle @ self._towards) * self._towards
+        if not (tip > 0.5).all() or not (tip < np.array(area.shape[::-1]) - 1.5).all():
             raise GripperNotFoundError("what has changed reaches out of the image")
-        return np.asarray(middle + (reach.max() - middle @ self._towards) * self._towards)
+        return np.asarray(tip)
 
 
 class GivenFinder(GripperFinder):

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import logging
 import math
+from collections import Counter
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
@@ -21,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fingerpost.capture import Frame
-from fingerpost.config import Plane, Rig, RobotTable, View
+from fingerpost.config import FixedReference, Plane, Rig, RobotTable, View
 from fingerpost.errors import CaptureError, InvalidInputError
 from fingerpost.guidance.agreement import (
     Agreement,
@@ -337,14 +338,18 @@ class _Procedure:
         self._elsewhere: list[list[NDArray[np.uint8]]] = [[] for _ in finders]
 
     def run(self) -> PlaneByRobot:
-        self._look_before()
+        for seen, frames in zip(self._elsewhere, self._standing(), strict=True):
+            seen.append(frames[-1].grey())
         self._guard.enter()
+        self._watch_standing()
         for place in range(len(self._places)):
             self._visit(place)
         while again := self._to_visit_again():
             for place in again:
                 self._visit(place)
         found = self._found()
+        if len(found) < MIN_REFERENCE_POINTS:
+            raise GripperNotFoundError(self._not_found(found))
         agreement = self._agreement(found)
         left_out = {
             place: visit.problem for place, visit in sorted(self._visits.items()) if visit.problem
@@ -384,14 +389,12 @@ class _Procedure:
                 )
         return self._guard.allowed
 
-    def _look_before(self) -> None:
-        """Take what the views show before the visits."""
-        for finder, seen, frame in zip(
-            self._finders, self._elsewhere, self._standing(), strict=True
-        ):
-            seen.append(frame[-1].grey())
-            for one in frame:
-                finder.watch(one)
+    def _watch_standing(self) -> None:
+        """Let the finders that follow the gripper catch sight of it over the region's middle."""
+        if any(finder.watches for finder in self._finders):
+            for finder, frames in zip(self._finders, self._standing(), strict=True):
+                for frame in frames:
+                    finder.watch(frame)
 
     def _visit(self, place: int) -> None:
         """Go to a place from above, which also takes up play always the same way; look; go up."""
@@ -466,6 +469,14 @@ class _Procedure:
     def _found(self) -> list[int]:
         return [place for place, visit in sorted(self._visits.items()) if not visit.problem]
 
+    def _not_found(self, found: Sequence[int]) -> str:
+        problems = Counter(visit.problem for visit in self._visits.values() if visit.problem)
+        problem, count = problems.most_common(1)[0]
+        return (
+            f"the gripper was found at {len(found)} of {len(self._visits)} places, at least "
+            f"{MIN_REFERENCE_POINTS} are needed; at {count}: {problem}"
+        )
+
     def _agreement(self, found: Sequence[int]) -> Agreement:
         """Which of the places found agree."""
         positions = np.array([self._visits[place].position_m[:2] for place in found]).reshape(-1, 2)
@@ -507,6 +518,7 @@ def _view_of(view: View, tie: ViewTie, sightings: Sequence[Sighting | None]) -> 
         view,
         reference_points_px=tuple(pixels),
         reference_covariances_px2=tuple(covariances),
+        reference=FixedReference(),
     )
 
 

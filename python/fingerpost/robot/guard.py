@@ -199,6 +199,11 @@ class Guard:
         return tuple(self._records)
 
     @property
+    def busy(self) -> bool:
+        """Whether the arm may still be moving on a command that passed."""
+        return self._needs is not None
+
+    @property
     def interruptions(self) -> int:
         """How often the guard has stopped the arm: whoever gave a command can see it is void."""
         return self._interruptions
