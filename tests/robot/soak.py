@@ -8,12 +8,15 @@ own (`chrt -f 10`): a thread may wait for a processor for longer than that.
 import argparse
 import itertools
 import json
+import multiprocessing
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass, field
+from multiprocessing.connection import Connection
 
 import numpy as np
 from robot_rig import REPLY_S, STOP_S, TIME_SCALE, Rig, fast_options, random_goal, scorbot_rig
@@ -45,6 +48,9 @@ NEAR_M = 1.2e-3
 READING_M = 2.5e-4
 """Rounding of a reading: 0.1 mm in each coordinate, and the encoders'."""
 
+GAP_S = 0.003
+"""A sleep of a millisecond that takes longer than this is one that had to wait."""
+
 SLOW_S = 1.5 * REPLY_S
 """A slow answer comes after its time-out."""
 
@@ -69,6 +75,84 @@ FAULTS = (
 
 
 @dataclass
+class LateStop:
+    """A stop that took longer than it should, and who else had to wait meanwhile.
+
+    A thread and a process that only sleep, a millisecond at a time, tell whether it was the code:
+    if the process was late as well, the machine had no processor to spare; if only the thread was,
+    another thread of ours kept the interpreter.
+    """
+
+    called_s: float
+    returned_s: float
+    arrived_s: float
+    thread_late_ms: float = 0.0
+    process_late_ms: float = 0.0
+
+    def as_dict(self) -> dict[str, float]:
+        """Return it in milliseconds."""
+        return {
+            "took_ms": 1000 * (self.arrived_s - self.called_s),
+            "call_ms": 1000 * (self.returned_s - self.called_s),
+            "thread_late_ms": self.thread_late_ms,
+            "process_late_ms": self.process_late_ms,
+        }
+
+
+class Sleeper:
+    """Sleeps a millisecond at a time and notes when that took much longer."""
+
+    def __init__(self) -> None:
+        self.gaps: list[tuple[float, float]] = []
+
+    def run(self, done: Callable[[], bool]) -> None:
+        """Sleep until done."""
+        before_s = time.monotonic()
+        while not done():
+            time.sleep(0.001)
+            now_s = time.monotonic()
+            if now_s - before_s > GAP_S:
+                self.gaps.append((before_s, now_s))
+            before_s = now_s
+
+    def late_ms(self, stop: LateStop) -> float:
+        """How long it could not run during a stop."""
+        within = (
+            min(end_s, stop.arrived_s) - max(begin_s, stop.called_s) for begin_s, end_s in self.gaps
+        )
+        return 1000 * max(0.0, sum(span_s for span_s in within if span_s > 0))
+
+
+def _sleep_in_process(ends: Connection) -> None:
+    sleeper = Sleeper()
+    sleeper.run(ends.poll)
+    ends.send(sleeper.gaps)
+
+
+@contextmanager
+def witnesses(report: "SoakReport") -> Iterator[None]:
+    """See how late a thread and a process that only sleep are while stops are late."""
+    thread, process, done = Sleeper(), Sleeper(), threading.Event()
+    ours, theirs = multiprocessing.Pipe()
+    witness = multiprocessing.get_context("spawn").Process(
+        target=_sleep_in_process, args=(theirs,), daemon=True
+    )
+    witness.start()
+    sleeping = threading.Thread(target=thread.run, args=(done.is_set,))
+    sleeping.start()
+    try:
+        yield
+    finally:
+        done.set()
+        sleeping.join()
+        ours.send(None)
+        process.gaps = ours.recv()
+        witness.join()
+    for stop in report.late_stops:
+        stop.thread_late_ms, stop.process_late_ms = thread.late_ms(stop), process.late_ms(stop)
+
+
+@dataclass
 class SoakReport:
     """What happened."""
 
@@ -80,7 +164,7 @@ class SoakReport:
     wrong_positions: list[str] = field(default_factory=list)
     not_stopped: list[str] = field(default_factory=list)
     stops: int = 0
-    late_stops: list[float] = field(default_factory=list)
+    late_stops: list["LateStop"] = field(default_factory=list)
     slowest_stop_ms: float = 0.0
     slowest_stop_call_ms: float = 0.0
     slowest_call_s: float = 0.0
@@ -101,7 +185,10 @@ def soak(moves: int, seed: int) -> SoakReport:
     rng = np.random.default_rng(seed)
     report = SoakReport()
     style, options = AclStyle(homing_s=2.0), fast_options(max_speed_m_s=1.0)
-    with scorbot_rig(style, options=options, slow_s=SLOW_S * TIME_SCALE, seed=seed) as rig:
+    with (
+        witnesses(report),
+        scorbot_rig(style, options=options, slow_s=SLOW_S * TIME_SCALE, seed=seed) as rig,
+    ):
         for _ in range(moves):
             _recover(rig, report)
             _move(rig, rng, report)
@@ -173,7 +260,7 @@ def _stop(rig: Rig, report: SoakReport) -> None:
     report.slowest_stop_ms = max(report.slowest_stop_ms, took_ms)
     report.slowest_stop_call_ms = max(report.slowest_stop_call_ms, 1000 * (returned_s - called_s))
     if took_ms > 1000 * STOP_S:
-        report.late_stops.append(took_ms)
+        report.late_stops.append(LateStop(called_s, returned_s, arrived_s))
 
 
 def _within(span_s: float, true: Callable[[], bool]) -> bool:
@@ -255,7 +342,12 @@ def main() -> None:
         seeds = range(given.seed, given.seed + given.jobs)
         for part in pool.map(soak, shares, seeds):
             report.add(part)
-    print(json.dumps({**vars(report), "duration_s": time.monotonic() - start_s}, indent=1))
+    late = [stop.as_dict() for stop in report.late_stops]
+    print(
+        json.dumps(
+            {**vars(report), "late_stops": late, "duration_s": time.monotonic() - start_s}, indent=1
+        )
+    )
 
 
 if __name__ == "__main__":
