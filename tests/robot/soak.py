@@ -165,6 +165,7 @@ class SoakReport:
     not_stopped: list[str] = field(default_factory=list)
     stops: int = 0
     late_stops: list["LateStop"] = field(default_factory=list)
+    late_calls: int = 0
     slowest_stop_ms: float = 0.0
     slowest_stop_call_ms: float = 0.0
     slowest_call_s: float = 0.0
@@ -259,6 +260,9 @@ def _stop(rig: Rig, report: SoakReport) -> None:
     took_ms = 1000 * (arrived_s - called_s)
     report.slowest_stop_ms = max(report.slowest_stop_ms, took_ms)
     report.slowest_stop_call_ms = max(report.slowest_stop_call_ms, 1000 * (returned_s - called_s))
+    # When the call returns, the bytes are the operating system's: on the wire. It is the emulator's
+    # thread that may read them later.
+    report.late_calls += returned_s - called_s > STOP_S
     if took_ms > 1000 * STOP_S:
         report.late_stops.append(LateStop(called_s, returned_s, arrived_s))
 

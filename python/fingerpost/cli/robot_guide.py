@@ -114,8 +114,8 @@ def pick(
     from fingerpost.robot import PickPlaceOptions
 
     names = ("travel_m", "grip_m", "release_m", "grip")
-    heights = {name: given.pop(name) for name in names}
-    carry = _laid_over(PickPlaceOptions, heights, "of picking and placing")
+    carried = {name: given.pop(name) for name in names} | {"speed_m_s": given["speed_m_s"]}
+    carry = _laid_over(PickPlaceOptions, carried, "of picking and placing")
     if (select == "key" or step_by_step) and not sys.stdin.isatty():
         raise click.UsageError("--select key and --step need a terminal as standard input")
     choose = {"dwell_s": dwell_s, "radius_m": radius_m, "by_key": select == "key"}

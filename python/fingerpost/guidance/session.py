@@ -144,11 +144,12 @@ class SessionReport:
             self.lags_s.append(report.lag_s)
 
     def lag_ms(self) -> dict[str, float] | None:
-        """Return median, 95th percentile and maximum of the smoothing's lag [ms], if any."""
-        if not self.lags_s:
+        """Return least, median and largest lag of the smoothing [ms], if there was any."""
+        lags_s = [lag_s for lag_s in self.lags_s if lag_s > 0]  # the first point passes as it is
+        if not lags_s:
             return None
-        median, most, worst = 1000 * np.percentile(self.lags_s, [50, 95, 100])
-        return {"median": float(median), "p95": float(most), "max": float(worst)}
+        least, median, largest = 1000 * np.percentile(lags_s, [0, 50, 100])
+        return {"least": float(least), "median": float(median), "largest": float(largest)}
 
     def lines(self) -> list[str]:
         """Return the summary, a line each."""
@@ -157,8 +158,8 @@ class SessionReport:
             said.append("arm      " + _counts(self.states))
         if (lag := self.lag_ms()) is not None:
             said.append(
-                f"lag      smoothing makes the target late by {lag['median']:.0f} ms (median), "
-                f"{lag['p95']:.0f} ms (95 %), {lag['max']:.0f} ms at most"
+                f"lag      smoothing makes the target late by {lag['least']:.0f} ms for a quick "
+                f"hand, {lag['largest']:.0f} ms for one at rest (median {lag['median']:.0f} ms)"
             )
         if self.blocks:
             said.append(f"blocks   {self.blocks} picked and placed")
