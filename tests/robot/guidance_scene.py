@@ -80,13 +80,21 @@ def draw_marker(position_m, *, centre_m=(0.0, 0.0, 0.0), tilt_rad=TILT_RAD) -> l
         corners = pixel(view, np.asarray(position_m) + marker_corners(1.5, tilt_rad) + centre_m)
         # Pixel centres at integers: the plate's corners lie half a pixel outside its corner pixels.
         plate_px = np.array([[-0.5, -0.5], [89.5, -0.5], [89.5, 89.5], [-0.5, 89.5]])
+        first = np.clip(np.floor(corners.min(axis=0)) - 8, 0, None).astype(int)
+        last = np.minimum(corners.max(axis=0) + 8, [camera.width_px, camera.height_px]).astype(int)
+        image = np.full((camera.height_px, camera.width_px), 90, np.uint8)
+        images.append(image)
+        if (last <= first).any():
+            continue  # out of sight
         scale = 4
-        fine = scale * (corners + 0.5) - 0.5
+        fine = scale * (corners - first + 0.5) - 0.5
         H = cv2.getPerspectiveTransform(plate_px.astype(np.float32), fine.astype(np.float32))
-        size = (scale * camera.width_px, scale * camera.height_px)
+        width, height = last - first
+        size = (int(scale * width), int(scale * height))
         drawn = cv2.warpPerspective(plate, H, size, flags=cv2.INTER_LINEAR, borderValue=90)
-        small = cv2.resize(drawn, (camera.width_px, camera.height_px), interpolation=cv2.INTER_AREA)
-        images.append(cv2.GaussianBlur(small, (0, 0), 0.8))
+        small = cv2.resize(drawn, (int(width), int(height)), interpolation=cv2.INTER_AREA)
+        blurred = cv2.GaussianBlur(small, (0, 0), 0.8)
+        image[first[1] : last[1], first[0] : last[0]] = blurred
     return images
 
 

@@ -590,7 +590,7 @@ class Guard:
         except StoppedError:
             raise
         except BaseException as error:
-            self.halt(f"{command} failed: {error}")
+            self.halt(f"{command} failed: {str(error) or type(error).__name__}")
             raise
 
     def _interrupt(self, command: str, reason: str) -> None:
