@@ -51,11 +51,11 @@ def robot_xy(point_mm) -> np.ndarray:
     return ORIGIN_M + np.asarray(point_mm) / 1000.0
 
 
-def write_hand(folder: Path, seconds: float) -> None:
+def write_hand(folder: Path, seconds: float, targets=(FIRST_MM, SECOND_MM), hover_mm=120) -> None:
     """Film a hand that points at one place and then at another."""
     first, second = (
-        DevicePose.pointing_at(target, azimuth_deg=20.0, slant_deg=50.0, hover_mm=120.0)
-        for target in (FIRST_MM, SECOND_MM)
+        DevicePose.pointing_at(target, azimuth_deg=20.0, slant_deg=50.0, hover_mm=hover_mm)
+        for target in targets
     )
     motion = Trajectory.hold(first, MOVES_AT_S).then(Trajectory.through([first, second], 0.4))
     write_recording(
@@ -219,7 +219,10 @@ class Guided:
 
     def end(self, within_s=PATIENCE_S) -> int:
         """Wait for its end; returns the exit code."""
-        code = self.process.wait(within_s)
+        try:
+            code = self.process.wait(within_s)
+        except subprocess.TimeoutExpired:
+            raise AssertionError(f"still running: {self.said()}") from None
         for reader in self._readers:
             reader.join()
         return code
