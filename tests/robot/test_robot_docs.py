@@ -100,6 +100,16 @@ def test_the_driver_of_the_page_is_a_robot(monkeypatch):
         assert robot.pose() == Pose(0.3, 0.1, 0.1)
 
 
+def test_the_emulator_of_the_page_is_an_arm(tmp_path):
+    (line,) = shell_commands("index")
+    with Guided(*line[1:], "--time-scale", 50, cwd=tmp_path) as emulator:
+        emulator.until((tmp_path / "scorbot").exists)
+        url = re.search(r"give `(acl://\w+)`", TEXTS["index"])[1]
+        with Guided("home", url, cwd=tmp_path) as guided:
+            assert guided.end() == 0, guided.said()
+            assert guided.out.startswith("x 0.5197 m")
+
+
 # The pages of emulated arms, from cable to pick and place.
 
 FIRST_MM, SECOND_MM = (120.0, 220.0), (170.0, 300.0)
