@@ -34,6 +34,7 @@ PYTHON_GROUPS = {
     "config": "config",
     "pipeline": "pipeline",
     "experiment": "application",
+    "guidance": "application",
     "advise": "application",
     "demo": "application",
     "doctor": "application",

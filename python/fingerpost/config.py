@@ -27,6 +27,7 @@ from fingerpost.homography import MIN_REFERENCE_POINTS, estimate_image_from_plan
 from fingerpost.lens import Lens
 
 Pair = tuple[float, float]
+Triple = tuple[float, float, float]
 
 # What would be right, per key; ends the message about a key that is missing or of a wrong type.
 _RIGHT = {
@@ -40,12 +41,20 @@ _RIGHT = {
     "view.reference_points_px": "one pixel [u, v] per point of the plane, in its order",
     "view.reference": '{ kind = "fixed" }, the only kind there is so far',
     "view.lens": "{ fx = ..., fy = ..., cx = ..., cy = ..., k1 = ... }, and k2 where it is known",
+    "view.reference_covariances_px2": "one covariance [uu, uv, vv] in px² per reference point",
     "view.start": "one [view.start] table with tip_px, angle_deg, length_px and thumb",
     "view.start.tip_px": "the tip of the index finger as one pixel [u, v]",
     "view.start.angle_deg": "the direction of pointing in degrees: 0 is right, 90 is down",
     "view.start.length_px": "the visible length of the index finger in px",
     "view.start.thumb": '"left" or "right", seen along the pointing direction, or "none"',
+    "robot": "one [robot] table with url, height_m, region_m and z_m",
+    "robot.url": 'the robot in quotes, such as "acl:///dev/ttyUSB0"',
+    "robot.height_m": "the plane's Z in the robot's frame, in m",
+    "robot.region_m": "at least 3 corners [X, Y] of the safe region, in m of the robot's frame",
+    "robot.z_m": "the lowest and the highest Z of the safe region, in m of the robot's frame",
 }
+
+_UNIT_SQUARE = [[0, 0], [1, 0], [1, 1], [0, 1]]
 
 _MAX_SHOWN = 60
 
@@ -149,6 +158,9 @@ class View(_Table, kw_only=True, frozen=True):
     reference_points_px
         The reference points (u, v) in this view's image, in px: one per point of the plane, in
         its order. They may lie outside the image.
+    reference_covariances_px2
+        Covariance (uu, uv, vv) of each reference point in px²; None where nobody has told, and
+        whoever uses the rig has to assume one.
     reference
         How the reference points are followed.
     lens_parameters
@@ -160,6 +172,7 @@ class View(_Table, kw_only=True, frozen=True):
     name: str
     source: str | int
     reference_points_px: tuple[Pair, ...]
+    reference_covariances_px2: tuple[Triple, ...] | None = None
     reference: FixedReference = FixedReference()
     lens_parameters: LensParameters | None = msgspec.field(default=None, name="lens")
     start: Start | None = None
@@ -171,11 +184,89 @@ class View(_Table, kw_only=True, frozen=True):
                 f"source is {_shown(self.source)}; needed: {_RIGHT['view.source']}"
             )
         finite_array(self.reference_points_px, "reference_points_px", ("N", 2))
+        if self.reference_covariances_px2 is not None:
+            self._refuse_no_covariances(self.reference_covariances_px2)
+
+    def _refuse_no_covariances(self, covariances_px2: tuple[Triple, ...]) -> None:
+        name = "reference_covariances_px2"
+        if len(covariances_px2) != len(self.reference_points_px):
+            raise InvalidInputError(
+                f"{name}: {len(covariances_px2)} found; one for each of the "
+                f"{len(self.reference_points_px)} reference points is needed"
+            )
+        uu, uv, vv = finite_array(covariances_px2, name, ("N", 3)).T
+        wrong = np.flatnonzero(~((uu > 0) & (vv > 0) & (uu * vv > uv * uv)))
+        if len(wrong):
+            raise InvalidInputError(
+                f"{name}[{wrong[0]}] is {_shown(covariances_px2[wrong[0]])}; "
+                "[uu, uv, vv] with uu > 0, vv > 0 and uu · vv > uv² is right"
+            )
+
+    def reference_covariances(self, otherwise_sigma_px: float) -> NDArray[np.float64]:
+        """Return the covariance of each reference point.
+
+        Parameters
+        ----------
+        otherwise_sigma_px
+            Standard deviation that stands in where the rig tells none, in px, > 0.
+
+        Returns
+        -------
+        (N, 2, 2)
+            In px².
+        """
+        if self.reference_covariances_px2 is None:
+            return np.tile(otherwise_sigma_px**2 * np.eye(2), (len(self.reference_points_px), 1, 1))
+        return np.array([[[uu, uv], [uv, vv]] for uu, uv, vv in self.reference_covariances_px2])
 
     @property
     def lens(self) -> Lens | None:
         """The view's lens, if known."""
         return self.lens_parameters.lens() if self.lens_parameters else None
+
+
+class RobotTable(_Table, kw_only=True, frozen=True):
+    """The robot that goes where the hand points.
+
+    A rig with this table has the robot's own X and Y, in metres, as its plane coordinates, as
+    `fingerpost robot plane` writes them.
+
+    Attributes
+    ----------
+    url
+        What `fingerpost.robot.open_robot` opens.
+    height_m
+        The plane's Z in the robot's frame, in m.
+    region_m
+        Corners (X, Y) of the convex safe region, in m.
+    z_m
+        The lowest and the highest Z of the safe region, in m; the lower first.
+    pitch_deg, roll_deg, yaw_deg
+        How the gripper is held, in degrees; None keeps what is, or what the arm cannot set.
+    """
+
+    url: str
+    height_m: float
+    region_m: tuple[Pair, ...]
+    z_m: Pair
+    pitch_deg: float | None = None
+    roll_deg: float | None = None
+    yaw_deg: float | None = None
+
+    def __post_init__(self) -> None:
+        _refuse_unprintable(self.url, "url")
+        finite_array(self.height_m, "height_m", ())
+        finite_array(self.z_m, "z_m", (2,))
+        finite_array(self.region_m, "region_m", ("N", 2))
+        if len(self.region_m) < 3:
+            raise InvalidInputError(
+                f"region_m: {len(self.region_m)} corners found; at least 3 are needed"
+            )
+        if not self.z_m[0] < self.z_m[1]:
+            raise InvalidInputError(f"z_m is {_shown(self.z_m)}; the lower first is right")
+        for name in ("pitch_deg", "roll_deg", "yaw_deg"):
+            if getattr(self, name) is not None:
+                finite_array(getattr(self, name), name, ())
 
 
 class Rig(_Table, kw_only=True, frozen=True):
@@ -187,6 +278,8 @@ class Rig(_Table, kw_only=True, frozen=True):
         The working plane.
     views
         At least one view, in the order of the file (key `view`); pointing needs two or more.
+    robot
+        The robot, if there is one.
 
     Raises
     ------
@@ -197,6 +290,7 @@ class Rig(_Table, kw_only=True, frozen=True):
 
     plane: Plane
     views: tuple[View, ...] = msgspec.field(name="view")
+    robot: RobotTable | None = None
 
     def __post_init__(self) -> None:
         if not self.views:
@@ -242,16 +336,33 @@ class Rig(_Table, kw_only=True, frozen=True):
             its value, and what would be right.
         """
         path = Path(path)
-        try:
-            tables = tomllib.loads(path.read_text(encoding="utf-8-sig"))
-        except OSError as error:
-            raise RigError(f"{path}: {error.strerror}; a rig file (TOML) is needed") from error
-        except UnicodeDecodeError as error:
-            raise RigError(f"{path}: not a text file in UTF-8 ({error.reason})") from error
-        except tomllib.TOMLDecodeError as error:
-            raise RigError(f"{path}: not valid TOML: {error}") from error
-        except RecursionError as error:
-            raise RigError(f"{path}: not a rig file: nested too deeply") from error
+        return cls._of(_tables(path), path)
+
+    @classmethod
+    def load_cameras(cls, path: str | Path) -> Self:
+        """Read a rig file whose plane is still to be defined, as `load` reads a complete one.
+
+        [plane] may be left out, and every view's reference_points_px with it; the unit square
+        stands in for them, under the unit "undefined".
+
+        Raises
+        ------
+        RigError
+            As `load`.
+        """
+        path = Path(path)
+        tables = _tables(path)
+        if "plane" not in tables:
+            tables["plane"] = {"unit": "undefined", "points": _UNIT_SQUARE}
+            views = tables.get("view")
+            for view in views if isinstance(views, list) else ():
+                if isinstance(view, dict):
+                    view.setdefault("reference_points_px", _UNIT_SQUARE)
+        return cls._of(tables, path)
+
+    @classmethod
+    def _of(cls, tables: dict[str, Any], path: Path) -> Self:
+        """Turn a file's tables into a rig."""
         try:
             rig = msgspec.convert(tables, cls)
         except msgspec.ValidationError as error:
@@ -290,6 +401,8 @@ class Rig(_Table, kw_only=True, frozen=True):
         """Return the rig as TOML, with its sources as they are."""
         tables = msgspec.to_builtins(self)
         blocks = ["[plane]", *_lines(tables["plane"])]
+        if "robot" in tables:
+            blocks += ["", "[robot]", *_lines(tables["robot"])]
         for view in tables["view"]:
             start = view.pop("start", None)
             blocks += ["", "[[view]]", *_lines(view)]
@@ -305,7 +418,22 @@ _TABLES: dict[str, type[_Table]] = {
     "view.reference": FixedReference,
     "view.lens": LensParameters,
     "view.start": Start,
+    "robot": RobotTable,
 }
+
+
+def _tables(path: Path) -> dict[str, Any]:
+    """Read a TOML file."""
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
+    except OSError as error:
+        raise RigError(f"{path}: {error.strerror}; a rig file (TOML) is needed") from error
+    except UnicodeDecodeError as error:
+        raise RigError(f"{path}: not a text file in UTF-8 ({error.reason})") from error
+    except tomllib.TOMLDecodeError as error:
+        raise RigError(f"{path}: not valid TOML: {error}") from error
+    except RecursionError as error:
+        raise RigError(f"{path}: not a rig file: nested too deeply") from error
 
 
 def _undistorted(points_px: NDArray[np.float64], lens: Lens) -> NDArray[np.float64]:

@@ -150,7 +150,7 @@ class HandView:
     tracker_options
         What differs from the tracker's defaults; see `fingerpost.ContourTracker`.
     reference_sigma_px
-        Standard deviation of the view's reference points [px], > 0.
+        Standard deviation of reference points that come without a covariance [px], > 0.
     """
 
     def __init__(
@@ -168,7 +168,7 @@ class HandView:
         self.plane_view = PlaneView.from_reference_points(
             plane_points,
             view.reference_points_px,
-            reference_sigma_px**2 * np.eye(2),
+            view.reference_covariances(reference_sigma_px),
             view.lens,
         )
         start = StartPose(view.start.tip_px, np.radians(view.start.angle_deg), view.start.length_px)
@@ -250,7 +250,7 @@ class Pointer:
     pointing_options
         When a point counts as one.
     reference_sigma_px
-        Standard deviation of the reference points [px], > 0.
+        Standard deviation of reference points that come without a covariance [px], > 0.
 
     Raises
     ------

@@ -8,13 +8,17 @@ from typing import TYPE_CHECKING
 
 import click
 
+from fingerpost.cli.arming import show_homing
+from fingerpost.cli.robot_guide import follow, pick
+from fingerpost.cli.robot_plane import plane
+
 if TYPE_CHECKING:
-    from fingerpost.robot import HomingProgress, Pose
+    from fingerpost.robot import Pose
 
 
 @click.group()
 def robot() -> None:
-    """Try an arm, or an emulated controller in its place.
+    """Define the plane by an arm, follow the hand, pick and place; or emulate a controller.
 
     URL names an arm: acl:///dev/ttyUSB0, acl+socket://host:4001, marlin://COM3, ur://10.0.0.5,
     sim:// ...; `fingerpost robot list` prints the names.
@@ -37,7 +41,7 @@ def home(url: str, timeout: float) -> None:
     from fingerpost.robot import open_robot
 
     with open_robot(url) as arm:
-        arm.home(_show_homing, timeout_s=timeout)
+        arm.home(show_homing, timeout_s=timeout)
         click.echo(_described(arm.pose()))
 
 
@@ -49,12 +53,6 @@ def stop(url: str) -> None:
 
     with open_robot(url) as arm:
         arm.stop()
-
-
-def _show_homing(progress: HomingProgress) -> None:
-    if sys.stderr.isatty():
-        line = f"homing {progress.elapsed_s:5.1f} s of at most {progress.timeout_s:.0f} s"
-        click.echo(f"\r{line}  {progress.message}", nl=False, err=True)
 
 
 def _described(pose: Pose) -> str:
@@ -104,3 +102,7 @@ def emulate(
         faults_per_s=faults_per_s,
         seed=seed,
     )
+
+
+for _command in (plane, follow, pick):
+    robot.add_command(_command)

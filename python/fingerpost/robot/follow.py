@@ -128,7 +128,7 @@ class Follower:
         """
         self._guard.observe(fix)
         if self._goal is not None and self._guard.interruptions != self._interruptions:
-            self._restart()  # somebody else has stopped the arm on its way
+            self.reset()  # somebody else has stopped the arm on its way
         try:
             point = self._guard.accept(fix)
         except RefusedError as error:
@@ -182,10 +182,11 @@ class Follower:
         """Stand still until the fix is back, and start smoothing anew then."""
         if self._goal is not None:
             self._guard.hold(reason)
-        self._restart()
+        self.reset()
         return FollowReport(FollowState.HOLDING, reason)
 
-    def _restart(self) -> None:
+    def reset(self) -> None:
+        """Forget where the arm was sent and what was smoothed, as after something else moved it."""
         self._goal = None
         self._smooth_m = None
         self._filter.reset()

@@ -53,6 +53,9 @@ logger = logging.getLogger(__name__)
 WATCH_S = 0.02
 """How often `Guard.watching` looks [s]."""
 
+ROUNDING_M = 1e-6
+"""A place to visit may be outside the region by this much, and is moved into it [m]."""
+
 RECORDS_KEPT = 10_000
 """Commands that a guard remembers; `on_record` sees all."""
 
@@ -103,7 +106,7 @@ class CommandRecord:
     time_s : float
         When, by the guard's clock [s].
     command : str
-        `arm`, `disarm`, `enter`, `move`, `gripper`, `hold` or `halt`.
+        `arm`, `disarm`, `enter`, `visit`, `move`, `gripper`, `hold` or `halt`.
     detail : str
         The goal, or the reason.
     pose : Pose or None
@@ -196,9 +199,36 @@ class Guard:
         return tuple(self._records)
 
     @property
+    def busy(self) -> bool:
+        """Whether the arm may still be moving on a command that passed."""
+        return self._needs is not None
+
+    @property
     def interruptions(self) -> int:
         """How often the guard has stopped the arm: whoever gave a command can see it is void."""
         return self._interruptions
+
+    def check_limits(self) -> None:
+        """See that the robot has limits and that they hold the whole safe region.
+
+        Raises
+        ------
+        NotReadyError
+            No limits.
+        OutOfReachError
+            A corner of the region is outside them.
+        """
+        limits = self._robot.limits
+        if limits is None:
+            raise NotReadyError("the robot has no limits: declare them before arming")
+        for corner in self._allowed.corners:
+            for above_m in (self._allowed.lowest_m, self._allowed.highest_m):
+                try:
+                    limits.check(self.plane.pose(corner, above_m))
+                except OutOfReachError as error:
+                    raise OutOfReachError(
+                        f"the safe region's corner ({corner[0]:g}, {corner[1]:g}): {error}"
+                    ) from error
 
     def arm(self) -> None:
         """Let commands pass from now on: an operator's explicit command.
@@ -216,7 +246,7 @@ class Guard:
                 raise NotReadyError(f"the robot is in state {status.state}")
             if not status.homed:
                 raise NotHomedError("home the robot before arming")
-            self._need_region_within_limits()
+            self.check_limits()
         except RobotError as error:
             self._record("arm", "", outcome=str(error))
             raise
@@ -282,6 +312,11 @@ class Guard:
         """The guard's clock, that of the fixes [s]."""
         return self._clock()
 
+    @property
+    def allowed(self) -> SafeRegion:
+        """The safe region less its rim: where commands may send the gripper to."""
+        return self._allowed
+
     def clamp(self, point: ArrayLike, above_m: float) -> tuple[NDArray[np.float64], float]:
         """Return the nearest place that a command may send the gripper to."""
         return self._allowed.clamp(point, above_m)
@@ -301,6 +336,44 @@ class Guard:
         self._send("enter", goal, None, Presence.OPERATOR, None, self._interruptions)
         self._finish()
         self._inside = True
+
+    def visit(self, point: ArrayLike, above_m: float, *, speed_m_s: float | None = None) -> Pose:
+        """Move the gripper to a place over the plane because the operator's procedure says so.
+
+        No fix stands behind it, so the place is refused rather than moved into the region.
+
+        Parameters
+        ----------
+        point : (2,)
+            Plane coordinates.
+        above_m : float
+            Height above the plane [m].
+        speed_m_s : float, optional
+            Speed [m/s]; `max_speed_m_s` by default and at most.
+
+        Returns
+        -------
+        Pose
+            The goal, where the arm stands now.
+
+        Raises
+        ------
+        OutOfReachError
+            The place is outside the safe region less its rim.
+        NotArmedError, RefusedError, StoppedError, RobotError
+            As for `move`.
+        """
+        interruptions = self._interruptions
+        self._need_armed("visit", None)
+        wanted, goal = self.plane.pose(point, above_m), self.plane.pose(*self.clamp(point, above_m))
+        if wanted.distance_m(goal) > ROUNDING_M:
+            problem = f"outside the safe region: {wanted}"
+            self._record("visit", "", outcome=problem)
+            raise OutOfReachError(f"{problem}; {goal} will do")
+        self._need_inside(None)
+        pose = self._send("visit", goal, None, Presence.OPERATOR, speed_m_s, interruptions)
+        self._finish()
+        return pose
 
     def move(
         self,
@@ -517,7 +590,7 @@ class Guard:
         except StoppedError:
             raise
         except BaseException as error:
-            self.halt(f"{command} failed: {error}")
+            self.halt(f"{command} failed: {str(error) or type(error).__name__}")
             raise
 
     def _interrupt(self, command: str, reason: str) -> None:
@@ -542,7 +615,7 @@ class Guard:
             self._record(command, "", fix=fix, outcome=problem)
             raise NotArmedError(f"{problem}: call arm()")
 
-    def _need_inside(self, fix: Fix) -> None:
+    def _need_inside(self, fix: Fix | None) -> None:
         """See once that the gripper is in the region: from there no straight way leads out."""
         if self._inside:
             return
@@ -557,19 +630,6 @@ class Guard:
             )
             self._record("move", "", fix=fix, outcome=problem)
             raise RefusedError(problem)
-
-    def _need_region_within_limits(self) -> None:
-        limits = self._robot.limits
-        if limits is None:
-            raise NotReadyError("the robot has no limits: declare them before arming")
-        for corner in self._allowed.corners:
-            for above_m in (self._allowed.lowest_m, self._allowed.highest_m):
-                try:
-                    limits.check(self.plane.pose(corner, above_m))
-                except OutOfReachError as error:
-                    raise OutOfReachError(
-                        f"the safe region's corner ({corner[0]:g}, {corner[1]:g}): {error}"
-                    ) from error
 
     def _operator_present(self) -> bool:
         return self._clock() - self._heard_s <= self.options.operator_timeout_s

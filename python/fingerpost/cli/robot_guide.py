@@ -1,0 +1,238 @@
+"""`fingerpost robot follow` and `fingerpost robot pick`: the arm goes where the hand points."""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack
+from itertools import islice
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import click
+import msgspec
+
+from fingerpost.cli.arming import (
+    arming_options,
+    ending_orderly,
+    guarded,
+    home,
+    need_consent,
+    open_log,
+    tell,
+)
+from fingerpost.errors import InvalidInputError
+
+if TYPE_CHECKING:
+    from fingerpost.capture import Frame
+    from fingerpost.guidance import Attendance, Session
+    from fingerpost.pointing import Fix
+    from fingerpost.robot import FollowOptions, FollowReport, Guard, PickPlaceOptions
+
+_IN = click.Path(path_type=Path)
+Command = TypeVar("Command", bound=Callable[..., Any])
+Options = TypeVar("Options", bound=msgspec.Struct)
+
+
+def _guiding_options(command: Command) -> Command:
+    """Give a command the options of following."""
+    for option in reversed(
+        [
+            click.argument("rig_file", metavar="RIG.TOML", type=_IN),
+            click.option("--url", help="The arm, if another than the rig's [robot] names."),
+            click.option("--above", "above_m", type=float, help="Height over the plane, m."),
+            click.option("--speed", "speed_m_s", type=float, help="Of the arm, m/s."),
+            click.option(
+                "--tolerance", "tolerance_m", type=float, help="Largest ellipse to move on, m."
+            ),
+            click.option("--max-age", "max_fix_age_s", type=float, help="Of a fix to move on, s."),
+            click.option("--min-cutoff", "min_cutoff_hz", type=float, help="Of the smoothing, Hz."),
+            click.option(
+                "--slope", "slope_hz_m", type=float, help="Of its cutoff with speed, Hz per m/s."
+            ),
+            click.option(
+                "--attendance",
+                type=click.Choice(["hand", "key"]),
+                default="hand",
+                show_default=True,
+                help="What shows the operator is there: a tracked hand, or a key held down.",
+            ),
+            click.option("--max-frames", metavar="N", type=click.IntRange(min=1)),
+            click.option("--json", "as_json", is_flag=True, help="Print JSON lines."),
+            arming_options,
+        ]
+    ):
+        command = option(command)
+    return command
+
+
+@click.command()
+@_guiding_options
+def follow(**given: Any) -> None:
+    """Let the arm follow the pointing hand.
+
+    RIG.TOML is one that `fingerpost robot plane` has written. The arm homes, goes to the middle of
+    the safe region, then follows, within the region and only on fixes that are sure enough. On a
+    terminal: x or Esc stops, c arms again, q quits.
+    """
+    _guide(given, None, None)
+
+
+@click.command()
+@_guiding_options
+@click.option(
+    "--select",
+    type=click.Choice(["dwell", "key"]),
+    default="dwell",
+    show_default=True,
+    help="How the hand chooses block and place: by staying there, or by the key s.",
+)
+@click.option("--dwell", "dwell_s", type=float, default=1.0, show_default=True, metavar="S")
+@click.option("--radius", "radius_m", type=float, default=0.01, show_default=True, metavar="M")
+@click.option("--travel", "travel_m", type=float, help="Height of the way over the plane, m.")
+@click.option("--grip-height", "grip_m", type=float, help="Where the block is gripped, m.")
+@click.option("--release-height", "release_m", type=float, help="Where it is let go, m.")
+@click.option("--grip-width", "grip", type=float, help="Grip to a width, m, not closed.")
+@click.option("--blocks", type=click.IntRange(min=1), default=1, show_default=True)
+@click.option("--step", "step_by_step", is_flag=True, help="Wait for the key c before each step.")
+def pick(
+    select: str,
+    dwell_s: float,
+    radius_m: float,
+    blocks: int,
+    step_by_step: bool,
+    **given: Any,
+) -> None:
+    """Pick blocks up and place them where the hand points.
+
+    The arm follows the hand; point at a block and stay there (or press s), then at its new place.
+    On a terminal: x or Esc stops at once, c arms again and continues, u undoes the last step, q
+    quits.
+    """
+    from fingerpost.robot import PickPlaceOptions
+
+    names = ("travel_m", "grip_m", "release_m", "grip")
+    carried = {name: given.pop(name) for name in names} | {"speed_m_s": given["speed_m_s"]}
+    carry = _laid_over(PickPlaceOptions, carried, "of picking and placing")
+    if (select == "key" or step_by_step) and not sys.stdin.isatty():
+        raise click.UsageError("--select key and --step need a terminal as standard input")
+    choose = {"dwell_s": dwell_s, "radius_m": radius_m, "by_key": select == "key"}
+    _guide(given, carry, {**choose, "blocks": blocks, "step_by_step": step_by_step})
+
+
+def _guide(
+    given: dict[str, Any], carry: PickPlaceOptions | None, choose: dict[str, Any] | None
+) -> None:
+    from fingerpost.capture import SourceKind, open_source, read_views
+    from fingerpost.config import Rig
+    from fingerpost.guidance import Attendance, Keys, attended, guard_of, paced, robot_of
+    from fingerpost.pipeline import Pointer, steps
+    from fingerpost.robot import FollowOptions, GuardOptions, open_robot
+
+    rig = Rig.load(given["rig_file"])
+    table = robot_of(rig)
+    attendance = Attendance(given["attendance"])
+    has_keys = sys.stdin.isatty()
+    if attendance is Attendance.KEY and not has_keys:
+        raise click.UsageError("--attendance key needs a terminal as standard input")
+    guard_options = _laid_over(
+        GuardOptions,
+        {
+            "tolerance_m": given["tolerance_m"],
+            "max_fix_age_s": given["max_fix_age_s"],
+            "operator_timeout_s": given["operator_timeout"],
+            "max_speed_m_s": given["speed_m_s"],
+        },
+        "of the guard",
+    )
+    names = ("above_m", "speed_m_s", "min_cutoff_hz", "slope_hz_m")
+    follow_options = _laid_over(
+        FollowOptions, {name: given[name] for name in names}, "of following"
+    )
+    pointer = Pointer(rig)
+    robot = open_robot(given["url"] or table.url)
+    guard_of(robot, table, guard_options)  # a region that is none is refused before all else
+    need_consent(given["arm"], "robot follow" if carry is None else "robot pick")
+    with ExitStack() as stack:
+        on_record = open_log(stack, given["log"])
+        stack.enter_context(ending_orderly())
+        sources = [stack.enter_context(open_source(view.source)) for view in rig.views]
+        frames: Iterator[Sequence[Frame | None]] = islice(read_views(sources), given["max_frames"])
+        stack.enter_context(robot)
+        guard_of(robot, table, guard_options).check_limits()
+        home(robot, given["homing_timeout"])
+        guard = guard_of(robot, table, guard_options, on_record=on_record)
+        with guarded(guard):
+            session = _session(guard, follow_options, carry, choose, attendance, given["as_json"])
+            if has_keys:
+                stack.enter_context(Keys(session.press, session.leave))
+            guard.arm()
+            with attended(guard) if attendance is Attendance.HAND else ExitStack():
+                guard.enter()
+            if sources[0].kind is SourceKind.RECORDED:
+                frames = paced(frames, time.monotonic, time.sleep)
+            try:
+                with session:
+                    for step in steps(pointer, frames):
+                        session.take(step)
+                        if session.done:
+                            break
+            finally:
+                _report(session, as_json=given["as_json"])
+
+
+def _session(
+    guard: Guard,
+    follow_options: FollowOptions,
+    carry: PickPlaceOptions | None,
+    choose: dict[str, Any] | None,
+    attendance: Attendance,
+    as_json: bool,
+) -> Session:
+    from fingerpost.guidance import Session
+    from fingerpost.robot import DwellSelector, Follower
+
+    choose = dict(choose or {})
+    dwell = {name: choose.pop(name) for name in ("dwell_s", "radius_m") if name in choose}
+    selector = None if choose.pop("by_key", True) else DwellSelector(guard, **dwell)
+    return Session(
+        guard,
+        Follower(guard, follow_options),
+        attendance=attendance,
+        selector=selector,
+        carry=carry,
+        keys=sys.stdin.isatty(),
+        say=tell,
+        on_report=_print_report if as_json else lambda _fix, _report: None,
+        **choose,
+    )
+
+
+def _print_report(fix: Fix, report: FollowReport) -> None:
+    goal = report.goal
+    line = {
+        "time_s": fix.time_s,
+        "status": fix.status.value,
+        "state": report.state.value,
+        "reason": report.reason,
+        "target": None if report.target is None else report.target.tolist(),
+        "lag_s": report.lag_s,
+        "goal_m": None if goal is None else goal.position_m.tolist(),
+    }
+    click.echo(json.dumps(line))
+
+
+def _report(session: Session, *, as_json: bool) -> None:
+    report = session.report
+    click.echo(json.dumps(report.as_dict()) if as_json else "\n".join(report.lines()))
+
+
+def _laid_over(kind: type[Options], given: dict[str, Any], what: str) -> Options:
+    """Lay what was given over the defaults, which stand where the options are defined."""
+    named = {name: value for name, value in given.items() if value is not None}
+    try:
+        return msgspec.convert(named, kind)
+    except msgspec.ValidationError as error:
+        raise InvalidInputError(f"options {what}: {error}") from error

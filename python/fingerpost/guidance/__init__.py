@@ -1,0 +1,79 @@
+"""Where the hand's fixes and the robot meet: the plane by the robot, following, picking, placing.
+
+`define_plane` lets the gripper visit a plane and ties every view to the robot; `guard_of` makes the
+guard of a rig with a [robot] table. Nothing here knows a command line.
+"""
+
+from fingerpost.guidance.agreement import Agreement, Sightings, ViewTie, agree, need_certainty
+from fingerpost.guidance.errors import (
+    GripperNotFoundError,
+    InconsistentPlaneError,
+    PlaneError,
+    PoorPlaneError,
+)
+from fingerpost.guidance.finders import (
+    ContourFinder,
+    GivenFinder,
+    GripperFinder,
+    MarkerFinder,
+    MotionFinder,
+    Sighting,
+    load_outline,
+    load_pixels,
+)
+from fingerpost.guidance.keys import Keys
+from fingerpost.guidance.log import CommandLog
+from fingerpost.guidance.plane import (
+    PlaneByRobot,
+    PlaneOptions,
+    Visit,
+    define_plane,
+    spread_places,
+)
+from fingerpost.guidance.session import (
+    KEY_HELP,
+    Attendance,
+    Session,
+    SessionReport,
+    attended,
+    paced,
+)
+from fingerpost.guidance.setup import guard_of, held_down, plane_of, region_of, robot_of
+
+__all__ = [
+    "KEY_HELP",
+    "Agreement",
+    "Attendance",
+    "CommandLog",
+    "ContourFinder",
+    "GivenFinder",
+    "GripperFinder",
+    "GripperNotFoundError",
+    "InconsistentPlaneError",
+    "Keys",
+    "MarkerFinder",
+    "MotionFinder",
+    "PlaneByRobot",
+    "PlaneError",
+    "PlaneOptions",
+    "PoorPlaneError",
+    "Session",
+    "SessionReport",
+    "Sighting",
+    "Sightings",
+    "ViewTie",
+    "Visit",
+    "agree",
+    "attended",
+    "define_plane",
+    "guard_of",
+    "held_down",
+    "load_outline",
+    "load_pixels",
+    "need_certainty",
+    "paced",
+    "plane_of",
+    "region_of",
+    "robot_of",
+    "spread_places",
+]

@@ -1,0 +1,12 @@
+"""What the tests of guidance share."""
+
+import pytest
+from guided_process import write_hand
+
+
+@pytest.fixture(scope="session")
+def hand_film(tmp_path_factory):
+    """A folder with six seconds of a hand that points at one place and then at another."""
+    folder = tmp_path_factory.mktemp("hand")
+    write_hand(folder, 6.0)
+    return folder

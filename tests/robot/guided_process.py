@@ -1,0 +1,346 @@
+"""`fingerpost robot ...` as a process of its own, with an emulated Scorbot and a hand on film."""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+import http.server
+import os
+import pty
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import cv2
+import msgspec
+import numpy as np
+from robot_rig import pose_of
+
+from fingerpost.config import Plane, Rig, RobotTable
+from fingerpost.robot.emulator.acl import AclController, AclStyle
+from fingerpost.robot.emulator.ports import ArmTime, Emulator, PtyPort
+from fingerpost.simulate import DevicePose, SimulatedRig, Trajectory, write_recording
+
+TIME_SCALE = 3.0
+"""The emulated arm lives so much faster than the process that drives it."""
+
+FPS = 30
+FIRST_MM, SECOND_MM = (130.0, 90.0), (130.0, 320.0)
+MOVES_AT_S = 1.5
+HEIGHT_M = 0.02
+
+SPEED = ("--speed", "0.1")
+"""At this speed the arm enters the region soon, and needs more than a second to the hand."""
+
+STOPPED_S = 0.3
+"""A stop that a process decides on is seen within this; the stop itself takes 20 ms."""
+
+
+PATIENCE_S = 20.0
+"""For what a crowded machine may delay: the start of a process, say."""
+
+ORIGIN_M = np.array([0.28, -0.2])
+"""The recording's plane, in millimetres, has its origin here in the robot's frame."""
+
+
+def robot_xy(point_mm) -> np.ndarray:
+    """A point of the recording's plane in the robot's frame [m]."""
+    return ORIGIN_M + np.asarray(point_mm) / 1000.0
+
+
+def write_hand(folder: Path, seconds: float, targets=(FIRST_MM, SECOND_MM), hover_mm=120) -> None:
+    """Film a hand that points at one place and then at another."""
+    first, second = (
+        DevicePose.pointing_at(target, azimuth_deg=20.0, slant_deg=50.0, hover_mm=hover_mm)
+        for target in targets
+    )
+    motion = Trajectory.hold(first, MOVES_AT_S).then(Trajectory.through([first, second], 0.4))
+    write_recording(
+        folder, SimulatedRig(), motion, frames=round(seconds * FPS), fps=FPS, picture_format="jpg"
+    )
+
+
+def cut_film(folder: Path, film: Path, frames, blank_from=None) -> list[str]:
+    """Another film of some frames of one, blank from some place on; returns the views' sources."""
+    sources = []
+    for view in ("left", "right"):
+        (folder / view).mkdir(parents=True)
+        for place, frame in enumerate(frames):
+            path = folder / view / f"{place:05d}.jpg"
+            if blank_from is not None and place >= blank_from:
+                path.write_bytes(jpeg(np.full((480, 640), 70, np.uint8)))
+            else:
+                path.hardlink_to(film / view / f"{frame:05d}.jpg")
+        sources.append(str(folder / view / "*.jpg"))
+    return sources
+
+
+def write_rig(folder: Path, recording: Path, sources=None, **changes) -> Path:
+    """The rig of a film in the robot's own coordinates."""
+    rig = Rig.load(recording / "rig.toml")
+    points = tuple(tuple(map(float, robot_xy(point))) for point in rig.plane.points)
+    table = RobotTable(
+        url="acl://nowhere",
+        height_m=HEIGHT_M,
+        region_m=((0.37, -0.18), (0.45, -0.18), (0.45, 0.18), (0.37, 0.18)),
+        z_m=(0.03, 0.25),
+        pitch_deg=-90.0,
+        roll_deg=0.0,
+    )
+    rig = msgspec.structs.replace(
+        rig, plane=Plane(unit="m", points=points), robot=msgspec.structs.replace(table, **changes)
+    )
+    if sources is not None:
+        views = zip(rig.views, sources, strict=True)
+        rig = msgspec.structs.replace(
+            rig, views=tuple(msgspec.structs.replace(v, source=str(s)) for v, s in views)
+        )
+    path = folder / "rig.toml"
+    rig.save(path)
+    return path
+
+
+class EmulatedArm:
+    """A Scorbot's controller on a pseudo-terminal, and what it really does."""
+
+    def __init__(self, time_scale=TIME_SCALE) -> None:
+        self.clock = ArmTime(time_scale)
+        self.controller = AclController(AclStyle(homing_s=0.5))
+        self.emulator = Emulator(self.controller, PtyPort(), clock=self.clock)
+
+    def __enter__(self):
+        self.emulator.__enter__()
+        return self
+
+    def __exit__(self, *error):
+        self.emulator.__exit__(*error)
+
+    @property
+    def url(self) -> str:
+        """What the driver opens."""
+        return f"acl://{self.emulator.address}?poll_s=0.01&max_speed_m_s=1.0"
+
+    def is_moving(self) -> bool:
+        """Whether it moves now."""
+        return self.controller.is_moving(self.clock())
+
+    def pose(self):
+        """Where it is."""
+        return pose_of(self.controller.units(self.clock()))
+
+    def travels(self) -> bool:
+        """Whether it is moving over the table, in the safe region, on a command."""
+        return self.is_moving() and self.pose().z_m < 0.255 and len(self.controller.moves) > 1
+
+    def assert_stopped(self, aborts: int, within_s: float) -> None:
+        """Stopped within a time, and for good."""
+        end_s = time.monotonic() + within_s
+        while self.controller.aborts == aborts or self.is_moving():
+            assert time.monotonic() < end_s, "the arm was not stopped"
+            time.sleep(0.002)
+        moves = len(self.controller.moves)
+        time.sleep(0.4)
+        assert not self.is_moving()
+        assert len(self.controller.moves) == moves
+
+
+class Guided:
+    """A running command."""
+
+    def __init__(self, *arguments, terminal=False, cwd=None) -> None:
+        self.errors: list[str] = []
+        self.terminal, stdin = pty.openpty() if terminal else (None, subprocess.DEVNULL)
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "fingerpost", "robot", *map(str, arguments)],
+            stdin=stdin,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            cwd=cwd,
+        )
+        if terminal:
+            os.close(stdin)
+        self._out: list[str] = []
+        self._readers = [
+            threading.Thread(target=self._read, args=ends, daemon=True)
+            for ends in (
+                (self.process.stdout, self._out),
+                (self.process.stderr, self.errors),
+            )
+        ]
+        for reader in self._readers:
+            reader.start()
+
+    def _read(self, stream, lines) -> None:
+        with contextlib.suppress(ValueError):
+            lines.extend(iter(lambda: stream.read(1), ""))
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *error):
+        if self.process.poll() is None:
+            self.process.kill()
+        self.process.wait()
+        for reader in self._readers:
+            reader.join()
+        self.process.stdout.close()
+        self.process.stderr.close()
+        if self.terminal is not None:
+            os.close(self.terminal)
+
+    def press(self, keys: str) -> None:
+        """Type on its terminal."""
+        os.write(self.terminal, keys.encode())
+
+    def hang_up(self) -> None:
+        """Close its terminal."""
+        os.close(self.terminal)
+        self.terminal = None
+
+    def until(self, true, what="") -> None:
+        """Wait for something while it runs."""
+        end_s = time.monotonic() + PATIENCE_S
+        while not true():
+            assert self.process.poll() is None, f"ended early: {self.said()}"
+            assert time.monotonic() < end_s, f"not {what or 'yet'}: {self.said()}"
+            time.sleep(0.002)
+
+    def until_said(self, words: str) -> None:
+        """Wait for words on stderr."""
+        self.until(lambda: words in self.said(), words)
+
+    def said(self) -> str:
+        """What it has said on stderr so far."""
+        return "".join(self.errors)
+
+    def end(self, within_s=PATIENCE_S) -> int:
+        """Wait for its end; returns the exit code."""
+        try:
+            code = self.process.wait(within_s)
+        except subprocess.TimeoutExpired:
+            raise AssertionError(f"still running: {self.said()}") from None
+        for reader in self._readers:
+            reader.join()
+        return code
+
+    @property
+    def out(self) -> str:
+        """Its standard output, once it has ended."""
+        return "".join(self._out)
+
+    def signal(self, number: signal.Signals) -> None:
+        """Send it a signal."""
+        self.process.send_signal(number)
+
+
+def commands(path: Path) -> list[dict[str, str]]:
+    """The log of commands."""
+    with path.open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+class Travelling:
+    """A command whose arm is on its way."""
+
+    def __init__(self, rig, folder, *options, command="follow", terminal=False):
+        self.log = folder / "commands.csv"
+        self.arm = EmulatedArm()
+        self._arguments = (rig, *options)
+        self._command, self._terminal = command, terminal
+
+    def __enter__(self):
+        self.arm.__enter__()
+        self.guided = Guided(
+            self._command,
+            *self._arguments,
+            *("--url", self.arm.url + "&reply_s=0.3&resync_s=0.5", "--arm", "--log", self.log),
+            *SPEED,
+            terminal=self._terminal,
+        )
+        return self
+
+    def __exit__(self, *error):
+        self.guided.__exit__(*error)
+        self.arm.__exit__(*error)
+
+    def travel(self):
+        """Wait until it follows; returns how many stops the controller has had."""
+        self.guided.until(lambda: self.log.exists() and self._moves(), "following")
+        self.guided.until(self.arm.travels, "moving")
+        return self.arm.controller.aborts
+
+    def _moves(self):
+        return [row for row in commands(self.log) if row["command"] == "move"]
+
+    def reasons(self):
+        """Why the arm was stopped."""
+        return [row["detail"] for row in commands(self.log) if row["command"] in ("hold", "halt")]
+
+
+class JpegStreams(http.server.ThreadingHTTPServer):
+    """Films as motion JPEG on a loopback port, in real time, until told to stall.
+
+    Parameters
+    ----------
+    films
+        For every view its pictures, as JPEG bytes; or a callable that draws the next.
+    """
+
+    daemon_threads = True
+
+    def __init__(self, films) -> None:
+        super().__init__(("127.0.0.1", 0), _JpegHandler)
+        self.films = films
+        self.stalled = False
+        self.closing = False
+
+    def __enter__(self):
+        self._thread = threading.Thread(target=self.serve_forever, args=[0.02])
+        self._thread.start()
+        return self
+
+    def __exit__(self, *error):
+        self.closing = True
+        self.shutdown()
+        self._thread.join()
+        self.server_close()
+
+    @property
+    def urls(self) -> list[str]:
+        """One for every view."""
+        return [
+            f"http://127.0.0.1:{self.server_port}/{k}/stream.mjpg" for k in range(len(self.films))
+        ]
+
+
+class _JpegHandler(http.server.BaseHTTPRequestHandler):
+    server: JpegStreams
+
+    def do_GET(self) -> None:
+        film = self.server.films[int(self.path.split("/")[1])]
+        self.send_response(200)
+        self.send_header("Content-Type", "multipart/x-mixed-replace; boundary=frame")
+        self.end_headers()
+        begin_s, number = time.monotonic(), 0
+        with contextlib.suppress(OSError):
+            while not self.server.closing:
+                due_s = begin_s + number / FPS
+                if self.server.stalled or (early_s := due_s - time.monotonic()) > 0:
+                    time.sleep(0.005 if self.server.stalled else early_s)
+                    continue
+                jpeg = film() if callable(film) else film[number % len(film)]
+                head = f"--frame\r\nContent-Type: image/jpeg\r\nContent-Length: {len(jpeg)}\r\n\r\n"
+                self.wfile.write(head.encode() + jpeg + b"\r\n")
+                number += 1
+
+    def log_message(self, *args: object) -> None:
+        pass
+
+
+def jpeg(image) -> bytes:
+    """An image as JPEG."""
+    return cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 95])[1].tobytes()

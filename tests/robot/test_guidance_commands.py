@@ -1,0 +1,142 @@
+"""`fingerpost robot follow` as a user meets it, on a film and an emulated Scorbot; refusals."""
+
+import json
+
+import numpy as np
+import pytest
+from guided_process import (
+    FIRST_MM,
+    HEIGHT_M,
+    SECOND_MM,
+    EmulatedArm,
+    Guided,
+    commands,
+    robot_xy,
+    write_rig,
+)
+
+FAST = ("--speed", "0.3")
+OPTIONS = (*FAST, "--max-frames", "120")
+
+
+@pytest.fixture
+def rig(hand_film, tmp_path):
+    return write_rig(tmp_path, hand_film)
+
+
+def test_the_arm_follows_the_hand_and_every_command_has_its_fix(rig, tmp_path):
+    log = tmp_path / "commands.csv"
+    with EmulatedArm() as arm:
+        with Guided("follow", rig, "--url", arm.url, "--arm", "--log", log, *OPTIONS) as guided:
+            assert guided.end() == 0, guided.said()
+        there = arm.pose()
+        assert not arm.is_moving()
+    np.testing.assert_allclose(there.position_m, [*robot_xy(SECOND_MM), HEIGHT_M + 0.05], atol=0.01)
+    assert "lag      smoothing makes the target late by" in guided.out
+    assert "118 ok" in guided.out
+    rows = commands(log)
+    assert [row["command"] for row in rows][:2] == ["arm", "enter"]
+    assert rows[-1]["command"] == "halt"
+    moves = [row for row in rows if row["command"] == "move"]
+    assert len(moves) == sum(row["outcome"] == "sent" for row in moves) > 5
+    for row in moves:
+        assert row["fix_status"] == "ok"
+        assert 0 <= float(row["time_s"]) - float(row["fix_time_s"]) < 0.3
+        assert float(row["fix_cov_xx"]) > 0
+    ends = [[float(moves[k][f"fix_{axis}"]) for axis in "xy"] for k in (0, -1)]
+    np.testing.assert_allclose(ends, [robot_xy(FIRST_MM), robot_xy(SECOND_MM)], atol=0.008)
+
+
+def test_json_lines_tell_lag_and_goal(rig):
+    with EmulatedArm() as arm:
+        options = ("--arm", "--json", "--max-frames", 60, *FAST)
+        with Guided("follow", rig, "--url", arm.url, *options) as guided:
+            assert guided.end() == 0, guided.said()
+    *reports, summary = map(json.loads, guided.out.splitlines())
+    assert summary["fixes"]["ok"] == 58
+    assert summary["lag_ms"]["largest"] <= 160.0
+    moving = [report for report in reports if report["state"] == "moving"]
+    assert moving
+    assert all(len(report["goal_m"]) == 3 for report in moving)
+    assert max(report["lag_s"] for report in reports) == pytest.approx(0.16, abs=0.03)
+    assert reports[0]["state"] == "holding"
+    assert "acquiring" in reports[0]["reason"]
+
+
+# Refusals: exit 2, one line, and nothing has moved.
+
+
+def refused(*arguments, cwd=None):
+    with Guided(*arguments, cwd=cwd) as guided:
+        assert guided.end() == 2, guided.said()
+    (line,) = guided.said().splitlines()
+    assert guided.out == ""
+    return line
+
+
+def test_nothing_moves_without_the_explicit_command(rig):
+    with EmulatedArm() as arm:
+        for command in ("follow", "pick"):
+            line = refused(command, rig, "--url", arm.url)
+            assert f"robot {command} moves the arm" in line
+            assert "--arm" in line
+        assert arm.emulator.wire == []
+
+
+def test_on_a_terminal_the_explicit_command_can_be_typed(rig):
+    with EmulatedArm() as arm:
+        for answer, code in (("no\n", 130), ("arm\n", None)):
+            with Guided("follow", rig, "--url", arm.url, *FAST, terminal=True) as guided:
+                guided.until_said("Type 'arm'")
+                assert not arm.controller.homed
+                guided.press(answer)
+                if code is None:
+                    guided.until(lambda: arm.controller.homed)
+                else:
+                    assert guided.end() == code
+                    assert arm.emulator.wire == []
+
+
+def test_a_rig_without_a_robot_guides_nothing(hand_film):
+    line = refused("follow", hand_film / "rig.toml", "--arm")
+    assert "no [robot] table" in line
+    assert "robot plane" in line
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"region_m": ((0.4, 0.0), (0.5, 0.0), (0.45, 0.0))}, "convex"),
+        ({"region_m": ((0.4, 0.0), (0.9, 0.0), (0.9, 0.1))}, "0.85"),
+        ({"z_m": (0.03, 0.031)}, "too small"),
+    ],
+)
+def test_a_region_that_is_none_is_refused_before_homing(hand_film, tmp_path, changes, words):
+    rig = write_rig(tmp_path, hand_film, **changes)
+    with EmulatedArm() as arm:
+        with Guided("follow", rig, "--url", arm.url, "--arm") as guided:
+            assert guided.end() in (1, 2)
+        assert words in guided.said()
+        assert not arm.controller.homed
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("follow", "--attendance", "key"), "terminal"),
+        (("pick", "--select", "key"), "terminal"),
+        (("follow", "--speed", "-1"), "speed_m_s"),
+        (("follow", "--tolerance", "0"), "tolerance_m"),
+        (("pick", "--grip-height", "x"), "grip-height"),
+    ],
+)
+def test_options_that_cannot_be_used(rig, options, words):
+    command, *rest = options
+    assert words in refused(command, rig, "--arm", *rest)
+
+
+def test_a_robot_that_is_not_there_is_an_error_in_one_line(rig):
+    with Guided("follow", rig, "--url", "acl:///dev/nothing", "--arm") as guided:
+        assert guided.end() == 1
+    assert len(guided.said().splitlines()) == 1
+    assert "/dev/nothing" in guided.said()

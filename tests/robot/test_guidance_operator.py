@@ -1,0 +1,84 @@
+"""A hand, fixes or an operator that are gone stops the arm: seen at the emulated controller's end.
+
+The command runs as a process of its own; nothing of it is known here but its bytes on the line.
+"""
+
+import time
+
+import pytest
+from guided_process import FPS, STOPPED_S, JpegStreams, Travelling, cut_film, write_rig
+
+
+@pytest.fixture
+def rig(hand_film, tmp_path):
+    return write_rig(tmp_path, hand_film, z_m=(0.03, 0.4))
+
+
+def test_a_hand_that_is_lost_stops_the_arm(hand_film, tmp_path):
+    sources = cut_film(tmp_path / "film", hand_film, range(90), blank_from=30)
+    rig = write_rig(tmp_path, hand_film, sources, z_m=(0.03, 0.4))
+    with Travelling(rig, tmp_path) as run:
+        aborts = run.travel()
+        run.guided.until(lambda: run.arm.controller.aborts > aborts, "held")
+        run.arm.assert_stopped(aborts, STOPPED_S)
+        assert run.guided.end() == 0
+    assert run.reasons()[0].startswith("fix is lost")
+    assert "holding: fix is lost" in run.guided.said()
+
+
+def test_fixes_that_stop_coming_stop_the_arm(hand_film, tmp_path):
+    films = [
+        [path.read_bytes() for path in sorted((hand_film / view).glob("*.jpg"))[:40]]
+        for view in ("left", "right")
+    ]
+    with JpegStreams(films) as streams:
+        rig = write_rig(tmp_path, hand_film, streams.urls, z_m=(0.03, 0.4))
+        with Travelling(rig, tmp_path) as run:
+            aborts = run.travel()
+            streams.stalled = True
+            stalled_s = time.monotonic()
+            run.guided.until(lambda: run.arm.controller.aborts > aborts, "held")
+            assert time.monotonic() - stalled_s < 0.3 + 5 / FPS + STOPPED_S
+            run.arm.assert_stopped(aborts, STOPPED_S)
+            assert run.guided.end() == 1
+    assert "s old" in run.reasons()[0]
+    assert "no new frame" in run.guided.said()
+
+
+def test_a_dead_mans_key_let_go_stops_the_arm(rig, tmp_path):
+    options = ("--attendance", "key", "--operator-timeout", 0.5)
+    with Travelling(rig, tmp_path, *options, terminal=True) as run:
+        run.guided.until_said("homing")
+
+        def held():
+            run.guided.press(" ")
+            time.sleep(0.02)
+            return run.log.exists() and run._moves() and run.arm.travels()
+
+        run.guided.until(held, "following")
+        aborts, let_go_s = run.arm.controller.aborts, time.monotonic()
+        run.guided.until(lambda: run.arm.controller.aborts > aborts, "halted")
+        assert 0.3 < time.monotonic() - let_go_s < 0.5 + STOPPED_S
+        run.arm.assert_stopped(aborts, STOPPED_S)
+        run.guided.until_said("stopped: the operator is gone")
+        run.guided.press("q")
+        assert run.guided.end() == 0
+
+
+def test_a_terminal_that_vanishes_stops_the_arm(rig, tmp_path):
+    with Travelling(rig, tmp_path, terminal=True) as run:
+        aborts = run.travel()
+        run.guided.hang_up()
+        run.arm.assert_stopped(aborts, STOPPED_S)
+        run.guided.end()
+    assert run.reasons()[0] == "the terminal is gone"
+
+
+@pytest.mark.parametrize("key", ["x", "\x1b"])
+def test_the_stop_key_stops_the_arm(rig, tmp_path, key):
+    with Travelling(rig, tmp_path, terminal=True) as run:
+        aborts = run.travel()
+        run.guided.press(key)
+        run.arm.assert_stopped(aborts, STOPPED_S)
+        run.guided.press("q")
+        assert run.guided.end() == 0

@@ -1,0 +1,187 @@
+"""Keys, the log of commands, the worker, and recordings played as if live."""
+
+import contextlib
+import os
+import pty
+import termios
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from guided_process import commands
+from test_robot_guard import fix_at
+
+from fingerpost.capture import Frame
+from fingerpost.errors import InvalidInputError, RecordingError
+from fingerpost.guidance import CommandLog, Keys, SessionReport, paced
+from fingerpost.guidance.session import Worker
+from fingerpost.pointing import Status
+from fingerpost.robot import CommandRecord, FollowReport, FollowState, Pose
+
+
+def wait_until(true):
+    end_s = time.monotonic() + 5.0
+    while not true():
+        assert time.monotonic() < end_s
+        time.sleep(0.001)
+
+
+@pytest.fixture
+def terminal():
+    ours, theirs = pty.openpty()
+    yield ours, theirs
+    for end in (ours, theirs):
+        with contextlib.suppress(OSError):
+            os.close(end)
+
+
+def test_keys_come_one_by_one_and_the_terminal_is_left_as_it_was(terminal):
+    ours, theirs = terminal
+    before = termios.tcgetattr(theirs)
+    pressed = []
+    with Keys(pressed.append, lambda: None, descriptor=theirs):
+        assert termios.tcgetattr(theirs) != before
+        for keys in ("s", "xu", "é"):
+            os.write(ours, keys.encode())
+        wait_until(lambda: len(pressed) == 4)
+    assert pressed == ["s", "x", "u", "é"]
+    assert termios.tcgetattr(theirs) == before
+
+
+def test_a_terminal_that_is_gone_is_told_once(terminal):
+    ours, theirs = terminal
+    gone = threading.Event()
+    with Keys(lambda _: None, gone.set, descriptor=theirs):
+        os.close(ours)
+        assert gone.wait(5.0)
+
+
+def test_keys_need_a_terminal():
+    reading, writing = os.pipe()
+    with pytest.raises(InvalidInputError, match="terminal"):
+        Keys(lambda _: None, lambda: None, descriptor=reading)
+    os.close(reading)
+    os.close(writing)
+
+
+def record(**fields):
+    fix = fix_at([0.4, 0.1], 3.25, [[1e-6, 2e-7], [2e-7, 4e-6]])
+    pose = Pose(0.4, 0.1, 0.05)
+    return CommandRecord(
+        **{"time_s": 3.5, "command": "move", "detail": "a, b", "pose": pose, "fix": fix}
+        | {"outcome": "sent"}
+        | fields
+    )
+
+
+def test_the_log_holds_command_and_cause(tmp_path):
+    path = tmp_path / "commands.csv"
+    with CommandLog(path) as log:
+        log(record())
+        assert len(commands(path)) == 1  # at once, not at the end
+        log(record(command="halt", pose=None, fix=None))
+        log(record(fix=fix_at(None, 4.0, status=Status.LOST), outcome="fix is lost"))
+    moved, halted, refused = commands(path)
+    assert moved["detail"] == "a, b"
+    assert [float(moved[name]) for name in ("x_m", "y_m", "z_m")] == [0.4, 0.1, 0.05]
+    assert [float(moved[f"fix_cov_{k}"]) for k in ("xx", "xy", "yy")] == [1e-6, 2e-7, 4e-6]
+    assert float(moved["fix_time_s"]) == 3.25
+    assert halted["x_m"] == halted["fix_status"] == ""
+    assert (refused["fix_status"], refused["fix_x"]) == ("lost", "")
+    assert refused["outcome"] == "fix is lost"
+
+
+def test_rows_of_many_threads_stay_whole(tmp_path):
+    path = tmp_path / "commands.csv"
+    with CommandLog(path) as log:
+        threads = [
+            threading.Thread(target=lambda: [log(record()) for _ in range(50)]) for _ in range(4)
+        ]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+    assert [row["detail"] for row in commands(path)] == ["a, b"] * 200
+
+
+def test_a_log_that_cannot_be_written(tmp_path):
+    with pytest.raises(RecordingError, match="no/such"):
+        CommandLog(tmp_path / "no" / "such")
+    with CommandLog("/dev/null") as log:
+        log(record())
+    if Path("/dev/full").exists():
+        with pytest.raises(RecordingError, match="No space left"):
+            CommandLog("/dev/full")
+
+
+def test_the_worker_does_the_newest_of_what_waits():
+    done, go = [], threading.Event()
+    with Worker() as worker:
+        worker.offer(lambda: (go.wait(5.0), done.append("first")))
+        wait_until(lambda: worker._job is None)
+        for name in ("second", "third"):
+            worker.offer(lambda name=name: done.append(name))
+        assert not worker.idle
+        go.set()
+        wait_until(lambda: worker.idle)
+    assert done == ["first", "third"]
+
+
+def test_what_a_job_raises_is_raised_where_it_can_be_seen():
+    def fail():
+        raise ValueError("a job's")
+
+    with Worker() as worker:
+        worker.check()
+        worker.offer(fail)
+        wait_until(lambda: worker._error is not None)
+        with pytest.raises(ValueError, match="a job's"):
+            worker.check()
+
+
+def test_a_recording_plays_in_its_own_time():
+    class Clock:
+        now_s = 100.0
+
+        def __call__(self):
+            return self.now_s
+
+        def sleep(self, span_s):
+            assert span_s > 0
+            self.now_s += span_s
+
+    clock = Clock()
+    image = np.zeros((2, 2), np.uint8)
+
+    def film():
+        for k in range(4):
+            yield (Frame(k, 5.0 + 0.1 * k, image), None if k == 2 else Frame(k, 5.0, image))
+            clock.now_s += 0.03  # somebody works on it
+            if k == 1:
+                clock.now_s += 0.5  # and once for long
+
+    played = [(clock.now_s, frames) for frames in paced(film(), clock, clock.sleep)]
+    stamps = [frames[0].time_s for _, frames in played]
+    assert stamps == pytest.approx([100.0, 100.1, 100.2, 100.3])
+    assert [now_s for now_s, _ in played] == pytest.approx([100.0, 100.1, 100.63, 100.66])
+    assert played[2][1][1] is None
+    assert played[3][1][1].time_s == pytest.approx(100.0)
+
+
+def test_the_report_tells_the_lag_of_the_smoothing():
+    report = SessionReport()
+    report.fixes.update(["ok"] * 4 + ["lost"])
+    for state, lag_s in (("moving", 0.0), ("moving", 0.02), ("there", 0.15), ("there", 0.16)):
+        report.add(FollowReport(FollowState(state), target=np.zeros(2), lag_s=lag_s))
+    report.add(FollowReport(FollowState.HOLDING, "fix is lost"))
+    assert report.lag_ms() == pytest.approx({"least": 20.0, "median": 150.0, "largest": 160.0})
+    assert report.lines() == [
+        "fixes    4 ok, 1 lost",
+        "arm      2 moving, 2 there, 1 holding",
+        "lag      smoothing makes the target late by 20 ms for a quick hand, 160 ms for one at "
+        "rest (median 150 ms)",
+    ]
+    assert SessionReport().lag_ms() is None
+    assert SessionReport().lines() == ["fixes    none"]

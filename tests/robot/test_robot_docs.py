@@ -1,0 +1,208 @@
+"""Every command, file and link of `docs/robots` is what it says.
+
+The pages of the arms that can be emulated are gone through from cable to pick and place, command by
+command as they stand there, only with the emulated port in place of the device.
+"""
+
+import re
+import shlex
+import signal
+import time
+import tomllib
+from pathlib import Path
+
+import click
+import guidance_scene
+import numpy as np
+import pytest
+from guidance_scene import NAMES, draw_marker
+from guided_process import FPS, EmulatedArm, Guided, JpegStreams, jpeg, write_hand
+
+from fingerpost.cli import main
+from fingerpost.config import Rig
+from fingerpost.robot import Pose, Robot, open_robot, registry
+from fingerpost.robot.emulator.gcode import UarmController
+from fingerpost.robot.emulator.ports import ArmTime, Emulator, PtyPort
+
+PAGES = sorted((Path(__file__).resolve().parents[2] / "docs" / "robots").glob("*.md"))
+TEXTS = {page.stem: page.read_text(encoding="utf-8") for page in PAGES}
+
+
+def shell_commands(page):
+    """The command lines of a page, in their order."""
+    text = TEXTS[page].replace("\\\n", " ")
+    lines = re.findall(r"^    (fingerpost .*)$", text, re.MULTILINE)
+    return [shlex.split(line)[1:] for line in lines]
+
+
+def snippet(page, language):
+    (found,) = re.findall(rf"^```{language}\n(.*?)^```", TEXTS[page], re.DOTALL | re.MULTILINE)
+    return found
+
+
+EVERY_COMMAND = [(page, line) for page in TEXTS for line in shell_commands(page)]
+
+
+@pytest.mark.parametrize(("page", "line"), EVERY_COMMAND)
+def test_every_command_line_can_be_read(page, line):
+    command: click.Command = main
+    names = []
+    while isinstance(command, click.Group):
+        names.append(line[len(names)])
+        command = command.commands[names[-1]]
+    command.make_context(" ".join(names), line[len(names) :])
+
+
+def test_every_page_leads_from_cable_to_pick_and_place():
+    for page in ("scorbot", "uarm-and-marlin", "ur", "xarm"):
+        kinds = [line[1] for line in shell_commands(page)]
+        assert kinds[-3:] == ["plane", "follow", "pick"]
+        assert "home" in kinds
+        assert "## Cable" in TEXTS[page]
+
+
+@pytest.mark.parametrize("page", TEXTS)
+def test_every_link_leads_somewhere(page):
+    for target in re.findall(r"\]\(([^)#]+)", TEXTS[page]):
+        assert (PAGES[0].parent / target).exists(), target
+    if page != "index":
+        assert f"({page}.md)" in TEXTS["index"]
+
+
+@pytest.mark.parametrize("option", ["acl", "ur", "xarm"])
+def test_the_tables_options_are_the_drivers(option):
+    page = {"acl": "scorbot"}.get(option, option)
+    options = re.findall(r"^\| `(\w+=[^`]+)` \|", TEXTS[page], re.MULTILINE)
+    assert len(options) >= 4
+    for one in options:
+        assert open_robot(f"{option}://somewhere?{one}").status().state == "disconnected"
+
+
+def test_the_cameras_of_the_page_load(tmp_path):
+    (tmp_path / "cameras.toml").write_text(snippet("index", "toml"), encoding="utf-8")
+    rig = Rig.load_cameras(tmp_path / "cameras.toml")
+    assert [view.source for view in rig.views] == [0, 2]
+    assert all(view.start is not None for view in rig.views)
+
+
+def test_the_driver_of_the_page_is_a_robot(monkeypatch):
+    names = {}
+    exec(compile(snippet("your-own", "python"), "your-own.md", "exec"), names)
+    points = tomllib.loads(snippet("your-own", "toml"))["project"]["entry-points"]
+    (factory,) = points[registry.ENTRY_POINT_GROUP].values()
+    monkeypatch.setitem(registry.BUILT_IN, "myarm", names[factory.partition(":")[2]])
+    robot = open_robot("myarm://address?max_speed_m_s=0.05")
+    assert isinstance(robot, Robot)
+    assert robot.limits.max_speed_m_s == 0.05
+    with robot:
+        robot.home()
+        robot.move_to(Pose(0.3, 0.1, 0.1))
+        assert robot.pose() == Pose(0.3, 0.1, 0.1)
+
+
+def test_the_emulator_of_the_page_is_an_arm(tmp_path):
+    (line,) = shell_commands("index")
+    with Guided(*line[1:], "--time-scale", 50, cwd=tmp_path) as emulator:
+        emulator.until((tmp_path / "scorbot").exists)
+        url = re.search(r"give `(acl://\w+)`", TEXTS["index"])[1]
+        with Guided("home", url, cwd=tmp_path) as guided:
+            assert guided.end() == 0, guided.said()
+            assert guided.out.startswith("x 0.5197 m")
+
+
+# The pages of emulated arms, from cable to pick and place.
+
+FIRST_MM, SECOND_MM = (120.0, 220.0), (170.0, 300.0)
+
+
+@pytest.fixture(scope="module")
+def film(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("film")
+    write_hand(folder, 2.5, (FIRST_MM, SECOND_MM), 70)
+    return [[path.read_bytes() for path in sorted((folder / view).glob("*.jpg"))] for view in NAMES]
+
+
+class Stage:
+    """What the cameras see: the marker on the gripper, or the hand, which waits to be told."""
+
+    def __init__(self, position_m, film):
+        self.position_m = position_m
+        self.film = film
+        self.hand = False
+        self.frames_of_hand = 0
+
+    def film_of(self, view):
+        def draw():
+            if not self.hand:
+                return jpeg(draw_marker(self.position_m())[view])
+            return self.film[view][min(self.frames_of_hand, len(self.film[view]) - 1)]
+
+        return draw
+
+
+def go_through(page, device, port, stage, folder, options=()):
+    """Run every command of a page that names the device; returns what each has said."""
+    said = []
+    with JpegStreams([stage.film_of(view) for view in range(2)]) as streams:
+        cameras = snippet("index", "toml")
+        for source, url in zip(("source = 0", "source = 2"), streams.urls, strict=True):
+            cameras = cameras.replace(source, f'source = "{url}"')
+        (folder / "cameras.toml").write_text(cameras, encoding="utf-8")
+        for line in shell_commands(page):
+            scheme = device.partition(":")[0]
+            if any("://" in argument and not argument.startswith(scheme) for argument in line):
+                continue  # of another arm
+            arguments = [argument.replace(device, port) for argument in line[1:]]
+            moves = line[1] in ("plane", "follow", "pick")
+            stage.hand = line[1] in ("follow", "pick")
+            stage.frames_of_hand = 0
+            with Guided(
+                *arguments, *(options if moves else ()), *(("--arm",) * moves), cwd=folder
+            ) as guided:
+                if line[1] == "follow":
+                    _point_about(guided, stage, folder)
+                elif line[1] == "pick":
+                    _point_about(guided, stage, folder, pick=True)
+                    assert guided.end(60) == 0, guided.said()
+                else:
+                    assert guided.end(60) == 0, guided.said()
+            said.append((line[1], guided.said() + guided.out))
+    return said
+
+
+def _point_about(guided, stage, folder, *, pick=False):
+    """Let the hand point at the first place, then at the second, then leave."""
+    log = folder / "commands.csv"
+    guided.until(lambda: log.exists() and "\n" in log.read_text() and "move" in log.read_text())
+    if pick:
+        guided.until_said("block at")
+    for frame in range(len(stage.film[0])):
+        stage.frames_of_hand = frame
+        time.sleep(1 / FPS)
+    if not pick:
+        guided.signal(signal.SIGINT)
+        assert guided.end() == 130
+
+
+def test_the_scorbots_page(film, tmp_path):
+    with EmulatedArm(6.0) as arm:
+        stage = Stage(lambda: arm.pose().position_m, film)
+        port = arm.emulator.address
+        said = go_through("scorbot", "acl:///dev/ttyUSB0", f"acl://{port}", stage, tmp_path)
+        assert [kind for kind, _ in said] == ["list", "stop", "home", "plane", "follow", "pick"]
+        assert said[2][1].startswith("x 0.5197 m")
+        assert "9 of 9 places" in said[3][1]
+        assert "1 picked and placed" in said[5][1]
+
+
+def test_the_uarms_page(film, tmp_path, monkeypatch):
+    monkeypatch.setattr(guidance_scene, "ROBOT_ORIGIN_MM", np.array([-82.0, 221.0, 0.0]))
+    clock, controller = ArmTime(6.0), UarmController()
+    with Emulator(controller, PtyPort(), clock=clock) as emulator:
+        stage = Stage(lambda: controller._arm.position(clock())[:3] / 1000.0, film)
+        said = go_through(
+            "uarm-and-marlin", "uarm:///dev/ttyACM0", f"uarm://{emulator.address}", stage, tmp_path
+        )
+        kinds = [kind for kind, _ in said]
+        assert kinds == ["stop", "home", "plane", "follow", "pick"]
+        assert "1 picked and placed" in said[4][1]
