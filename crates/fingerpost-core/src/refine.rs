@@ -12,6 +12,7 @@ mod block;
 mod blur;
 mod gram;
 mod noise;
+mod options;
 mod photometric;
 mod pixels;
 mod profile;
@@ -19,6 +20,7 @@ mod sketch;
 mod unknowns;
 
 pub use background::KnownBackground;
+pub use options::{BisectorOptions, PhotometricOptions, RefineOptions};
 
 use crate::appearance::Appearance;
 use crate::frame::Frame;
@@ -65,113 +67,6 @@ pub struct Finger {
     pub round_end_px: Option<f64>,
 }
 
-/// How the bisector of the flanks' edges is found.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct BisectorOptions {
-    /// Scale of the derivative of Gaussian that finds the edges \[px\], 0.5–8.
-    pub scale_px: f64,
-    /// How far from the flanks edges are looked for \[px\], 1–128, but not beyond the axis.
-    pub half_length_px: f64,
-    /// The least contrast that counts as an edge \[grey levels\], 0–255.
-    pub min_contrast_grey: f64,
-    /// Edges within this of a common straight line agree \[px\], positive.
-    pub consensus_px: f64,
-    /// Tukey's cutoff \[robust standard deviations\], above 1.
-    pub cutoff: f64,
-    /// Fewer edges than this on either flank are no flank, at least 6.
-    pub min_stations: usize,
-    /// At most this many searches, 1–20.
-    pub max_passes: usize,
-    /// Edges a pixel apart share pixels and are interpolated alike: the covariance of independent
-    /// ones is multiplied by this, at least 1.
-    pub correlation: f64,
-}
-
-/// How the photometric line is found.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct PhotometricOptions {
-    /// Pixels so far inside the edge are fitted \[px\], 2–20.
-    pub inner_px: f64,
-    /// Pixels so far outside the edge are fitted \[px\], 1–20.
-    pub outer_px: f64,
-    /// How much of the round end is fitted, from its middle, in parts of its radius, 0–0.9.
-    pub cap: f64,
-    /// Length of a block \[px\], 1–20.
-    pub block_px: f64,
-    /// Fewer blocks than this on either flank are no flank, at least 3.
-    pub min_blocks: usize,
-    /// Tukey's cutoff \[standard deviations of a pixel\], above 1.
-    pub cutoff: f64,
-    /// The blur that is expected, to within 1 px: standard deviation \[px\], 0.3–8.
-    pub blur_px: f64,
-    /// Standard deviation of the bend and of the bulge of fingers \[px\], positive.
-    pub bend_px: f64,
-    /// Standard deviation of the change of brightness between the middle of the stretch and its
-    /// end, in parts of the contrast, positive.
-    pub change: f64,
-    /// Standard deviation of what light from the side adds to the brightness in the middle of the
-    /// finger, in parts of the contrast, positive.
-    pub ramp: f64,
-    /// Standard deviation of what light from the camera adds there, which falls off towards the
-    /// limb as the root of the depth, in parts of the contrast, positive.
-    pub limb: f64,
-    /// The line has settled when an iteration moves it less than this \[px\], positive.
-    pub tolerance_px: f64,
-    /// At most this many iterations, 1–100.
-    pub max_iterations: usize,
-    /// How far background that changes from block to block may shift the edge unseen, for a change
-    /// as large as the contrast \[px\], 0–5.
-    pub restlessness_px: f64,
-}
-
-/// Options of a [`Refiner`].
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct RefineOptions {
-    /// The bisector.
-    pub bisector: BisectorOptions,
-    /// The photometric line.
-    pub photometric: PhotometricOptions,
-    /// The photometric line counts if its residuals are at most this many times the image's noise.
-    pub max_residual: f64,
-    /// And if at most this part of its pixels was rejected.
-    pub max_rejected: f64,
-}
-
-impl Default for RefineOptions {
-    fn default() -> Self {
-        Self {
-            bisector: BisectorOptions {
-                scale_px: 1.8,
-                half_length_px: 6.0,
-                min_contrast_grey: 8.0,
-                consensus_px: 1.0,
-                cutoff: 4.685,
-                min_stations: 10,
-                max_passes: 4,
-                correlation: 1.5,
-            },
-            photometric: PhotometricOptions {
-                inner_px: 5.0,
-                outer_px: 2.0,
-                cap: 0.5,
-                block_px: 3.0,
-                min_blocks: 4,
-                cutoff: 6.0,
-                blur_px: 1.1,
-                bend_px: 0.5,
-                change: 0.3,
-                ramp: 1.0,
-                limb: 0.3,
-                tolerance_px: 5e-4,
-                max_iterations: 15,
-                restlessness_px: 1.25,
-            },
-            max_residual: 4.0,
-            max_rejected: 0.1,
-        }
-    }
-}
-
 /// Where a refined line comes from.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Source {
@@ -209,7 +104,8 @@ pub struct PhotometricReport {
     pub blur_px: f64,
     /// How much the medial line is bent: half its sagitta, about \[px\].
     pub bend_px: f64,
-    /// Contrast at either flank, finger minus background \[grey levels\].
+    /// Contrast at either flank, finger minus background, 2 px inside the edge, where it shows even
+    /// of a finger whose limb is dark \[grey levels\].
     pub contrast_grey: [f64; 2],
     /// Standard deviation of the inside level along either flank \[grey levels\].
     pub inside_grey: [f64; 2],
@@ -259,6 +155,7 @@ impl Refiner {
     /// # Errors
     /// When an option is not finite or outside its documented range.
     pub fn new(options: RefineOptions) -> Result<Self> {
+        options.check()?;
         Ok(Self {
             bisector: Bisector::new(options.bisector)?,
             photometric: Photometric::new(options.photometric),
@@ -314,17 +211,14 @@ impl Refiner {
         bisector: Option<BisectorFit>,
         photometric: Option<PhotometricFit>,
     ) -> Option<Refined> {
-        let believed = |p: &PhotometricFit| {
-            let report = &p.report;
-            report.converged
-                && report.residual_grey <= self.options.max_residual * noise_grey
-                && report.rejected <= self.options.max_rejected
-        };
+        let believed = |p: &PhotometricFit| self.options.believes_pixels(&p.report, noise_grey);
         let (source, sketch, covariance) = match (&photometric, &bisector) {
             (Some(p), _) if believed(p) => {
                 (Source::Photometric, start.moved(&p.line), p.covariance)
             }
-            (_, Some(b)) => (Source::Bisector, b.sketch, b.covariance),
+            (_, Some(b)) if self.options.believes_edges(&b.report) => {
+                (Source::Bisector, b.sketch, b.covariance)
+            }
             _ => return None,
         };
         let at = sketch.anchor_px;

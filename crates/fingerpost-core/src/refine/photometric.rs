@@ -49,6 +49,8 @@ const ADAPTING_ITERATIONS: usize = 8;
 /// No iteration moves the flanks by more than this \[px\], or the blur by more than this part.
 const LONGEST_STEP_PX: f64 = 1.0;
 const LARGEST_BLUR_CHANGE: f64 = 0.3;
+/// After the last iteration allowed, a motion of so many tolerances is still taken for settled.
+const NEARLY_SETTLED: f64 = 10.0;
 /// Levels to start from are those of the pixels so far inside and outside the sketch's edge \[px\].
 const CLEAR_INSIDE_PX: f32 = 2.0;
 const CLEAR_OUTSIDE_PX: f32 = 1.0;
@@ -169,8 +171,10 @@ impl Photometric {
             self.follow(sketch, &step, part);
             let settled = iteration > 2 && motion < self.options.tolerance_px;
             if settled || iteration >= self.options.max_iterations {
+                let settled = motion < NEARLY_SETTLED * self.options.tolerance_px;
                 let covariance = covariance(&factor, &normal.tally, freedom)?;
-                let report = self.report(&x, &normal.tally, scale, pixels, iteration, settled);
+                let report =
+                    self.report(sketch, &x, &normal.tally, scale, pixels, iteration, settled);
                 return straight(&x, &covariance, report);
             }
         }
@@ -269,6 +273,7 @@ impl Photometric {
 
     fn report(
         &self,
+        sketch: &Sketch,
         x: &Unknowns,
         tally: &Tally,
         residual_grey: f64,
@@ -284,7 +289,7 @@ impl Photometric {
             blocks,
             trusted: tally.say / blocks as f64,
             residual_grey,
-            contrast_grey: [x.contrast_grey(0), x.contrast_grey(1)],
+            contrast_grey: [0, 1].map(|f| x.shaded_contrast_grey(sketch, f)),
             inside_grey: sigma(0),
             outside_grey: sigma(OUTSIDE_EFFECT),
             edge_px: sigma(EDGE_EFFECT),
