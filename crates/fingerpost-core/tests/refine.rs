@@ -510,7 +510,9 @@ fn numbers_that_are_none_are_refused() {
     assert!(matches!(refused(Finger { axis, ..finger }), Error::NotFinite { .. }));
     for half_width_px in [0.0, -3.0] {
         let error = refused(Finger { half_width_px, ..finger });
-        assert!(matches!(error, Error::OutOfRange { value, .. } if value == half_width_px));
+        assert!(
+            matches!(error, Error::OutOfRange { value, .. } if value.to_bits() == half_width_px.to_bits())
+        );
     }
     assert!(matches!(refused(Finger { taper: f64::NAN, ..finger }), Error::NotFinite { .. }));
     let end = Finger { round_end_px: Some(f64::NAN), ..finger };

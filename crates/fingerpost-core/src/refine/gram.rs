@@ -1,5 +1,10 @@
 //! Weighted moments of a block's residuals and features: all that the fit needs of its pixels.
 
+#![expect(
+    clippy::needless_range_loop,
+    reason = "lane by lane through many arrays at once is what the compiler turns into vectors"
+)]
+
 use super::pixels::{Chunk, LANES, Lanes};
 use super::profile::{FEATURES, OUTSIDE, Prediction};
 

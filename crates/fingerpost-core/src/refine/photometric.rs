@@ -89,6 +89,13 @@ struct Normal {
     tally: Tally,
 }
 
+/// How a fit ended.
+struct Ending {
+    residual_grey: f64,
+    iterations: usize,
+    converged: bool,
+}
+
 /// Sums over all pixels.
 #[derive(Default)]
 struct Tally {
@@ -140,7 +147,7 @@ impl Photometric {
             }
         }
         let mut x = self.start(sketch)?;
-        let pixels = self.flanks.iter().map(|f| f.strip.pixels()).sum::<usize>() as f64;
+        let pixels = self.pixels() as f64;
         let contrast = x.contrast_grey(0).abs().max(x.contrast_grey(1).abs());
         let prior = unknowns::prior(&self.options, contrast);
         let mean = x;
@@ -173,11 +180,17 @@ impl Photometric {
             if settled || iteration >= self.options.max_iterations {
                 let settled = motion < NEARLY_SETTLED * self.options.tolerance_px;
                 let covariance = covariance(&factor, &normal.tally, freedom)?;
-                let report =
-                    self.report(sketch, &x, &normal.tally, scale, pixels, iteration, settled);
+                let ending =
+                    Ending { residual_grey: scale, iterations: iteration, converged: settled };
+                let report = self.report(sketch, &x, &normal.tally, &ending);
                 return straight(&x, &covariance, report);
             }
         }
+    }
+
+    /// How many pixels are fitted.
+    fn pixels(&self) -> usize {
+        self.flanks.iter().map(|f| f.strip.pixels()).sum()
     }
 
     /// Where the search begins: on the sketch, with the middle levels of the blocks' pixels that are
@@ -217,7 +230,7 @@ impl Photometric {
                 let profile = x.profile(sketch, index, block.p, &deviation.effects);
                 let mut sums = Accumulator::new(&weighing);
                 let chunks = flank.strip.chunks(block);
-                match &end {
+                match end {
                     Some(end) if block.p > clear => {
                         for chunk in chunks {
                             sums.add(chunk, &profile.round(self.table, chunk, end));
@@ -276,16 +289,15 @@ impl Photometric {
         sketch: &Sketch,
         x: &Unknowns,
         tally: &Tally,
-        residual_grey: f64,
-        pixels: f64,
-        iterations: usize,
-        converged: bool,
+        ending: &Ending,
     ) -> PhotometricReport {
-        let blocks = self.flanks.iter().map(|f| f.deviations.len()).sum();
+        let Ending { residual_grey, iterations, converged } = *ending;
+        let pixels = self.pixels();
+        let blocks: usize = self.flanks.iter().map(|f| f.deviations.len()).sum();
         let sigma = |effect: usize| [0, 1].map(|f| self.flanks[f].variances[effect].sqrt());
         PhotometricReport {
-            pixels: pixels as usize,
-            rejected: tally.rejected / pixels,
+            pixels,
+            rejected: tally.rejected / pixels as f64,
             blocks,
             trusted: tally.say / blocks as f64,
             residual_grey,

@@ -84,7 +84,9 @@ impl Strip {
         options: &PhotometricOptions,
     ) {
         let Self { blocks, chunks, seen } = self;
-        (blocks.clear(), chunks.clear(), seen.clear());
+        blocks.clear();
+        chunks.clear();
+        seen.clear();
         let Stretch { from_px, to_px } = sketch.flanks[flank];
         let (side, inner, outer) = (SIDES[flank], options.inner_px, options.outer_px);
         let block_of = |p: f64| ((p - from_px) / options.block_px) as usize;

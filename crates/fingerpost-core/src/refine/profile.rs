@@ -21,6 +21,11 @@
 //! The profile of the blurred step is exact for a Gaussian point spread function on square pixels up
 //! to its fourth moment, with s² the blur's variance plus 1/12 px².
 
+#![expect(
+    clippy::needless_range_loop,
+    reason = "lane by lane through many arrays at once is what the compiler turns into vectors"
+)]
+
 use super::blur::BlurTable;
 use super::pixels::{Chunk, LANES, Lanes};
 
@@ -94,7 +99,7 @@ struct Distance {
 impl Profile {
     /// The distance from the straight flank.
     #[inline]
-    fn from_flank(&self, chunk: &Chunk) -> Lanes {
+    fn beyond_flank(&self, chunk: &Chunk) -> Lanes {
         let [e0, e1, e2] = self.edge;
         let mut y = [0.0; LANES];
         for i in 0..LANES {
@@ -107,7 +112,7 @@ impl Profile {
     /// What pixels clear of the round end record.
     #[inline]
     pub fn straight(&self, table: BlurTable, chunk: &Chunk) -> Prediction {
-        let y = self.from_flank(chunk);
+        let y = self.beyond_flank(chunk);
         let s = self.blur;
         let mut z = [0.0; LANES];
         for i in 0..LANES {
@@ -142,8 +147,8 @@ impl Profile {
 
     /// What pixels near the round end record.
     #[inline]
-    pub fn round(&self, table: BlurTable, chunk: &Chunk, end: &RoundEnd) -> Prediction {
-        let from_flank = self.from_flank(chunk);
+    pub fn round(&self, table: BlurTable, chunk: &Chunk, end: RoundEnd) -> Prediction {
+        let from_flank = self.beyond_flank(chunk);
         let s = self.blur;
         let d = end.distance(table, &from_flank, &chunk.p, s);
         let mut z = [0.0; LANES];
@@ -187,7 +192,7 @@ impl Profile {
 
 impl RoundEnd {
     #[inline]
-    fn distance(&self, table: BlurTable, from_flank: &Lanes, p: &Lanes, s: f32) -> Distance {
+    fn distance(self, table: BlurTable, from_flank: &Lanes, p: &Lanes, s: f32) -> Distance {
         let radius = self.radius;
         let mut d = Distance::default();
         for i in 0..LANES {
@@ -269,8 +274,8 @@ mod tests {
         }
     }
 
-    fn nudge(profile: &Profile, end: &RoundEnd, feature: usize, by: f32) -> (Profile, RoundEnd) {
-        let (mut profile, mut end) = (*profile, *end);
+    fn nudge(profile: &Profile, mut end: RoundEnd, feature: usize, by: f32) -> (Profile, RoundEnd) {
+        let mut profile = *profile;
         match feature {
             EDGE => profile.edge[0] += by,
             BLUR => profile.blur += by,
@@ -284,15 +289,15 @@ mod tests {
     }
 
     /// Five-point central differences of every feature at every pixel.
-    fn check(p: f32, predict: impl Fn(&Profile, &RoundEnd, &Chunk) -> Prediction) {
+    fn check(p: f32, predict: impl Fn(&Profile, RoundEnd, &Chunk) -> Prediction) {
         let (profile, end) = (profile(), RoundEnd { middle: 25.0, radius: 7.8 });
         for slope in [0.0, 6.0] {
             let chunk = chunk(p, 8.0, slope);
-            let analytic = predict(&profile, &end, &chunk).features;
+            let analytic = predict(&profile, end, &chunk).features;
             for (feature, analytic) in analytic.iter().enumerate() {
                 let at = |steps: f32| {
-                    let (profile, end) = nudge(&profile, &end, feature, steps * STEP);
-                    predict(&profile, &end, &chunk).grey
+                    let (profile, end) = nudge(&profile, end, feature, steps * STEP);
+                    predict(&profile, end, &chunk).grey
                 };
                 let [far_below, below, above, far_above] = [-2.0, -1.0, 1.0, 2.0].map(at);
                 for i in 0..LANES {
@@ -329,7 +334,7 @@ mod tests {
         let (profile, end) = (profile(), RoundEnd { middle: 25.0, radius: 7.8 });
         let chunk = chunk(-10.0, 8.0, 3.0);
         let straight = profile.straight(BlurTable::new(), &chunk);
-        let round = profile.round(BlurTable::new(), &chunk, &end);
+        let round = profile.round(BlurTable::new(), &chunk, end);
         for i in 0..LANES {
             assert!((straight.grey[i] - round.grey[i]).abs() < 1e-3);
             assert!((straight.features[EDGE][i] - round.features[EDGE][i]).abs() < 1e-3);

@@ -209,14 +209,12 @@ impl FlankEquations {
 
     /// Adds them to those of all unknowns.
     pub fn spread(&self, flank: usize, information: &mut Information, right: &mut Vector) {
-        for a in 0..SEEN {
-            let (row, sign, i) = (seen_unknown(a, flank), seen_sign(a, flank), SEEN_SLOT[a]);
+        for (a, &i) in SEEN_SLOT.iter().enumerate() {
+            let (row, sign) = (seen_unknown(a, flank), seen_sign(a, flank));
             right[row] += sign * self.right[i];
-            for b in 0..SEEN {
-                let j = SEEN_SLOT[b];
-                let sign = sign * seen_sign(b, flank);
+            for (b, &j) in SEEN_SLOT.iter().enumerate() {
                 information[(row, seen_unknown(b, flank))] +=
-                    sign * self.information[i.min(j)][i.max(j)];
+                    sign * seen_sign(b, flank) * self.information[i.min(j)][i.max(j)];
             }
         }
     }
