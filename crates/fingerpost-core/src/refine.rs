@@ -26,6 +26,7 @@ use crate::appearance::Appearance;
 use crate::frame::Frame;
 use crate::search::{Cue, Polarity};
 use crate::shape_space::Axis;
+use crate::simd::Isa;
 use crate::{Error, Result};
 use bisector::{Bisector, BisectorFit};
 use nalgebra::Matrix2;
@@ -162,6 +163,13 @@ impl Refiner {
             noise: NoiseEstimator::new(),
             options,
         })
+    }
+
+    /// The same, compiled for another instruction set; the lines have the same bits.
+    #[must_use]
+    pub fn with_isa(self, isa: Isa) -> Self {
+        let bisector = self.bisector.with_isa(isa);
+        Self { bisector, photometric: self.photometric.with_isa(isa), ..self }
     }
 
     /// The options in force.

@@ -13,6 +13,7 @@ use crate::fit::{EquationBuffer, FitOptions, Fitter, Loss, Outcome, Prior, Solve
 use crate::frame::Frame;
 use crate::search::{Cue, EdgeMeasurement, EdgeSearch, Polarity, Scale, SearchLine, SearchOptions};
 use crate::shape_space::PlacedSample;
+use crate::simd::Isa;
 use nalgebra::{Matrix2, SMatrix, SVector};
 
 /// Unknowns: d, ϑ, w₀, w₁.
@@ -85,6 +86,11 @@ impl Bisector {
             flanks: [stations.clone(), stations],
             equations: EquationBuffer::with_capacity(capacity, UNKNOWNS),
         })
+    }
+
+    /// The same with another instruction set.
+    pub fn with_isa(self, isa: Isa) -> Self {
+        Self { search: self.search.with_isa(isa), ..self }
     }
 
     /// The bisector near the sketch, or `None` if the flanks do not show.

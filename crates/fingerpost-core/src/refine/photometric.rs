@@ -21,7 +21,7 @@
 
 use super::block::{Deviation, EDGE_EFFECT, Evidence, OUTSIDE_EFFECT};
 use super::blur::BlurTable;
-use super::gram::{Accumulator, Gram, Weighing};
+use super::gram::{Gram, Summing, Weighing};
 use super::pixels::{Block, LANES, Strip};
 use super::profile::{CLEAR, RoundEnd};
 use super::sketch::{FlankLines, Sketch};
@@ -31,6 +31,7 @@ use super::unknowns::{
 };
 use super::{KnownBackground, PhotometricOptions, PhotometricReport};
 use crate::image::GrayView;
+use crate::simd::Isa;
 use nalgebra::{Cholesky, Const, Matrix2, Matrix4, Vector2};
 
 /// The first iteration takes residuals of this part of the contrast for noise: it starts from the
@@ -59,6 +60,7 @@ const CLEAR_OUTSIDE_PX: f32 = 1.0;
 #[derive(Debug, Clone)]
 pub(super) struct Photometric {
     options: PhotometricOptions,
+    isa: Isa,
     table: BlurTable,
     flanks: [Flank; 2],
     sorted: Vec<f64>,
@@ -122,10 +124,16 @@ impl Photometric {
     pub fn new(options: PhotometricOptions) -> Self {
         Self {
             options,
+            isa: Isa::detect(),
             table: BlurTable::new(),
             flanks: [Flank::default(), Flank::default()],
             sorted: Vec::with_capacity(128),
         }
+    }
+
+    /// The same with another instruction set.
+    pub fn with_isa(self, isa: Isa) -> Self {
+        Self { isa, ..self }
     }
 
     /// The line near the sketch, or `None` if too little of a flank shows or the pixels do not
@@ -227,22 +235,15 @@ impl Photometric {
             let mut equations = FlankEquations::default();
             let mut evidence = Evidence::default();
             for (block, deviation) in flank.strip.blocks.iter().zip(&mut flank.deviations) {
-                let profile = x.profile(sketch, index, block.p, &deviation.effects);
-                let mut sums = Accumulator::new(&weighing);
-                let chunks = flank.strip.chunks(block);
-                match end {
-                    Some(end) if block.p > clear => {
-                        for chunk in chunks {
-                            sums.add(chunk, &profile.round(self.table, chunk, end));
-                        }
-                    }
-                    _ => {
-                        for chunk in chunks {
-                            sums.add(chunk, &profile.straight(self.table, chunk));
-                        }
-                    }
-                }
-                let gram = sums.total();
+                let mut gram = Gram::default();
+                self.isa.run(Summing {
+                    chunks: flank.strip.chunks(block),
+                    profile: x.profile(sketch, index, block.p, &deviation.effects),
+                    end: end.filter(|_| block.p > clear),
+                    table: self.table,
+                    weighing,
+                    gram: &mut gram,
+                });
                 deviation.chi_squared = gram.chi_squared / block.pixels as f64;
                 if 1 < iteration && iteration <= ADAPTING_ITERATIONS {
                     deviation.say = (MOST_CHI_SQUARED / deviation.chi_squared).powi(2).min(1.0);

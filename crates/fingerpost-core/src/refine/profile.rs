@@ -22,6 +22,10 @@
 //! to its fourth moment, with s² the blur's variance plus 1/12 px².
 
 #![expect(
+    clippy::inline_always,
+    reason = "what is inlined into a function with wider instructions is compiled for them"
+)]
+#![expect(
     clippy::needless_range_loop,
     reason = "lane by lane through many arrays at once is what the compiler turns into vectors"
 )]
@@ -98,7 +102,7 @@ struct Distance {
 
 impl Profile {
     /// The distance from the straight flank.
-    #[inline]
+    #[inline(always)]
     fn beyond_flank(&self, chunk: &Chunk) -> Lanes {
         let [e0, e1, e2] = self.edge;
         let mut y = [0.0; LANES];
@@ -110,7 +114,7 @@ impl Profile {
     }
 
     /// What pixels clear of the round end record.
-    #[inline]
+    #[inline(always)]
     pub fn straight(&self, table: BlurTable, chunk: &Chunk) -> Prediction {
         let y = self.beyond_flank(chunk);
         let s = self.blur;
@@ -146,7 +150,7 @@ impl Profile {
     }
 
     /// What pixels near the round end record.
-    #[inline]
+    #[inline(always)]
     pub fn round(&self, table: BlurTable, chunk: &Chunk, end: RoundEnd) -> Prediction {
         let from_flank = self.beyond_flank(chunk);
         let s = self.blur;
@@ -191,7 +195,7 @@ impl Profile {
 }
 
 impl RoundEnd {
-    #[inline]
+    #[inline(always)]
     fn distance(self, table: BlurTable, from_flank: &Lanes, p: &Lanes, s: f32) -> Distance {
         let radius = self.radius;
         let mut d = Distance::default();
@@ -225,7 +229,7 @@ struct MomentLanes {
     root_slope: Lanes,
 }
 
-#[inline]
+#[inline(always)]
 fn moments(table: BlurTable, z: &Lanes) -> MomentLanes {
     let none = [0.0; LANES];
     let mut at = MomentLanes { step: none, step_slope: none, root: none, root_slope: none };
