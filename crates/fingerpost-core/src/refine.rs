@@ -1,10 +1,55 @@
 //! The finger's axis as exactly as the image allows, with a covariance that can be believed.
 //!
-//! A tracker's contour is a template: it bends real fingers straight and shares what it knows
-//! between finger and thumb. The [`Refiner`] looks at the two flanks of the finger alone. First it
-//! finds their edges and takes the bisector; then it fits what the camera recorded near the flanks,
-//! pixel by pixel, to a physical model of a blurred, shaded, slightly bent finger. Which of the two
-//! lines counts, or neither, is decided by what the pixels say of the model ([`Source`]).
+//! A tracker's contour is a template: it shares what it knows between finger and thumb, and its
+//! edges are found one by one. A [`Refiner`] looks at the two flanks of the finger alone, twice:
+//!
+//! 1. It finds the edges of the flanks and takes their bisector, which is the projection of the axis
+//!    of a surface of revolution whatever the taper and the perspective.
+//! 2. From there it fits what the camera recorded near the flanks, pixel by pixel, to a model of a
+//!    blurred, shaded, slightly bent finger with a round end before a background that is known or
+//!    not. This uses all that the pixels tell: of a clean picture the angle is as sure as the
+//!    Cramér–Rao bound of two free flanks allows.
+//!
+//! The second line counts if the pixels agree with the model and the flanks stand out from what is
+//! behind them; otherwise the first, if its edges lie on two straight lines; otherwise none
+//! ([`Source`], [`RefineOptions`]).
+//!
+//! ```
+//! use fingerpost_core::nalgebra::{Point2, Vector2};
+//! use fingerpost_core::refine::{Finger, RefineOptions, Refiner, Source, Stretch};
+//! use fingerpost_core::search::Polarity;
+//! use fingerpost_core::shape_space::Axis;
+//! use fingerpost_core::{Frame, GrayView};
+//!
+//! // A finger, 14 px wide, that points to the upper right; it ends at (90, 45).
+//! let (width, height, angle_rad) = (128, 96, -0.5_f64);
+//! let (end, e) = (Point2::new(90.0, 45.0), Vector2::new(angle_rad.cos(), angle_rad.sin()));
+//! let pixel = |i: usize| {
+//!     let d = Point2::new((i % width) as f64, (i / width) as f64) - end;
+//!     let outside = (d - e * d.dot(&e).min(0.0)).norm() - 7.0;
+//!     (70.0 + 80.0 / (1.0 + (1.7 * outside).exp())).round() as u8
+//! };
+//! let pixels: Vec<u8> = (0..width * height).map(pixel).collect();
+//! let frame = Frame::gray(GrayView::new(&pixels, width, height, width)?);
+//!
+//! // What a tracker believes of it, half a pixel and half a degree off.
+//! let axis = Axis::of_finger(end - e * 30.0 + Vector2::new(0.0, 0.5), angle_rad + 0.009, 37.0);
+//! let stretch = Stretch { from_px: -20.0, to_px: 34.0 };
+//! let finger = Finger {
+//!     axis,
+//!     half_width_px: 7.3,
+//!     taper: 0.0,
+//!     flanks: [stretch; 2],
+//!     round_end_px: Some(30.0),
+//! };
+//! let mut refiner = Refiner::new(RefineOptions::default())?;
+//! let refined = refiner.refine(&frame, &finger, Polarity::Bright, None, None)?;
+//! let refined = refined.expect("a finger in plain view");
+//! assert_eq!(refined.source, Source::Photometric);
+//! assert!((refined.axis.angle_rad - angle_rad).abs() < 1e-3);
+//! assert!(refined.axis.normal().dot(&(refined.axis.anchor - end)).abs() < 0.03);
+//! # Ok::<(), fingerpost_core::Error>(())
+//! ```
 
 mod background;
 mod bisector;
