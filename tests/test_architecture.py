@@ -95,7 +95,7 @@ RUST_RULES = {
     "fit": _SHAPES | {"simd"},
     "dynamics": _SHAPES,
     "search": _SHAPES | _PIXELS | _LANES,
-    "refine": _SHAPES | _PIXELS | {"fit", "search"},
+    "refine": _SHAPES | _PIXELS | {"fit", "search", "simd"},
     "tracker": _SHAPES | _PIXELS | {"fit", "dynamics", "search", "refine"},
 }
 

@@ -1,10 +1,55 @@
 //! The finger's axis as exactly as the image allows, with a covariance that can be believed.
 //!
-//! A tracker's contour is a template: it bends real fingers straight and shares what it knows
-//! between finger and thumb. The [`Refiner`] looks at the two flanks of the finger alone. First it
-//! finds their edges and takes the bisector; then it fits what the camera recorded near the flanks,
-//! pixel by pixel, to a physical model of a blurred, shaded, slightly bent finger. Which of the two
-//! lines counts, or neither, is decided by what the pixels say of the model ([`Source`]).
+//! A tracker's contour is a template: it shares what it knows between finger and thumb, and its
+//! edges are found one by one. A [`Refiner`] looks at the two flanks of the finger alone, twice:
+//!
+//! 1. It finds the edges of the flanks and takes their bisector, which is the projection of the axis
+//!    of a surface of revolution whatever the taper and the perspective.
+//! 2. From there it fits what the camera recorded near the flanks, pixel by pixel, to a model of a
+//!    blurred, shaded, slightly bent finger with a round end before a background that is known or
+//!    not. This uses all that the pixels tell: of a clean picture the angle is as sure as the
+//!    Cramér–Rao bound of two free flanks allows.
+//!
+//! The second line counts if the pixels agree with the model and the flanks stand out from what is
+//! behind them; otherwise the first, if its edges lie on two straight lines; otherwise none
+//! ([`Source`], [`RefineOptions`]).
+//!
+//! ```
+//! use fingerpost_core::nalgebra::{Point2, Vector2};
+//! use fingerpost_core::refine::{Finger, RefineOptions, Refiner, Source, Stretch};
+//! use fingerpost_core::search::Polarity;
+//! use fingerpost_core::shape_space::Axis;
+//! use fingerpost_core::{Frame, GrayView};
+//!
+//! // A finger, 14 px wide, that points to the upper right; it ends at (90, 45).
+//! let (width, height, angle_rad) = (128, 96, -0.5_f64);
+//! let (end, e) = (Point2::new(90.0, 45.0), Vector2::new(angle_rad.cos(), angle_rad.sin()));
+//! let pixel = |i: usize| {
+//!     let d = Point2::new((i % width) as f64, (i / width) as f64) - end;
+//!     let outside = (d - e * d.dot(&e).min(0.0)).norm() - 7.0;
+//!     (70.0 + 80.0 / (1.0 + (1.7 * outside).exp())).round() as u8
+//! };
+//! let pixels: Vec<u8> = (0..width * height).map(pixel).collect();
+//! let frame = Frame::gray(GrayView::new(&pixels, width, height, width)?);
+//!
+//! // What a tracker believes of it, half a pixel and half a degree off.
+//! let axis = Axis::of_finger(end - e * 30.0 + Vector2::new(0.0, 0.5), angle_rad + 0.009, 37.0);
+//! let stretch = Stretch { from_px: -20.0, to_px: 34.0 };
+//! let finger = Finger {
+//!     axis,
+//!     half_width_px: 7.3,
+//!     taper: 0.0,
+//!     flanks: [stretch; 2],
+//!     round_end_px: Some(30.0),
+//! };
+//! let mut refiner = Refiner::new(RefineOptions::default())?;
+//! let refined = refiner.refine(&frame, &finger, Polarity::Bright, None, None)?;
+//! let refined = refined.expect("a finger in plain view");
+//! assert_eq!(refined.source, Source::Photometric);
+//! assert!((refined.axis.angle_rad - angle_rad).abs() < 1e-3);
+//! assert!(refined.axis.normal().dot(&(refined.axis.anchor - end)).abs() < 0.03);
+//! # Ok::<(), fingerpost_core::Error>(())
+//! ```
 
 mod background;
 mod bisector;
@@ -12,6 +57,7 @@ mod block;
 mod blur;
 mod gram;
 mod noise;
+mod options;
 mod photometric;
 mod pixels;
 mod profile;
@@ -19,11 +65,13 @@ mod sketch;
 mod unknowns;
 
 pub use background::KnownBackground;
+pub use options::{BisectorOptions, PhotometricOptions, RefineOptions};
 
 use crate::appearance::Appearance;
 use crate::frame::Frame;
 use crate::search::{Cue, Polarity};
 use crate::shape_space::Axis;
+use crate::simd::Isa;
 use crate::{Error, Result};
 use bisector::{Bisector, BisectorFit};
 use nalgebra::Matrix2;
@@ -65,113 +113,6 @@ pub struct Finger {
     pub round_end_px: Option<f64>,
 }
 
-/// How the bisector of the flanks' edges is found.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct BisectorOptions {
-    /// Scale of the derivative of Gaussian that finds the edges \[px\], 0.5–8.
-    pub scale_px: f64,
-    /// How far from the flanks edges are looked for \[px\], 1–128, but not beyond the axis.
-    pub half_length_px: f64,
-    /// The least contrast that counts as an edge \[grey levels\], 0–255.
-    pub min_contrast_grey: f64,
-    /// Edges within this of a common straight line agree \[px\], positive.
-    pub consensus_px: f64,
-    /// Tukey's cutoff \[robust standard deviations\], above 1.
-    pub cutoff: f64,
-    /// Fewer edges than this on either flank are no flank, at least 6.
-    pub min_stations: usize,
-    /// At most this many searches, 1–20.
-    pub max_passes: usize,
-    /// Edges a pixel apart share pixels and are interpolated alike: the covariance of independent
-    /// ones is multiplied by this, at least 1.
-    pub correlation: f64,
-}
-
-/// How the photometric line is found.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct PhotometricOptions {
-    /// Pixels so far inside the edge are fitted \[px\], 2–20.
-    pub inner_px: f64,
-    /// Pixels so far outside the edge are fitted \[px\], 1–20.
-    pub outer_px: f64,
-    /// How much of the round end is fitted, from its middle, in parts of its radius, 0–0.9.
-    pub cap: f64,
-    /// Length of a block \[px\], 1–20.
-    pub block_px: f64,
-    /// Fewer blocks than this on either flank are no flank, at least 3.
-    pub min_blocks: usize,
-    /// Tukey's cutoff \[standard deviations of a pixel\], above 1.
-    pub cutoff: f64,
-    /// The blur that is expected, to within 1 px: standard deviation \[px\], 0.3–8.
-    pub blur_px: f64,
-    /// Standard deviation of the bend and of the bulge of fingers \[px\], positive.
-    pub bend_px: f64,
-    /// Standard deviation of the change of brightness between the middle of the stretch and its
-    /// end, in parts of the contrast, positive.
-    pub change: f64,
-    /// Standard deviation of what light from the side adds to the brightness in the middle of the
-    /// finger, in parts of the contrast, positive.
-    pub ramp: f64,
-    /// Standard deviation of what light from the camera adds there, which falls off towards the
-    /// limb as the root of the depth, in parts of the contrast, positive.
-    pub limb: f64,
-    /// The line has settled when an iteration moves it less than this \[px\], positive.
-    pub tolerance_px: f64,
-    /// At most this many iterations, 1–100.
-    pub max_iterations: usize,
-    /// How far background that changes from block to block may shift the edge unseen, for a change
-    /// as large as the contrast \[px\], 0–5.
-    pub restlessness_px: f64,
-}
-
-/// Options of a [`Refiner`].
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct RefineOptions {
-    /// The bisector.
-    pub bisector: BisectorOptions,
-    /// The photometric line.
-    pub photometric: PhotometricOptions,
-    /// The photometric line counts if its residuals are at most this many times the image's noise.
-    pub max_residual: f64,
-    /// And if at most this part of its pixels was rejected.
-    pub max_rejected: f64,
-}
-
-impl Default for RefineOptions {
-    fn default() -> Self {
-        Self {
-            bisector: BisectorOptions {
-                scale_px: 1.8,
-                half_length_px: 6.0,
-                min_contrast_grey: 8.0,
-                consensus_px: 1.0,
-                cutoff: 4.685,
-                min_stations: 10,
-                max_passes: 4,
-                correlation: 1.5,
-            },
-            photometric: PhotometricOptions {
-                inner_px: 5.0,
-                outer_px: 2.0,
-                cap: 0.5,
-                block_px: 3.0,
-                min_blocks: 4,
-                cutoff: 6.0,
-                blur_px: 1.1,
-                bend_px: 0.5,
-                change: 0.3,
-                ramp: 1.0,
-                limb: 0.3,
-                tolerance_px: 5e-4,
-                max_iterations: 15,
-                restlessness_px: 1.25,
-            },
-            max_residual: 4.0,
-            max_rejected: 0.1,
-        }
-    }
-}
-
 /// Where a refined line comes from.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Source {
@@ -209,7 +150,8 @@ pub struct PhotometricReport {
     pub blur_px: f64,
     /// How much the medial line is bent: half its sagitta, about \[px\].
     pub bend_px: f64,
-    /// Contrast at either flank, finger minus background \[grey levels\].
+    /// Contrast at either flank, finger minus background, 2 px inside the edge, where it shows even
+    /// of a finger whose limb is dark \[grey levels\].
     pub contrast_grey: [f64; 2],
     /// Standard deviation of the inside level along either flank \[grey levels\].
     pub inside_grey: [f64; 2],
@@ -259,12 +201,20 @@ impl Refiner {
     /// # Errors
     /// When an option is not finite or outside its documented range.
     pub fn new(options: RefineOptions) -> Result<Self> {
+        options.check()?;
         Ok(Self {
             bisector: Bisector::new(options.bisector)?,
             photometric: Photometric::new(options.photometric),
             noise: NoiseEstimator::new(),
             options,
         })
+    }
+
+    /// The same, compiled for another instruction set; the lines have the same bits.
+    #[must_use]
+    pub fn with_isa(self, isa: Isa) -> Self {
+        let bisector = self.bisector.with_isa(isa);
+        Self { bisector, photometric: self.photometric.with_isa(isa), ..self }
     }
 
     /// The options in force.
@@ -314,17 +264,14 @@ impl Refiner {
         bisector: Option<BisectorFit>,
         photometric: Option<PhotometricFit>,
     ) -> Option<Refined> {
-        let believed = |p: &PhotometricFit| {
-            let report = &p.report;
-            report.converged
-                && report.residual_grey <= self.options.max_residual * noise_grey
-                && report.rejected <= self.options.max_rejected
-        };
+        let believed = |p: &PhotometricFit| self.options.believes_pixels(&p.report, noise_grey);
         let (source, sketch, covariance) = match (&photometric, &bisector) {
             (Some(p), _) if believed(p) => {
                 (Source::Photometric, start.moved(&p.line), p.covariance)
             }
-            (_, Some(b)) => (Source::Bisector, b.sketch, b.covariance),
+            (_, Some(b)) if self.options.believes_edges(&b.report) => {
+                (Source::Bisector, b.sketch, b.covariance)
+            }
             _ => return None,
         };
         let at = sketch.anchor_px;

@@ -8,7 +8,9 @@ use common::{Canvas, Hand, Noise, Picture};
 use fingerpost_core::Frame;
 use fingerpost_core::frame::ColourView;
 use fingerpost_core::nalgebra::Point2;
+use fingerpost_core::refine::{Finger, RefineOptions, Refiner, Source, Stretch};
 use fingerpost_core::search::Polarity;
+use fingerpost_core::shape_space::Axis;
 use fingerpost_core::template::{Template, Thumb};
 use fingerpost_core::tracker::{ContourTracker, Model, StartPose, Status, TrackerOptions};
 use std::alloc::{GlobalAlloc, Layout, System};
@@ -153,5 +155,33 @@ fn a_waiting_template() {
             let (count, track) = allocations(|| tracker.update(&frame, f64::from(k)).unwrap());
             assert_eq!((count, track.status), (0, Status::Acquiring), "{model:?}, {thumb:?}");
         }
+    }
+}
+
+#[test]
+fn refining_an_axis() {
+    let mut noise = Noise::new(0x7265_6669);
+    let (angle, half_width_px) = (-0.5, 6.9);
+    let stretch = Stretch { from_px: -20.0, to_px: 26.0 };
+    let mut refiner = Refiner::new(RefineOptions::default()).unwrap();
+    for k in 0..12 {
+        let tip = Point2::new(130.0, 75.0 + 0.3 * f64::from(k));
+        let hand = Hand::usual(Thumb::None, tip, angle, 60.0);
+        let picture = Canvas::new(WIDTH, HEIGHT, 60.0).paint(&hand, 140.0).blur(0.96);
+        let picture = picture.take(2.0, &mut noise);
+        let axis = Axis::of_finger(tip - hand.direction() * 30.0, angle, 30.0);
+        let finger = Finger {
+            axis,
+            half_width_px,
+            taper: 0.0,
+            flanks: [stretch; 2],
+            round_end_px: Some(30.0 - half_width_px),
+        };
+        let frame = Frame::gray(picture.view());
+        let (count, refined) =
+            allocations(|| refiner.refine(&frame, &finger, Polarity::Bright, None, None).unwrap());
+        assert_eq!(refined.unwrap().source, Source::Photometric);
+        // The buffers grow with the pixels near the flanks, which differ from place to place.
+        assert!(k < 6 || count == 0, "{count} allocations in frame {k}");
     }
 }

@@ -13,6 +13,7 @@ use crate::fit::{EquationBuffer, FitOptions, Fitter, Loss, Outcome, Prior, Solve
 use crate::frame::Frame;
 use crate::search::{Cue, EdgeMeasurement, EdgeSearch, Polarity, Scale, SearchLine, SearchOptions};
 use crate::shape_space::PlacedSample;
+use crate::simd::Isa;
 use nalgebra::{Matrix2, SMatrix, SVector};
 
 /// Unknowns: d, ϑ, w₀, w₁.
@@ -29,6 +30,8 @@ const LEAST_SCALE_PX: f64 = 0.01;
 const NEAR_PX: f64 = 3.0;
 /// The line has settled when it moves less than this anywhere on the finger \[px\].
 const SETTLED_PX: f64 = 0.02;
+/// From one search to the next \[px\]: nearer ones see the same pixels, and tell little more.
+const STATION_PX: f64 = 2.0;
 /// Pairs of edges that each flank's line is tried through.
 const TRIALS: usize = 48;
 
@@ -85,6 +88,11 @@ impl Bisector {
         })
     }
 
+    /// The same with another instruction set.
+    pub fn with_isa(self, isa: Isa) -> Self {
+        Self { search: self.search.with_isa(isa), ..self }
+    }
+
     /// The bisector near the sketch, or `None` if the flanks do not show.
     ///
     /// # Errors
@@ -108,7 +116,7 @@ impl Bisector {
                     consensus(stations, self.options.consensus_px);
                 }
             }
-            if self.flanks.iter().any(|f| f.len() < self.options.min_stations) {
+            if self.flanks.iter().any(|f| f.len() < self.options.min_edges) {
                 return Ok(None);
             }
             let Some(solution) = self.solve(&at)? else { return Ok(None) };
@@ -130,7 +138,7 @@ impl Bisector {
         Ok(last)
     }
 
-    /// Finds the edges across both flanks, one to the pixel.
+    /// Finds the edges across both flanks.
     fn measure(
         &mut self,
         frame: &Frame<'_>,
@@ -147,8 +155,9 @@ impl Bisector {
         {
             // On the round end no flank is straight.
             let to = at.round_end_px.map_or(flank.to_px, |e| flank.to_px.min(e - 1.0));
-            let count = if to > flank.from_px { (to - flank.from_px) as usize + 1 } else { 0 };
-            let abscissae = (0..count).map(|k| flank.from_px + k as f64);
+            let length = to - flank.from_px;
+            let count = if length > 0.0 { (length / STATION_PX) as usize + 1 } else { 0 };
+            let abscissae = (0..count).map(|k| flank.from_px + STATION_PX * k as f64);
             self.lines.clear();
             self.lines.extend(abscissae.clone().map(|p| SearchLine {
                 sample: PlacedSample {

@@ -99,9 +99,8 @@ impl Deviation {
         for i in 0..FEATURES {
             let row = self.inverse * self.coupling[i];
             right[i] -= row.dot(&self.right);
-            for j in i..FEATURES {
-                information[i][j] -= row.dot(&self.coupling[j]);
-                information[j][i] = information[i][j];
+            for (entry, coupling) in information[i].iter_mut().zip(&self.coupling) {
+                *entry -= row.dot(coupling);
             }
         }
         let freed = own.component_mul(&self.inverse).trace();

@@ -11,6 +11,11 @@
 //! M₀ and M½ come from a table of cubic pieces, each with the exact value and slope at both ends.
 //! The slope returned is the piece's own, so value and derivative agree to rounding.
 
+#![expect(
+    clippy::inline_always,
+    reason = "what is inlined into a function with wider instructions is compiled for them"
+)]
+
 use std::f64::consts::PI;
 use std::sync::LazyLock;
 
@@ -55,7 +60,7 @@ impl BlurTable {
     }
 
     /// M₀ and M½ at depth `z` \[standard deviations of the blur\].
-    #[inline]
+    #[inline(always)]
     pub fn moments(self, z: f32) -> Moments {
         let x = (z + REACH) * PIECES;
         // Through i32, which a float becomes in one instruction; NaN becomes piece 0.
@@ -94,7 +99,7 @@ impl Piece {
         Self { step: hermite(left.step, right.step), root: hermite(left.root, right.root) }
     }
 
-    #[inline]
+    #[inline(always)]
     fn at(&self, t: f32) -> Moments {
         let value = |c: &[f32; 4]| c[0] + t * (c[1] + t * (c[2] + t * c[3]));
         let slope = |c: &[f32; 4]| (c[1] + t * (2.0 * c[2] + t * (3.0 * c[3]))) * PIECES;

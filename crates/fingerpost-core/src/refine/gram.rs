@@ -1,7 +1,18 @@
 //! Weighted moments of a block's residuals and features: all that the fit needs of its pixels.
 
+#![expect(
+    clippy::inline_always,
+    reason = "what is inlined into a function with wider instructions is compiled for them"
+)]
+#![expect(
+    clippy::needless_range_loop,
+    reason = "lane by lane through many arrays at once is what the compiler turns into vectors"
+)]
+
+use super::blur::BlurTable;
 use super::pixels::{Chunk, LANES, Lanes};
-use super::profile::{FEATURES, OUTSIDE, Prediction};
+use super::profile::{FEATURES, OUTSIDE, Prediction, Profile, RoundEnd};
+use crate::simd::Work;
 
 /// How a pixel's residual is weighed: Tukey's biweight.
 #[derive(Debug, Clone, Copy)]
@@ -13,7 +24,7 @@ pub(super) struct Weighing {
 }
 
 /// Sums over the pixels of one block.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub(super) struct Gram {
     /// Σ w f fᵀ and Σ w f r.
     pub information: [[f64; FEATURES]; FEATURES],
@@ -28,11 +39,42 @@ pub(super) struct Gram {
     pub rejected: f64,
 }
 
+/// The sums of a block whose pixels should look like `profile`, near a round end or clear of it.
+pub(super) struct Summing<'a> {
+    pub chunks: &'a [Chunk],
+    pub profile: Profile,
+    pub end: Option<RoundEnd>,
+    pub table: BlurTable,
+    pub weighing: Weighing,
+    /// Where the sums go.
+    pub gram: &'a mut Gram,
+}
+
+impl Work for Summing<'_> {
+    #[inline(always)]
+    fn run(self) {
+        let mut sums = Accumulator::new(&self.weighing);
+        match self.end {
+            Some(end) => {
+                for chunk in self.chunks {
+                    sums.add(chunk, &self.profile.round(self.table, chunk, end));
+                }
+            }
+            None => {
+                for chunk in self.chunks {
+                    sums.add(chunk, &self.profile.straight(self.table, chunk));
+                }
+            }
+        }
+        *self.gram = sums.total();
+    }
+}
+
 /// Entries of a symmetric matrix of the features.
 const PAIRS: usize = FEATURES * (FEATURES + 1) / 2;
 
 /// The sums lane by lane.
-pub(super) struct Accumulator {
+struct Accumulator {
     per_cut: f32,
     per_noise2: f32,
     pairs: [Lanes; PAIRS],
@@ -48,7 +90,8 @@ pub(super) struct Accumulator {
 }
 
 impl Accumulator {
-    pub fn new(weighing: &Weighing) -> Self {
+    #[inline(always)]
+    fn new(weighing: &Weighing) -> Self {
         let Weighing { noise_grey, cutoff } = *weighing;
         Self {
             per_cut: (1.0 / (cutoff * noise_grey)) as f32,
@@ -66,8 +109,8 @@ impl Accumulator {
     }
 
     /// Adds the pixels of a chunk.
-    #[inline]
-    pub fn add(&mut self, chunk: &Chunk, predicted: &Prediction) {
+    #[inline(always)]
+    fn add(&mut self, chunk: &Chunk, predicted: &Prediction) {
         let f = &predicted.features;
         let (mut weights, mut weighted) = ([0.0; LANES], [0.0; LANES]);
         for i in 0..LANES {
@@ -108,19 +151,25 @@ impl Accumulator {
     }
 
     /// The sums over all lanes.
-    pub fn total(&self) -> Gram {
+    #[inline(always)]
+    fn total(&self) -> Gram {
         let mut information = [[0.0; FEATURES]; FEATURES];
-        let mut pairs = self.pairs.iter().map(sum);
+        let mut pair = 0;
         for a in 0..FEATURES {
             for b in a..FEATURES {
-                let value = pairs.next().unwrap_or_default();
+                let value = sum(&self.pairs[pair]);
                 information[a][b] = value;
                 information[b][a] = value;
+                pair += 1;
             }
+        }
+        let mut right = [0.0; FEATURES];
+        for a in 0..FEATURES {
+            right[a] = sum(&self.right[a]);
         }
         Gram {
             information,
-            right: self.right.each_ref().map(sum),
+            right,
             weight: sum(&self.weight),
             psi_squared: sum(&self.psi_squared),
             psi_slope: sum(&self.psi_slope),
@@ -130,6 +179,9 @@ impl Accumulator {
     }
 }
 
+#[inline(always)]
 fn sum(lanes: &Lanes) -> f64 {
-    f64::from(lanes.iter().sum::<f32>())
+    let [a, b, c, d, e, f, g, h] = *lanes;
+    // Halves first: one addition of vectors each.
+    f64::from(((a + e) + (c + g)) + ((b + f) + (d + h)))
 }

@@ -1,14 +1,36 @@
-//! Image noise, from the image itself.
+//! The image's noise, from the image itself.
+//!
+//! Near the finger the image is cut into cells. The second difference by rows of the second
+//! difference by columns, [1 −2 1] × [1 −2 1]ᵀ, is blind to levels, slopes and straight edges along
+//! rows or columns, and has 36 times the variance of white noise. The cells that show a flat piece
+//! of the scene agree on it; those that show an edge or texture are above it and are left out.
 
 use super::sketch::Sketch;
 use crate::image::GrayView;
 
+/// Side of a cell \[px\].
 const CELL: usize = 8;
-/// relative sd of a cell
-const CELL_SD: f64 = 0.344;
+/// Squares of the weights of the double second difference: (1 + 4 + 1)².
+const GAIN: f64 = 36.0;
+/// Relative standard deviation of a cell's variance: neighbours share pixels, and 64 of them count
+/// as 17 independent ones, √(2 / 17).
+const CELL_SIGMA: f64 = 0.344;
+/// The lower quartile of such a cell, a gamma variable, in parts of its mean.
+const QUARTILE: f64 = 0.745;
+/// Cells up to this many standard deviations above the mean are kept; so cut off, the mean is lower
+/// by this part.
+const KEPT_SIGMAS: f64 = 2.5;
+const KEPT_MEAN: f64 = 0.988;
+/// Fewer cells than this do not agree on anything.
+const MIN_CELLS: usize = 4;
+/// How far beyond the flanks cells are taken from \[px\].
 const MARGIN_PX: f64 = 12.0;
+/// The rounding to whole grey levels alone: 1 / √12.
 const LEAST_GREY: f64 = 0.288_675;
+const MAX_ROUNDS: usize = 10;
+const SETTLED: f64 = 1e-3;
 
+/// Estimates noise; owns its buffer.
 #[derive(Debug, Clone)]
 pub(super) struct NoiseEstimator {
     cells: Vec<f64>,
@@ -16,70 +38,67 @@ pub(super) struct NoiseEstimator {
 
 impl NoiseEstimator {
     pub fn new() -> Self {
-        Self { cells: Vec::with_capacity(4096) }
+        Self { cells: Vec::with_capacity(256) }
     }
 
+    /// Standard deviation of the noise near the finger \[grey levels\]; `None` if too little of the
+    /// image is there, or is not clipped.
     pub fn estimate(&mut self, image: &GrayView<'_>, sketch: &Sketch) -> Option<f64> {
-        let reach = sketch.half_width_px + MARGIN_PX;
-        let l = sketch.half_length_px;
-        let half = [
-            sketch.along.x.abs() * l + sketch.along.y.abs() * reach,
-            sketch.along.y.abs() * l + sketch.along.x.abs() * reach,
-        ];
-        let span = |c: f64, h: f64, n: usize| {
-            let from = (c - h).clamp(1.0, n as f64 - 1.0) as usize;
-            let to = (c + h).clamp(1.0, n as f64 - 1.0) as usize;
-            (from, to)
-        };
-        let (x0, x1) = span(sketch.origin.x, half[0], image.width());
-        let (y0, y1) = span(sketch.origin.y, half[1], image.height());
-        self.cells.clear();
-        let mut y = y0;
-        while y + CELL <= y1 {
-            let mut x = x0;
-            while x + CELL <= x1 {
-                if let Some(v) = cell(image, x, y) {
-                    self.cells.push(v);
-                }
-                x += CELL;
-            }
-            y += CELL;
-        }
-        if self.cells.len() < 4 {
+        self.collect(image, sketch);
+        let cells = &mut self.cells;
+        if cells.len() < MIN_CELLS {
             return None;
         }
-        let cells = &mut self.cells;
         cells.sort_unstable_by(f64::total_cmp);
-        // quarter quantile of a gamma of that sd
-        let mut v = cells[cells.len() / 4] / 0.745;
-        for _ in 0..10 {
-            let limit = v * (1.0 + 2.5 * CELL_SD);
-            let n = cells.partition_point(|c| *c <= limit).max(1);
-            let mean = cells[..n].iter().sum::<f64>() / n as f64 / 0.988;
-            if (mean - v).abs() < 1e-3 * v {
+        let mut variance = cells[cells.len() / 4] / QUARTILE;
+        for _ in 0..MAX_ROUNDS {
+            let limit = variance * (1.0 + KEPT_SIGMAS * CELL_SIGMA);
+            let kept = cells.partition_point(|c| *c <= limit).max(1);
+            let mean = cells[..kept].iter().sum::<f64>() / kept as f64 / KEPT_MEAN;
+            let moved = (mean - variance).abs();
+            variance = mean;
+            if moved < SETTLED * variance {
                 break;
             }
-            v = mean;
         }
-        Some(v.sqrt().max(LEAST_GREY))
+        Some(variance.sqrt().max(LEAST_GREY))
+    }
+
+    /// The variances of the cells in the box about the finger.
+    fn collect(&mut self, image: &GrayView<'_>, sketch: &Sketch) {
+        let (long, wide) = (sketch.half_length_px, sketch.half_width_px + MARGIN_PX);
+        let (u, v) = (sketch.along.x.abs(), sketch.along.y.abs());
+        // A cell's differences reach one px beyond it.
+        let span = |middle: f64, half: f64, size: usize| {
+            let last = size as f64 - 1.0;
+            ((middle - half).clamp(1.0, last) as usize, (middle + half).clamp(1.0, last) as usize)
+        };
+        let (left, right) = span(sketch.origin.x, u * long + v * wide, image.width().max(2));
+        let (top, bottom) = span(sketch.origin.y, v * long + u * wide, image.height().max(2));
+        self.cells.clear();
+        for y in (top..(bottom + 1).saturating_sub(CELL)).step_by(CELL) {
+            for x in (left..(right + 1).saturating_sub(CELL)).step_by(CELL) {
+                self.cells.extend(cell(image, x, y));
+            }
+        }
     }
 }
 
-/// Mean square of the second difference by rows and columns, in units of the noise's variance.
+/// The variance of the noise in the cell whose first pixel is (x, y); `None` if a pixel of it is
+/// clipped.
 fn cell(image: &GrayView<'_>, x: usize, y: usize) -> Option<f64> {
-    let mut sum = 0_i64;
+    let mut sum = 0;
     for v in y..y + CELL {
-        let [a, b, c] =
-            [image.row(v - 1)?, image.row(v)?, image.row(v + 1)?].map(|r| r.get(x - 1..=x + CELL));
-        let (a, b, c) = (a?, b?, c?);
+        let row = |v| image.row(v)?.get(x - 1..=x + CELL);
+        let (above, here, below) = (row(v - 1)?, row(v)?, row(v + 1)?);
         for k in 1..=CELL {
-            if b[k] == 0 || b[k] == 255 {
+            if matches!(here[k], 0 | 255) {
                 return None;
             }
-            let d = |r: &[u8]| i32::from(r[k - 1]) - 2 * i32::from(r[k]) + i32::from(r[k + 1]);
-            let l = d(a) - 2 * d(b) + d(c);
-            sum += i64::from(l * l);
+            let second = |r: &[u8]| i32::from(r[k - 1]) - 2 * i32::from(r[k]) + i32::from(r[k + 1]);
+            let twice = second(above) - 2 * second(here) + second(below);
+            sum += twice * twice;
         }
     }
-    Some(sum as f64 / (36 * CELL * CELL) as f64)
+    Some(f64::from(sum) / (GAIN * (CELL * CELL) as f64))
 }

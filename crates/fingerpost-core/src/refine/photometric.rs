@@ -21,7 +21,7 @@
 
 use super::block::{Deviation, EDGE_EFFECT, Evidence, OUTSIDE_EFFECT};
 use super::blur::BlurTable;
-use super::gram::{Accumulator, Gram, Weighing};
+use super::gram::{Gram, Summing, Weighing};
 use super::pixels::{Block, LANES, Strip};
 use super::profile::{CLEAR, RoundEnd};
 use super::sketch::{FlankLines, Sketch};
@@ -31,6 +31,7 @@ use super::unknowns::{
 };
 use super::{KnownBackground, PhotometricOptions, PhotometricReport};
 use crate::image::GrayView;
+use crate::simd::Isa;
 use nalgebra::{Cholesky, Const, Matrix2, Matrix4, Vector2};
 
 /// The first iteration takes residuals of this part of the contrast for noise: it starts from the
@@ -49,6 +50,8 @@ const ADAPTING_ITERATIONS: usize = 8;
 /// No iteration moves the flanks by more than this \[px\], or the blur by more than this part.
 const LONGEST_STEP_PX: f64 = 1.0;
 const LARGEST_BLUR_CHANGE: f64 = 0.3;
+/// After the last iteration allowed, a motion of so many tolerances is still taken for settled.
+const NEARLY_SETTLED: f64 = 10.0;
 /// Levels to start from are those of the pixels so far inside and outside the sketch's edge \[px\].
 const CLEAR_INSIDE_PX: f32 = 2.0;
 const CLEAR_OUTSIDE_PX: f32 = 1.0;
@@ -57,6 +60,7 @@ const CLEAR_OUTSIDE_PX: f32 = 1.0;
 #[derive(Debug, Clone)]
 pub(super) struct Photometric {
     options: PhotometricOptions,
+    isa: Isa,
     table: BlurTable,
     flanks: [Flank; 2],
     sorted: Vec<f64>,
@@ -87,6 +91,13 @@ struct Normal {
     tally: Tally,
 }
 
+/// How a fit ended.
+struct Ending {
+    residual_grey: f64,
+    iterations: usize,
+    converged: bool,
+}
+
 /// Sums over all pixels.
 #[derive(Default)]
 struct Tally {
@@ -113,10 +124,16 @@ impl Photometric {
     pub fn new(options: PhotometricOptions) -> Self {
         Self {
             options,
+            isa: Isa::detect(),
             table: BlurTable::new(),
             flanks: [Flank::default(), Flank::default()],
             sorted: Vec::with_capacity(128),
         }
+    }
+
+    /// The same with another instruction set.
+    pub fn with_isa(self, isa: Isa) -> Self {
+        Self { isa, ..self }
     }
 
     /// The line near the sketch, or `None` if too little of a flank shows or the pixels do not
@@ -138,7 +155,7 @@ impl Photometric {
             }
         }
         let mut x = self.start(sketch)?;
-        let pixels = self.flanks.iter().map(|f| f.strip.pixels()).sum::<usize>() as f64;
+        let pixels = self.pixels() as f64;
         let contrast = x.contrast_grey(0).abs().max(x.contrast_grey(1).abs());
         let prior = unknowns::prior(&self.options, contrast);
         let mean = x;
@@ -169,11 +186,19 @@ impl Photometric {
             self.follow(sketch, &step, part);
             let settled = iteration > 2 && motion < self.options.tolerance_px;
             if settled || iteration >= self.options.max_iterations {
+                let settled = motion < NEARLY_SETTLED * self.options.tolerance_px;
                 let covariance = covariance(&factor, &normal.tally, freedom)?;
-                let report = self.report(&x, &normal.tally, scale, pixels, iteration, settled);
+                let ending =
+                    Ending { residual_grey: scale, iterations: iteration, converged: settled };
+                let report = self.report(sketch, &x, &normal.tally, &ending);
                 return straight(&x, &covariance, report);
             }
         }
+    }
+
+    /// How many pixels are fitted.
+    fn pixels(&self) -> usize {
+        self.flanks.iter().map(|f| f.strip.pixels()).sum()
     }
 
     /// Where the search begins: on the sketch, with the middle levels of the blocks' pixels that are
@@ -210,22 +235,15 @@ impl Photometric {
             let mut equations = FlankEquations::default();
             let mut evidence = Evidence::default();
             for (block, deviation) in flank.strip.blocks.iter().zip(&mut flank.deviations) {
-                let profile = x.profile(sketch, index, block.p, &deviation.effects);
-                let mut sums = Accumulator::new(&weighing);
-                let chunks = flank.strip.chunks(block);
-                match &end {
-                    Some(end) if block.p > clear => {
-                        for chunk in chunks {
-                            sums.add(chunk, &profile.round(self.table, chunk, end));
-                        }
-                    }
-                    _ => {
-                        for chunk in chunks {
-                            sums.add(chunk, &profile.straight(self.table, chunk));
-                        }
-                    }
-                }
-                let gram = sums.total();
+                let mut gram = Gram::default();
+                self.isa.run(Summing {
+                    chunks: flank.strip.chunks(block),
+                    profile: x.profile(sketch, index, block.p, &deviation.effects),
+                    end: end.filter(|_| block.p > clear),
+                    table: self.table,
+                    weighing,
+                    gram: &mut gram,
+                });
                 deviation.chi_squared = gram.chi_squared / block.pixels as f64;
                 if 1 < iteration && iteration <= ADAPTING_ITERATIONS {
                     deviation.say = (MOST_CHI_SQUARED / deviation.chi_squared).powi(2).min(1.0);
@@ -269,22 +287,22 @@ impl Photometric {
 
     fn report(
         &self,
+        sketch: &Sketch,
         x: &Unknowns,
         tally: &Tally,
-        residual_grey: f64,
-        pixels: f64,
-        iterations: usize,
-        converged: bool,
+        ending: &Ending,
     ) -> PhotometricReport {
-        let blocks = self.flanks.iter().map(|f| f.deviations.len()).sum();
+        let Ending { residual_grey, iterations, converged } = *ending;
+        let pixels = self.pixels();
+        let blocks: usize = self.flanks.iter().map(|f| f.deviations.len()).sum();
         let sigma = |effect: usize| [0, 1].map(|f| self.flanks[f].variances[effect].sqrt());
         PhotometricReport {
-            pixels: pixels as usize,
-            rejected: tally.rejected / pixels,
+            pixels,
+            rejected: tally.rejected / pixels as f64,
             blocks,
             trusted: tally.say / blocks as f64,
             residual_grey,
-            contrast_grey: [x.contrast_grey(0), x.contrast_grey(1)],
+            contrast_grey: [0, 1].map(|f| x.shaded_contrast_grey(sketch, f)),
             inside_grey: sigma(0),
             outside_grey: sigma(OUTSIDE_EFFECT),
             edge_px: sigma(EDGE_EFFECT),

@@ -7,6 +7,7 @@
 use super::sketch::{SIDES, Sketch};
 use super::{KnownBackground, PhotometricOptions, Stretch};
 use crate::image::GrayView;
+use nalgebra::Vector2;
 
 /// How many pixels are worked on at once.
 pub(super) const LANES: usize = 8;
@@ -58,7 +59,7 @@ struct Seen {
     v: f32,
 }
 
-/// A part of the strip: where q = σ · v runs between two bounds.
+/// A rectangle of the finger's frame: between bounds of p and of v = σ q.
 struct Band {
     p: [f64; 2],
     v: [f64; 2],
@@ -83,81 +84,100 @@ impl Strip {
         flank: usize,
         options: &PhotometricOptions,
     ) {
-        let Self { blocks, chunks, seen } = self;
-        (blocks.clear(), chunks.clear(), seen.clear());
+        self.see(image, sketch, flank, options);
+        self.divide(sketch.flanks[flank].from_px, options.block_px);
+        self.fill(image, background, sketch.normal() * SIDES[flank]);
+    }
+
+    /// Finds the pixels of the strip: along the straight part up to the middle of the round end, and
+    /// about a part of that.
+    fn see(
+        &mut self,
+        image: &GrayView<'_>,
+        sketch: &Sketch,
+        flank: usize,
+        options: &PhotometricOptions,
+    ) {
         let Stretch { from_px, to_px } = sketch.flanks[flank];
-        let (side, inner, outer) = (SIDES[flank], options.inner_px, options.outer_px);
-        let block_of = |p: f64| ((p - from_px) / options.block_px) as usize;
-        let mut see = |band: &Band, wanted: &dyn Fn(f64, f64) -> bool| {
-            band.scan(image, sketch, side, |x, y, p, v| {
-                if wanted(p, v) {
-                    let (x, y, p32, v) = (x as u32, y as u32, p as f32, v as f32);
-                    seen.push(Seen { block: block_of(p), x, y, p: p32, v });
+        let (inner, outer) = (options.inner_px, options.outer_px);
+        let strip = -inner..=outer;
+        let seen = &mut self.seen;
+        seen.clear();
+        let mut scan = |band: &Band, outside: &dyn Fn(f64, f64) -> f64| {
+            band.scan(image, sketch, SIDES[flank], |x, y, p, v| {
+                if strip.contains(&outside(p, v)) {
+                    let block = ((p - from_px) / options.block_px) as usize;
+                    let (x, y, p, v) = (x as u32, y as u32, p as f32, v as f32);
+                    seen.push(Seen { block, x, y, p, v });
                 }
             });
         };
-        // The straight part, up to the middle of the round end; then a part of the round end.
         let straight_to = sketch.round_end_px.map_or(to_px, |e| to_px.min(e));
         if straight_to > from_px {
-            let widths = [from_px, straight_to].map(|p| sketch.half_width_at(p));
-            let least = (widths[0].min(widths[1]) - inner).max(0.0);
-            let most = widths[0].max(widths[1]) + outer;
-            let band = Band { p: [from_px, straight_to], v: [least, most] };
-            see(&band, &|p, v| {
-                let outside = v - sketch.half_width_at(p);
-                -inner <= outside && outside <= outer
-            });
+            let [a, b] = [from_px, straight_to].map(|p| sketch.half_width_at(p));
+            let v = [(a.min(b) - inner).max(0.0), a.max(b) + outer];
+            let band = Band { p: [from_px, straight_to], v };
+            scan(&band, &|p, v| v - sketch.half_width_at(p));
         }
         if let (Some(end), Some(radius)) = (sketch.round_end_px, sketch.end_radius_px()) {
-            let from = from_px.max(end);
-            let to = to_px.min(end + options.cap * radius);
-            if to > from {
-                see(&Band { p: [from, to], v: [0.0, radius + outer] }, &|p, v| {
-                    let outside = (p - end).hypot(v) - radius;
-                    p > end && -inner <= outside && outside <= outer
-                });
+            // The middle itself belongs to the straight part.
+            let p = [from_px.max(end).next_up(), to_px.min(end + options.cap * radius)];
+            if p[1] > p[0] {
+                let band = Band { p, v: [0.0, radius + outer] };
+                scan(&band, &|p, v| (p - end).hypot(v) - radius);
             }
         }
-        let Some(count) = seen.iter().map(|s| s.block + 1).max() else { return };
-        blocks.resize(count, Block::default());
-        for s in seen.iter() {
-            blocks[s.block].pixels += 1;
+    }
+
+    /// Makes room for what was seen, block by block.
+    fn divide(&mut self, from_px: f64, block_px: f64) {
+        let count = self.seen.iter().map(|s| s.block + 1).max().unwrap_or(0);
+        self.blocks.clear();
+        self.blocks.resize(count, Block::default());
+        for s in &self.seen {
+            self.blocks[s.block].pixels += 1;
         }
         let mut total = 0;
-        for (k, block) in blocks.iter_mut().enumerate() {
-            block.p = from_px + (k as f64 + 0.5) * options.block_px;
+        for (k, block) in self.blocks.iter_mut().enumerate() {
+            block.p = from_px + (k as f64 + 0.5) * block_px;
             (block.from_chunk, block.to_chunk) = (total, total);
             total += block.pixels.div_ceil(LANES);
             block.pixels = 0;
         }
-        chunks.resize(total, Chunk::default());
-        let outward = sketch.normal() * side;
-        for s in seen.iter() {
+        self.chunks.clear();
+        self.chunks.resize(total, Chunk::default());
+    }
+
+    /// Puts the usable ones of the pixels seen into their blocks.
+    fn fill(
+        &mut self,
+        image: &GrayView<'_>,
+        background: Option<&KnownBackground<'_>>,
+        outward: Vector2<f64>,
+    ) {
+        for s in &self.seen {
             let (x, y) = (s.x as usize, s.y as usize);
             let Some(grey @ 1..=254) = image.pixel(x, y) else { continue };
-            let local = match background {
-                Some(known) => match known.local(x, y, outward) {
-                    Some(local) => local,
-                    None => continue,
-                },
-                None => [0.0; 4],
+            let behind = match background {
+                Some(known) => known.local(x, y, outward),
+                None => Some([0.0; 4]),
             };
-            let block = &mut blocks[s.block];
+            let Some([level, slope, curvature, doubt]) = behind else { continue };
+            let block = &mut self.blocks[s.block];
             let (chunk, lane) = (block.from_chunk + block.pixels / LANES, block.pixels % LANES);
             block.pixels += 1;
             block.to_chunk = chunk + 1;
-            let c = &mut chunks[chunk];
-            c.p[lane] = s.p;
-            c.v[lane] = s.v;
-            c.grey[lane] = f32::from(grey);
-            c.weight[lane] = 1.0;
-            let [level, slope, curvature, doubt] = local;
-            c.background[lane] = level;
-            c.background_slope[lane] = slope;
-            c.background_curvature[lane] = curvature;
-            c.doubt[lane] = doubt;
+            let chunk = &mut self.chunks[chunk];
+            chunk.p[lane] = s.p;
+            chunk.v[lane] = s.v;
+            chunk.grey[lane] = f32::from(grey);
+            chunk.weight[lane] = 1.0;
+            chunk.background[lane] = level;
+            chunk.background_slope[lane] = slope;
+            chunk.background_curvature[lane] = curvature;
+            chunk.doubt[lane] = doubt;
         }
-        blocks.retain(|b| b.pixels > 0);
+        self.blocks.retain(|b| b.pixels > 0);
     }
 }
 

@@ -21,7 +21,16 @@
 //! The profile of the blurred step is exact for a Gaussian point spread function on square pixels up
 //! to its fourth moment, with s² the blur's variance plus 1/12 px².
 
-use super::blur::{BlurTable, Moments};
+#![expect(
+    clippy::inline_always,
+    reason = "what is inlined into a function with wider instructions is compiled for them"
+)]
+#![expect(
+    clippy::needless_range_loop,
+    reason = "lane by lane through many arrays at once is what the compiler turns into vectors"
+)]
+
+use super::blur::BlurTable;
 use super::pixels::{Chunk, LANES, Lanes};
 
 /// How the grey level of a pixel changes with what its block depends on.
@@ -93,8 +102,8 @@ struct Distance {
 
 impl Profile {
     /// The distance from the straight flank.
-    #[inline]
-    fn from_flank(&self, chunk: &Chunk) -> Lanes {
+    #[inline(always)]
+    fn beyond_flank(&self, chunk: &Chunk) -> Lanes {
         let [e0, e1, e2] = self.edge;
         let mut y = [0.0; LANES];
         for i in 0..LANES {
@@ -105,9 +114,9 @@ impl Profile {
     }
 
     /// What pixels clear of the round end record.
-    #[inline]
+    #[inline(always)]
     pub fn straight(&self, table: BlurTable, chunk: &Chunk) -> Prediction {
-        let y = self.from_flank(chunk);
+        let y = self.beyond_flank(chunk);
         let s = self.blur;
         let mut z = [0.0; LANES];
         for i in 0..LANES {
@@ -141,9 +150,9 @@ impl Profile {
     }
 
     /// What pixels near the round end record.
-    #[inline]
-    pub fn round(&self, table: BlurTable, chunk: &Chunk, end: &RoundEnd) -> Prediction {
-        let from_flank = self.from_flank(chunk);
+    #[inline(always)]
+    pub fn round(&self, table: BlurTable, chunk: &Chunk, end: RoundEnd) -> Prediction {
+        let from_flank = self.beyond_flank(chunk);
         let s = self.blur;
         let d = end.distance(table, &from_flank, &chunk.p, s);
         let mut z = [0.0; LANES];
@@ -186,8 +195,8 @@ impl Profile {
 }
 
 impl RoundEnd {
-    #[inline]
-    fn distance(&self, table: BlurTable, from_flank: &Lanes, p: &Lanes, s: f32) -> Distance {
+    #[inline(always)]
+    fn distance(self, table: BlurTable, from_flank: &Lanes, p: &Lanes, s: f32) -> Distance {
         let radius = self.radius;
         let mut d = Distance::default();
         for i in 0..LANES {
@@ -212,7 +221,7 @@ impl RoundEnd {
     }
 }
 
-/// [`Moments`] of every lane.
+/// [`Moments`](super::blur::Moments) of every lane.
 struct MomentLanes {
     step: Lanes,
     step_slope: Lanes,
@@ -220,13 +229,119 @@ struct MomentLanes {
     root_slope: Lanes,
 }
 
-#[inline]
+#[inline(always)]
 fn moments(table: BlurTable, z: &Lanes) -> MomentLanes {
-    let at: [Moments; LANES] = z.map(|z| table.moments(z));
-    MomentLanes {
-        step: at.map(|m| m.step),
-        step_slope: at.map(|m| m.step_slope),
-        root: at.map(|m| m.root),
-        root_slope: at.map(|m| m.root_slope),
+    let none = [0.0; LANES];
+    let mut at = MomentLanes { step: none, step_slope: none, root: none, root_slope: none };
+    for i in 0..LANES {
+        let m = table.moments(z[i]);
+        at.step[i] = m.step;
+        at.step_slope[i] = m.step_slope;
+        at.root[i] = m.root;
+        at.root_slope[i] = m.root_slope;
+    }
+    at
+}
+
+// The profile is private, and what it must agree with are its own derivatives.
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Step of the differences, and what they may be off by: rounding of grey levels to single
+    /// precision over the step, and its fourth power.
+    const STEP: f32 = 0.05;
+    const TOLERANCE: f32 = 4e-3;
+
+    fn chunk(p: f32, v: f32, slope: f32) -> Chunk {
+        let mut chunk = Chunk::default();
+        for i in 0..LANES {
+            let along = i as f32 / LANES as f32;
+            chunk.p[i] = p + 3.0 * along;
+            chunk.v[i] = v - 4.0 + 7.0 * ((5 * i) % LANES) as f32 / LANES as f32;
+            chunk.background[i] = 40.0 + 20.0 * along;
+            chunk.background_slope[i] = slope * (along - 0.5);
+            chunk.background_curvature[i] = 0.5 * slope * along;
+        }
+        chunk
+    }
+
+    fn profile() -> Profile {
+        Profile {
+            edge: [8.0, -0.01, 1e-4],
+            blur: 1.1,
+            inside: [150.0, 0.1],
+            outside: [3.0, -0.05],
+            ramp: 25.0,
+            limb: 40.0,
+            half_width: 8.2,
+        }
+    }
+
+    fn nudge(profile: &Profile, mut end: RoundEnd, feature: usize, by: f32) -> (Profile, RoundEnd) {
+        let mut profile = *profile;
+        match feature {
+            EDGE => profile.edge[0] += by,
+            BLUR => profile.blur += by,
+            END => end.middle += by,
+            INSIDE => profile.inside[0] += by,
+            OUTSIDE => profile.outside[0] += by,
+            RAMP => profile.ramp += by,
+            _ => profile.limb += by,
+        }
+        (profile, end)
+    }
+
+    /// Five-point central differences of every feature at every pixel.
+    fn check(p: f32, predict: impl Fn(&Profile, RoundEnd, &Chunk) -> Prediction) {
+        let (profile, end) = (profile(), RoundEnd { middle: 25.0, radius: 7.8 });
+        for slope in [0.0, 6.0] {
+            let chunk = chunk(p, 8.0, slope);
+            let analytic = predict(&profile, end, &chunk).features;
+            for (feature, analytic) in analytic.iter().enumerate() {
+                let at = |steps: f32| {
+                    let (profile, end) = nudge(&profile, end, feature, steps * STEP);
+                    predict(&profile, end, &chunk).grey
+                };
+                let [far_below, below, above, far_above] = [-2.0, -1.0, 1.0, 2.0].map(at);
+                for i in 0..LANES {
+                    let near = 8.0 * (above[i] - below[i]);
+                    let difference = (near - (far_above[i] - far_below[i])) / (12.0 * STEP);
+                    let off = (analytic[i] - difference).abs();
+                    assert!(
+                        off < TOLERANCE * (1.0 + analytic[i].abs()),
+                        "feature {feature}, pixel {i} at p = {p}: {} and {difference}",
+                        analytic[i]
+                    );
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn derivatives_along_the_straight_flank() {
+        for p in [-30.0, 0.0, 12.0] {
+            check(p, |profile, _, chunk| profile.straight(BlurTable::new(), chunk));
+        }
+    }
+
+    #[test]
+    fn derivatives_about_the_round_end() {
+        // Not astride its middle, where the second derivative of the outline jumps.
+        for p in [18.0, 21.5, 25.2, 27.5] {
+            check(p, |profile, end, chunk| profile.round(BlurTable::new(), chunk, end));
+        }
+    }
+
+    #[test]
+    fn far_from_the_round_end_the_flank_is_straight() {
+        let (profile, end) = (profile(), RoundEnd { middle: 25.0, radius: 7.8 });
+        let chunk = chunk(-10.0, 8.0, 3.0);
+        let straight = profile.straight(BlurTable::new(), &chunk);
+        let round = profile.round(BlurTable::new(), &chunk, end);
+        for i in 0..LANES {
+            assert!((straight.grey[i] - round.grey[i]).abs() < 1e-3);
+            assert!((straight.features[EDGE][i] - round.features[EDGE][i]).abs() < 1e-3);
+        }
     }
 }

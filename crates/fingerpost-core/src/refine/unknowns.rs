@@ -35,6 +35,9 @@ const END_SIGMA_PX: f64 = 1.0;
 /// Contrasts below this are taken for it when shading is weighed against them \[grey levels\].
 pub(super) const LEAST_CONTRAST_GREY: f64 = 10.0;
 
+/// A finger's edge may be as dark as what is behind it; this far inside, it shows \[px\].
+const SHADED_PX: f64 = 2.0;
+
 /// What a flank depends on: a coefficient of its edge, the blur, …, each of them one feature times
 /// one function of p.
 const SLOTS: usize = 11;
@@ -114,6 +117,13 @@ impl Unknowns {
     /// Finger minus background at a flank \[grey levels\].
     pub fn contrast_grey(&self, flank: usize) -> f64 {
         self.0[OWN + flank * OWN_COUNT] - self.0[OWN + flank * OWN_COUNT + 1]
+    }
+
+    /// Finger minus background at a flank, [`SHADED_PX`] inside the edge \[grey levels\].
+    pub fn shaded_contrast_grey(&self, sketch: &Sketch, flank: usize) -> f64 {
+        let depth = SHADED_PX / sketch.half_width_px;
+        let own = OWN + flank * OWN_COUNT;
+        self.contrast_grey(flank) + self.0[own + 2] * depth + self.0[own + 3] * (2.0 * depth).sqrt()
     }
 
     /// What a block of a flank looks like whose levels and edge deviate by `effects`: inside,
@@ -199,14 +209,12 @@ impl FlankEquations {
 
     /// Adds them to those of all unknowns.
     pub fn spread(&self, flank: usize, information: &mut Information, right: &mut Vector) {
-        for a in 0..SEEN {
-            let (row, sign, i) = (seen_unknown(a, flank), seen_sign(a, flank), SEEN_SLOT[a]);
+        for (a, &i) in SEEN_SLOT.iter().enumerate() {
+            let (row, sign) = (seen_unknown(a, flank), seen_sign(a, flank));
             right[row] += sign * self.right[i];
-            for b in 0..SEEN {
-                let j = SEEN_SLOT[b];
-                let sign = sign * seen_sign(b, flank);
+            for (b, &j) in SEEN_SLOT.iter().enumerate() {
                 information[(row, seen_unknown(b, flank))] +=
-                    sign * self.information[i.min(j)][i.max(j)];
+                    sign * seen_sign(b, flank) * self.information[i.min(j)][i.max(j)];
             }
         }
     }

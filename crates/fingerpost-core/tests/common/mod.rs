@@ -181,7 +181,7 @@ impl Shape for Hand {
 pub struct Canvas {
     width: usize,
     height: usize,
-    grey: Vec<f64>,
+    pub grey: Vec<f64>,
 }
 
 impl Canvas {
@@ -244,7 +244,7 @@ impl Canvas {
 
 /// The area of the unit square about a point on the inner side of a line `depth` away: the
 /// convolution of a step with a box along each axis.
-fn covered_part(depth: f64, outward: &Vector2<f64>) -> f64 {
+pub fn covered_part(depth: f64, outward: &Vector2<f64>) -> f64 {
     let (u, v) = (outward.x.abs(), outward.y.abs());
     let (long, short) = (u.max(v), u.min(v));
     // The second box is too narrow to divide by.

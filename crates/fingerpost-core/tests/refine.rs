@@ -1,0 +1,585 @@
+//! The refiner against fingers that are exact: spheres of falling size along a line in space, seen by
+//! a pinhole, whose axis projects to a line that is known to rounding.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, missing_docs)]
+
+mod common;
+
+use common::{Canvas, Noise, Picture};
+use fingerpost_core::nalgebra::{Matrix2, Matrix4, Point2, Vector2, Vector3, Vector4};
+use fingerpost_core::refine::{
+    Finger, KnownBackground, RefineOptions, Refined, Refiner, Source, Stretch,
+};
+use fingerpost_core::search::Polarity;
+use fingerpost_core::shape_space::Axis;
+use fingerpost_core::simd::Isa;
+use fingerpost_core::{Error, Frame};
+use std::f64::consts::{PI, TAU};
+
+const SIZE: usize = 128;
+const TABLE: f64 = 70.0;
+
+/// A sphere-swept cone before a pinhole camera.
+#[derive(Debug, Clone, Copy)]
+struct Cone {
+    focal_px: f64,
+    shift: Vector2<f64>,
+    centres: [Vector3<f64>; 2],
+    radii: [f64; 2],
+}
+
+/// How it is lit.
+#[derive(Debug, Clone, Copy)]
+struct Light {
+    contrast: f64,
+    /// From the side, and towards the limb, in parts of the contrast.
+    side: f64,
+    limb: f64,
+    blur_px: f64,
+}
+
+const PLAIN: Light = Light { contrast: 80.0, side: 0.0, limb: 0.0, blur_px: 1.0 };
+
+impl Cone {
+    /// A rod of 16 mm and 70–90 mm, two metres away, some 12 px wide, in any direction that shows
+    /// its length; `scale` magnifies it.
+    fn random(noise: &mut Noise, taper: f64, scale: f64) -> Self {
+        let focal_px = 1692.0 * scale;
+        let z = noise.between(1850.0, 2050.0);
+        let middle =
+            Vector3::new(noise.between(-0.08, 0.08) * z, noise.between(-0.08, 0.08) * z, z);
+        let (azimuth, tilt) = (noise.between(0.0, TAU), noise.between(-0.9, 0.9));
+        let along =
+            Vector3::new(azimuth.cos() * tilt.cos(), azimuth.sin() * tilt.cos(), tilt.sin());
+        let length = noise.between(70.0, 90.0);
+        let radii = [8.0, 8.0 * (1.0 - taper)];
+        let centres = [middle - along * (0.5 * length), middle + along * (0.5 * length - radii[1])];
+        let mut cone = Self { focal_px, shift: Vector2::zeros(), centres, radii };
+        let half = 0.5 * SIZE as f64 * scale;
+        let jitter = Vector2::new(noise.between(-0.5, 0.5), noise.between(-0.5, 0.5));
+        cone.shift = Vector2::repeat(half) + jitter - cone.project(&middle).coords;
+        cone
+    }
+
+    fn project(&self, x: &Vector3<f64>) -> Point2<f64> {
+        Point2::from(Vector2::new(x.x, x.y) * (self.focal_px / x.z) + self.shift)
+    }
+
+    /// The ends of the projected axis.
+    fn ends(&self) -> [Point2<f64>; 2] {
+        self.centres.map(|c| self.project(&c))
+    }
+
+    fn half_widths(&self) -> [f64; 2] {
+        [0, 1].map(|i| self.focal_px * self.radii[i] / self.centres[i].z)
+    }
+
+    /// Negative where the ray through a point of the image meets a sphere.
+    fn outside(&self, at: Point2<f64>) -> f64 {
+        let at = (at.coords - self.shift) / self.focal_px;
+        let ray = Vector3::new(at.x, at.y, 1.0).normalize();
+        let (a, b) = (self.centres[0].cross(&ray), (self.centres[1] - self.centres[0]).cross(&ray));
+        let (r, dr) = (self.radii[0], self.radii[1] - self.radii[0]);
+        let (q2, q1, q0) = (b.dot(&b) - dr * dr, 2.0 * (a.dot(&b) - r * dr), a.dot(&a) - r * r);
+        let t = if q2 > 0.0 { (-0.5 * q1 / q2).clamp(0.0, 1.0) } else { 0.0 };
+        q0 + t * (q1 + t * q2)
+    }
+
+    /// What a tracker would know: the truth but for `error` px and as many fiftieths of a radian.
+    fn believed(&self, noise: &mut Noise, error: f64) -> Finger {
+        let [p0, p1] = self.ends();
+        let [w0, w1] = self.half_widths();
+        let length = (p1 - p0).norm();
+        let e = (p1 - p0) / length;
+        let n = Vector2::new(-e.y, e.x);
+        let anchor = p0 + e * (0.5 * length) + n * (error * noise.normal());
+        let angle = e.y.atan2(e.x) + 0.02 * error * noise.normal();
+        let stretch = Stretch { from_px: 1.0 - 0.5 * length, to_px: 0.5 * length + w1 };
+        Finger {
+            axis: Axis::of_finger(anchor, angle, 0.5 * length + w1),
+            half_width_px: 0.5 * (w0 + w1) + 0.5 * error * noise.normal(),
+            taper: (w1 - w0) / length,
+            flanks: [stretch, stretch],
+            round_end_px: Some(0.5 * length + error * noise.normal()),
+        }
+    }
+
+    /// Offset \[px\] and angle of an axis from the truth, the offset at the axis' own anchor.
+    fn error(&self, axis: &Axis) -> Vector2<f64> {
+        let [p0, p1] = self.ends();
+        let e = (p1 - p0).normalize();
+        let turn = axis.angle_rad - e.y.atan2(e.x);
+        let at = p0 + e * (axis.anchor - p0).dot(&e);
+        Vector2::new(axis.normal().dot(&(axis.anchor - at)), turn - (turn / TAU).round() * TAU)
+    }
+
+    /// The Cramér–Rao bound of offset and angle for two free straight flanks from end to end: an
+    /// edge of contrast A and blur s under noise σ carries A² / (2 √π s σ²) per px.
+    fn bound(&self, axis: &Axis, light: &Light, sigma: f64) -> Matrix2<f64> {
+        let [p0, p1] = self.ends();
+        let e = (p1 - p0).normalize();
+        let blur = light.blur_px.hypot(1.0 / 12_f64.sqrt());
+        let variance = sigma * sigma + 1.0 / 12.0;
+        let density = light.contrast.powi(2) / (2.0 * PI.sqrt() * blur * variance);
+        let (from, to) = ((p0 - axis.anchor).dot(&e), (p1 - axis.anchor).dot(&e));
+        let mut information = Matrix4::zeros();
+        let steps = 400;
+        for k in 0..steps {
+            let p = from + (to - from) * (f64::from(k) + 0.5) / f64::from(steps);
+            for side in [1.0, -1.0] {
+                let row = Vector4::new(side, side * p, 1.0, p);
+                information += row * row.transpose() * (density * (to - from) / f64::from(steps));
+            }
+        }
+        information.try_inverse().unwrap().fixed_view::<2, 2>(0, 0).into_owned()
+    }
+
+    /// The light that falls on each pixel: 4 × 4 samples, each by the part that the finger covers.
+    fn render(&self, light: &Light, scale: usize, behind: &dyn Fn(f64, f64) -> f64) -> Canvas {
+        const FINE: usize = 4;
+        let size = SIZE * scale;
+        let [p0, p1] = self.ends();
+        let [w0, w1] = self.half_widths();
+        let (length, e) = ((p1 - p0).norm(), (p1 - p0).normalize());
+        let step = 1.0 / FINE as f64;
+        let mut fine = Canvas::new(size * FINE, size * FINE, 0.0);
+        for y in 0..size * FINE {
+            for x in 0..size * FINE {
+                let place = |i: usize| (i as f64 + 0.5) * step - 0.5;
+                let at = Point2::new(place(x), place(y));
+                let (g, d) = (self.outside(at), 1e-3);
+                let slope = |v: Vector2<f64>| {
+                    (self.outside(at + v * d) - self.outside(at - v * d)) / (2.0 * d)
+                };
+                let normal = Vector2::new(slope(Vector2::x()), slope(Vector2::y()));
+                let steep = normal.norm();
+                let cover = common::covered_part(-g / steep / step, &(normal / steep));
+                let d = at - p0;
+                let (p, q) = (d.dot(&e), e.perp(&d));
+                let part = (p / length).clamp(0.0, 1.0);
+                let width = w0 + (w1 - w0) * part;
+                let (across, beyond) = (q / width, (p - part * length) / width);
+                let facing = (1.0 - across * across - beyond * beyond).max(0.0).sqrt();
+                let shade = (1.0 + 0.5 * light.side * across.clamp(-1.0, 1.0))
+                    * (1.0 - light.limb * (1.0 - facing));
+                let back = behind(at.x, at.y);
+                let front = TABLE + light.contrast * shade;
+                fine.grey[y * size * FINE + x] = back + cover * (front - back);
+            }
+        }
+        let fine = fine.blur(light.blur_px * FINE as f64);
+        let mut canvas = Canvas::new(size, size, 0.0);
+        for (i, grey) in fine.grey.iter().enumerate() {
+            let (x, y) = (i % (size * FINE) / FINE, i / (size * FINE) / FINE);
+            canvas.grey[y * size + x] += grey / (FINE * FINE) as f64;
+        }
+        canvas
+    }
+}
+
+fn flat(_: f64, _: f64) -> f64 {
+    TABLE
+}
+
+/// A table full of ellipses of up to ±`amplitude` grey levels.
+fn clutter(noise: &mut Noise, amplitude: f64) -> impl Fn(f64, f64) -> f64 + use<> {
+    let size = SIZE as f64;
+    let shapes: Vec<_> = (0..30)
+        .map(|_| {
+            let long = noise.between(6.0, 20.0);
+            let middle = Point2::new(noise.between(0.0, size), noise.between(0.0, size));
+            let short = long * noise.between(0.4, 1.0);
+            (
+                middle,
+                long,
+                short,
+                noise.between(0.0, PI).sin_cos(),
+                noise.between(-amplitude, amplitude),
+            )
+        })
+        .collect();
+    move |u, v| {
+        let hit = shapes.iter().rev().find(|(middle, long, short, (s, c), _)| {
+            let d = Point2::new(u, v) - middle;
+            ((d.x * c + d.y * s) / long).powi(2) + ((d.y * c - d.x * s) / short).powi(2) < 1.0
+        });
+        TABLE + hit.map_or(0.0, |shape| shape.4)
+    }
+}
+
+fn refiner() -> Refiner {
+    Refiner::new(RefineOptions::default()).unwrap()
+}
+
+fn refine(refiner: &mut Refiner, picture: &Picture, finger: &Finger) -> Option<Refined> {
+    refiner.refine(&Frame::gray(picture.view()), finger, Polarity::Unknown, None, None).unwrap()
+}
+
+/// Errors against what was claimed of them.
+#[derive(Debug, Default)]
+struct Score {
+    count: f64,
+    sum: Vector2<f64>,
+    squares: Vector2<f64>,
+    nees: Vector2<f64>,
+    bound: Vector2<f64>,
+    covered: f64,
+}
+
+impl Score {
+    fn add(&mut self, error: Vector2<f64>, covariance: &Matrix2<f64>, bound: &Matrix2<f64>) {
+        self.count += 1.0;
+        self.sum += error;
+        self.squares += error.component_mul(&error);
+        self.nees += error.component_mul(&error).component_div(&covariance.diagonal());
+        self.bound += error.component_mul(&error).component_div(&bound.diagonal());
+        let distance = error.dot(&(covariance.try_inverse().unwrap() * error));
+        self.covered += f64::from(u8::from(distance < 5.991));
+    }
+
+    fn rms_px(&self) -> f64 {
+        (self.squares.x / self.count).sqrt()
+    }
+
+    fn rms_deg(&self) -> f64 {
+        (self.squares.y / self.count).sqrt().to_degrees()
+    }
+}
+
+/// Refines `poses` × `trials` fingers and scores the lines that came from the pixels.
+fn photometric(
+    seed: u64,
+    [poses, trials]: [usize; 2],
+    light: &Light,
+    amplitude: f64,
+    known: bool,
+) -> Score {
+    let (mut noise, mut refiner, mut score) = (Noise::new(seed), refiner(), Score::default());
+    let sigma = 2.0;
+    for _ in 0..poses {
+        let cone = Cone::random(&mut noise, 0.1, 1.0);
+        let behind = clutter(&mut noise, amplitude);
+        let canvas = cone.render(light, 1, &behind);
+        let away = Cone { centres: cone.centres.map(|c| c + Vector3::new(1e4, 0.0, 0.0)), ..cone };
+        let empty = known.then(|| away.render(light, 1, &behind));
+        for _ in 0..trials {
+            let picture = canvas.take(sigma, &mut noise);
+            let finger = cone.believed(&mut noise, 0.3);
+            let spread = sigma / 30_f64.sqrt();
+            let learned: Option<Vec<f32>> = empty
+                .as_ref()
+                .map(|c| c.grey.iter().map(|g| (g + spread * noise.normal()) as f32).collect());
+            let doubt = vec![spread as f32; SIZE * SIZE];
+            let background =
+                learned.as_ref().map(|m| KnownBackground::new(m, &doubt, SIZE, SIZE).unwrap());
+            let frame = Frame::gray(picture.view());
+            let refined = refiner
+                .refine(&frame, &finger, Polarity::Unknown, None, background.as_ref())
+                .unwrap();
+            let Some(refined) = refined else { continue };
+            if refined.source == Source::Photometric {
+                let bound = cone.bound(&refined.axis, light, sigma);
+                score.add(cone.error(&refined.axis), &refined.covariance, &bound);
+            }
+        }
+    }
+    score
+}
+
+#[test]
+fn without_noise_hardly_an_error_is_left() {
+    let (mut noise, mut refiner, mut score) = (Noise::new(1), refiner(), Score::default());
+    for _ in 0..16 {
+        let cone = Cone::random(&mut noise, 0.1, 1.0);
+        let picture = cone.render(&PLAIN, 1, &flat).take(0.0, &mut noise);
+        let refined = refine(&mut refiner, &picture, &cone.believed(&mut noise, 0.3)).unwrap();
+        assert_eq!(refined.source, Source::Photometric);
+        score.add(cone.error(&refined.axis), &refined.covariance, &Matrix2::identity());
+    }
+    // Rounding to whole grey levels is a noise of 0.29 of its own.
+    assert!(score.rms_px() < 0.004, "{} px", score.rms_px());
+    assert!(score.rms_deg() < 0.005, "{}°", score.rms_deg());
+}
+
+#[test]
+fn the_covariance_is_that_of_the_errors_and_near_the_bound() {
+    let score = photometric(2, [40, 8], &PLAIN, 0.0, false);
+    let n = score.count;
+    assert!(n > 316.0, "{n} of 320");
+    // The standard error of a mean of χ² of 320 is 8 %.
+    for nees in (score.nees / n).iter() {
+        assert!((0.84..1.2).contains(nees), "NEES {}", score.nees / n);
+    }
+    // 95 % but for three standard errors, of 1.2 % each.
+    assert!((0.913..0.987).contains(&(score.covered / n)), "covered {}", score.covered / n);
+    // Mean errors, in units of their own standard error.
+    for bias in score.sum.component_div(&score.squares.map(f64::sqrt)).iter() {
+        assert!(bias.abs() < 3.0, "bias {bias}");
+    }
+    // The round end adds what its shading costs: the angle is as sure as two free flanks make it.
+    let efficiency = n / score.bound.y;
+    assert!((0.85..1.3).contains(&efficiency), "efficiency {efficiency}");
+}
+
+#[test]
+fn light_from_the_side_and_a_dark_limb_turn_nothing() {
+    let light = Light { side: 0.3, limb: 0.3, ..PLAIN };
+    let score = photometric(3, [40, 4], &light, 0.0, false);
+    let n = score.count;
+    assert!(n > 156.0, "{n} of 160");
+    assert!((score.sum.x / n).abs() < 0.01, "{} px", score.sum.x / n);
+    assert!((0.75..1.35).contains(&(score.nees.y / n)), "NEES {}", score.nees / n);
+    assert!(score.covered / n > 0.9, "covered {}", score.covered / n);
+    assert!(score.rms_deg() < 0.03, "{}°", score.rms_deg());
+}
+
+#[test]
+fn an_unknown_cluttered_background_is_doubted_as_much_as_it_deserves() {
+    for (amplitude, least, most_deg) in [(25.0, 0.8, 0.07), (50.0, 0.7, 0.14)] {
+        let score = photometric(4, [100, 1], &PLAIN, amplitude, false);
+        let n = score.count;
+        assert!(n / 100.0 > least, "{n} of 100 at ±{amplitude}");
+        assert!((0.4..1.7).contains(&(score.nees.y / n)), "±{amplitude}: {}", score.nees / n);
+        assert!(score.covered / n > 0.86, "±{amplitude}: covered {}", score.covered / n);
+        assert!(score.rms_deg() < most_deg, "±{amplitude}: {}°", score.rms_deg());
+    }
+}
+
+#[test]
+fn a_known_background_may_be_as_cluttered_as_it_likes() {
+    let score = photometric(5, [80, 1], &PLAIN, 50.0, true);
+    let n = score.count;
+    assert!(n > 72.0, "{n} of 80");
+    assert!((0.6..1.6).contains(&(score.nees.y / n)), "NEES {}", score.nees / n);
+    assert!(score.covered / n > 0.86, "covered {}", score.covered / n);
+    assert!(score.rms_deg() < 0.035, "{}°", score.rms_deg());
+}
+
+/// A finger in the middle of the picture, at an angle, without noise in what is believed of it.
+fn plain() -> (Cone, Finger, Noise) {
+    let mut noise = Noise::new(6);
+    let cone = Cone::random(&mut noise, 0.1, 1.0);
+    let finger = cone.believed(&mut noise, 0.0);
+    (cone, finger, noise)
+}
+
+/// Whatever is believed must be near the truth, by its own account.
+fn assert_honest(cone: &Cone, refined: Option<&Refined>, what: &str) {
+    let Some(refined) = refined else { return };
+    let error = cone.error(&refined.axis);
+    let distance = error.dot(&(refined.covariance.try_inverse().unwrap() * error));
+    assert!(distance < 20.0, "{what}: off by {error} with {}: {refined:?}", refined.covariance);
+}
+
+#[test]
+fn the_anchor_is_only_where_the_line_is_told() {
+    let (cone, finger, mut noise) = plain();
+    let picture = cone.render(&PLAIN, 1, &flat).take(2.0, &mut noise);
+    let here = refine(&mut refiner(), &picture, &finger).unwrap();
+    let along = 7.5;
+    let shift = |s: Stretch| Stretch { from_px: s.from_px - along, to_px: s.to_px - along };
+    let anchor = finger.axis.anchor + finger.axis.direction() * along;
+    let ahead = (finger.axis.tip - anchor).norm();
+    let moved = Finger {
+        axis: Axis::of_finger(anchor, finger.axis.angle_rad, ahead),
+        half_width_px: finger.half_width_px + finger.taper * along,
+        flanks: finger.flanks.map(shift),
+        round_end_px: finger.round_end_px.map(|e| e - along),
+        ..finger
+    };
+    let there = refine(&mut refiner(), &picture, &moved).unwrap();
+    let d = there.axis.anchor - here.axis.anchor;
+    assert!((d - here.axis.direction() * along).norm() < 1e-4, "{d}");
+    assert!((there.axis.tip - here.axis.tip).norm() < 1e-4);
+    assert!((there.half_width_px - here.half_width_px - here.taper * along).abs() < 1e-4);
+    let transport = Matrix2::new(1.0, along, 0.0, 1.0);
+    let expected = transport * here.covariance * transport.transpose();
+    assert!((there.covariance - expected).norm() < 1e-3 * expected.norm());
+}
+
+#[test]
+fn a_refiner_remembers_nothing() {
+    let (cone, finger, mut noise) = plain();
+    let canvas = cone.render(&PLAIN, 1, &flat);
+    let pictures = [(); 2].map(|()| canvas.take(2.0, &mut noise));
+    let mut used = refiner();
+    let first = refine(&mut used, &pictures[0], &finger);
+    refine(&mut used, &pictures[1], &finger);
+    assert_eq!(refine(&mut used, &pictures[0], &finger), first);
+    assert_eq!(refine(&mut refiner(), &pictures[0], &finger), first);
+    assert_eq!(first.unwrap().source, Source::Photometric);
+}
+
+#[test]
+fn every_instruction_set_gives_the_same_bits() {
+    let (cone, finger, mut noise) = plain();
+    let picture = cone.render(&PLAIN, 1, &flat).take(2.0, &mut noise);
+    let expected = refine(&mut refiner(), &picture, &finger);
+    for isa in Isa::available() {
+        assert_eq!(refine(&mut refiner().with_isa(isa), &picture, &finger), expected, "{isa}");
+    }
+}
+
+#[test]
+fn what_shows_no_finger_gives_no_line() {
+    let (cone, finger, mut noise) = plain();
+    let mut refiner = refiner();
+    let empty = Canvas::new(SIZE, SIZE, TABLE).take(2.0, &mut noise);
+    assert_eq!(refine(&mut refiner, &empty, &finger), None, "an empty table");
+    let black = Canvas::new(SIZE, SIZE, 0.0).take(0.0, &mut noise);
+    assert_eq!(refine(&mut refiner, &black, &finger), None, "a covered lens");
+    let snow = Canvas::new(SIZE, SIZE, 128.0).take(40.0, &mut noise);
+    assert_eq!(refine(&mut refiner, &snow, &finger), None, "snow");
+    let picture = cone.render(&PLAIN, 1, &flat).take(2.0, &mut noise);
+    let far = Axis { anchor: finger.axis.anchor + Vector2::new(500.0, 0.0), ..finger.axis };
+    assert_eq!(refine(&mut refiner, &picture, &Finger { axis: far, ..finger }), None, "outside");
+    let hidden = Stretch { from_px: 0.0, to_px: 0.0 };
+    for flanks in [[hidden, finger.flanks[1]], [finger.flanks[0], hidden], [hidden; 2]] {
+        assert_eq!(
+            refine(&mut refiner, &picture, &Finger { flanks, ..finger }),
+            None,
+            "{flanks:?}"
+        );
+    }
+    let closed = Finger { taper: -1.0, ..finger };
+    assert_eq!(refine(&mut refiner, &picture, &closed), None, "a taper that closes the finger");
+}
+
+#[test]
+fn hard_pictures_give_an_honest_line_or_none() {
+    let (cone, finger, mut noise) = plain();
+    let mut refiner = refiner();
+    let mut check = |canvas: &Canvas, what: &str| {
+        let mut found = 0;
+        for _ in 0..12 {
+            let picture = canvas.take(2.0, &mut noise);
+            let refined = refine(&mut refiner, &picture, &finger);
+            assert_honest(&cone, refined.as_ref(), what);
+            found += usize::from(refined.is_some());
+        }
+        found
+    };
+    let lit = |contrast: f64| Light { contrast, ..PLAIN };
+    assert_eq!(check(&cone.render(&lit(25.0), 1, &flat), "low contrast"), 12);
+    check(&cone.render(&lit(12.0), 1, &flat), "hardly any contrast");
+    assert_eq!(check(&cone.render(&lit(-50.0), 1, &flat), "a dark finger"), 12);
+    check(&cone.render(&lit(230.0), 1, &flat), "a saturated finger");
+    let dark_limb = Light { limb: 1.0, ..PLAIN };
+    check(&cone.render(&dark_limb, 1, &flat), "limbs as dark as the table");
+    let normal = finger.axis.normal();
+    let half = |u: f64, v: f64| {
+        let side = normal.dot(&(Point2::new(u, v) - finger.axis.anchor));
+        if side > 0.0 { TABLE + PLAIN.contrast } else { TABLE }
+    };
+    check(&cone.render(&PLAIN, 1, &half), "one flank before its own colour");
+}
+
+#[test]
+fn a_finger_that_leaves_the_picture_is_measured_where_it_shows() {
+    let (cone, finger, mut noise) = plain();
+    let canvas = cone.render(&PLAIN, 1, &flat);
+    let (mut refiner, mut found) = (refiner(), 0);
+    for keep in [100, 80, 70, 64, 58, 50] {
+        let whole = canvas.take(2.0, &mut noise);
+        let bytes = whole.bytes.chunks(SIZE).flat_map(|row| &row[..keep]).copied().collect();
+        let cut = Picture { width: keep, height: SIZE, bytes };
+        let refined = refine(&mut refiner, &cut, &finger);
+        assert_honest(&cone, refined.as_ref(), &format!("{keep} columns"));
+        found += usize::from(refined.is_some());
+    }
+    assert!(found >= 2, "{found}");
+}
+
+#[test]
+fn fingers_of_all_sizes() {
+    let mut refiner = refiner();
+    for (seed, scale, trials, least) in [(7, 0.5, 12, 0), (8, 4.0, 2, 2)] {
+        let mut noise = Noise::new(seed);
+        let mut found = 0;
+        for _ in 0..trials {
+            let cone = Cone::random(&mut noise, 0.1, scale);
+            let picture = cone.render(&PLAIN, scale.ceil() as usize, &flat).take(2.0, &mut noise);
+            let finger = cone.believed(&mut noise, 0.2);
+            let refined = refine(&mut refiner, &picture, &finger);
+            assert_honest(&cone, refined.as_ref(), &format!("scale {scale}"));
+            found += usize::from(refined.is_some_and(|r| r.source == Source::Photometric));
+        }
+        assert!(found >= least, "{found} of {trials} at {scale}");
+    }
+}
+
+#[test]
+fn numbers_that_are_none_are_refused() {
+    let (_, finger, _) = plain();
+    let picture = Canvas::new(SIZE, SIZE, TABLE).take(0.0, &mut Noise::new(0));
+    let frame = Frame::gray(picture.view());
+    let mut refiner = refiner();
+    let mut refused = |finger: Finger| {
+        refiner.refine(&frame, &finger, Polarity::Unknown, None, None).unwrap_err()
+    };
+    let axis = Axis { anchor: Point2::new(f64::NAN, 0.0), ..finger.axis };
+    assert!(matches!(refused(Finger { axis, ..finger }), Error::NotFinite { .. }));
+    let axis = Axis { angle_rad: f64::INFINITY, ..finger.axis };
+    assert!(matches!(refused(Finger { axis, ..finger }), Error::NotFinite { .. }));
+    for half_width_px in [0.0, -3.0] {
+        let error = refused(Finger { half_width_px, ..finger });
+        assert!(
+            matches!(error, Error::OutOfRange { value, .. } if value.to_bits() == half_width_px.to_bits())
+        );
+    }
+    assert!(matches!(refused(Finger { taper: f64::NAN, ..finger }), Error::NotFinite { .. }));
+    let end = Finger { round_end_px: Some(f64::NAN), ..finger };
+    assert!(matches!(refused(end), Error::NotFinite { .. }));
+    let stretch = Stretch { from_px: f64::NAN, to_px: 1.0 };
+    let flanks = [stretch, finger.flanks[1]];
+    assert!(matches!(refused(Finger { flanks, ..finger }), Error::NotFinite { .. }));
+}
+
+#[test]
+fn a_background_has_the_size_of_the_frame() {
+    let (_, finger, _) = plain();
+    let numbers = [1.0_f32; 12];
+    assert!(matches!(
+        KnownBackground::new(&numbers, &numbers[1..], 4, 3),
+        Err(Error::WrongCount { given: 11, needed: 12, .. })
+    ));
+    assert!(KnownBackground::new(&[], &[], 0, 3).is_err());
+    let small = KnownBackground::new(&numbers, &numbers, 4, 3).unwrap();
+    let picture = Canvas::new(SIZE, SIZE, TABLE).take(0.0, &mut Noise::new(0));
+    let frame = Frame::gray(picture.view());
+    let refined = refiner().refine(&frame, &finger, Polarity::Unknown, None, Some(&small));
+    assert_eq!(
+        refined.unwrap_err(),
+        Error::BackgroundSize { gray: (SIZE, SIZE), background: (4, 3) }
+    );
+}
+
+#[test]
+fn a_background_never_seen_is_not_used() {
+    let (cone, finger, mut noise) = plain();
+    let picture = cone.render(&PLAIN, 1, &flat).take(2.0, &mut noise);
+    let (mean, unseen) = (vec![TABLE as f32; SIZE * SIZE], vec![f32::INFINITY; SIZE * SIZE]);
+    let background = KnownBackground::new(&mean, &unseen, SIZE, SIZE).unwrap();
+    let frame = Frame::gray(picture.view());
+    let refined = refiner().refine(&frame, &finger, Polarity::Unknown, None, Some(&background));
+    assert_eq!(refined.unwrap().unwrap().source, Source::Bisector);
+}
+
+#[test]
+fn options_out_of_range_are_refused() {
+    let refused = |change: &dyn Fn(&mut RefineOptions)| {
+        let mut options = RefineOptions::default();
+        change(&mut options);
+        Refiner::new(options).unwrap_err();
+    };
+    refused(&|o| o.max_residual = 0.5);
+    refused(&|o| o.max_rejected = f64::NAN);
+    refused(&|o| o.bisector.scale_px = 0.0);
+    refused(&|o| o.bisector.min_edges = 2);
+    refused(&|o| o.bisector.correlation = 0.5);
+    refused(&|o| o.photometric.inner_px = 1.0);
+    refused(&|o| o.photometric.cap = 1.0);
+    refused(&|o| o.photometric.block_px = 0.0);
+    refused(&|o| o.photometric.cutoff = 1.0);
+    refused(&|o| o.photometric.bend_px = 0.0);
+    refused(&|o| o.photometric.max_iterations = 0);
+}
