@@ -11,7 +11,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fingerpost.advise import (
-    ROD,
     AdviceOptions,
     Concern,
     Doubt,
@@ -30,7 +29,7 @@ from fingerpost.errors import InvalidInputError
 from fingerpost.experiment import ExperimentOptions, run_experiment
 from fingerpost.experiment.bound import edge_information, line_bound, point_bound
 from fingerpost.lens import Lens
-from fingerpost.pointing import PlaneView, PointingOptions
+from fingerpost.pointing import DEFAULT_OPTIONS, PlaneView, PointingOptions
 from fingerpost.simulate import Placement, PoseLimits, PoseSampler, RodAndProng, SimulatedRig
 from fingerpost.simulate.truth import finger_truth
 
@@ -242,7 +241,7 @@ def test_the_forecast_is_the_bound_of_the_simulated_rig(placement):
         np.array([pose.tip_mm for pose in drawn]),
         np.array([pose.direction for pose in drawn]),
     )
-    options = AdviceOptions(efficiency=1.0, reference_sigma_px=0.1, pointing=ROD)
+    options = AdviceOptions(efficiency=1.0, reference_sigma_px=0.1, pointing=DEFAULT_OPTIONS)
     forecast = predict(poses, cameras, SQUARE, options, 1.0)
     exact = [view_of(px, sigma_px=0.1) for px in rig.reference_points_px]
     information = edge_information(80, 2, 1)
@@ -310,10 +309,12 @@ def test_more_of_any_error_means_more_error(one_pose):
     def error(**options):
         return one_pose(30.0, 45.0, **options).figures().rms
 
-    assert error(noise=4.0, pointing=ROD) > error(noise=2.0, pointing=ROD)
+    assert error(noise=4.0, pointing=DEFAULT_OPTIONS) > error(noise=2.0, pointing=DEFAULT_OPTIONS)
     assert error(reference_sigma_px=1.0) > error(reference_sigma_px=0.1)
-    assert error() > error(pointing=ROD)
-    assert error(length_mm=60.0, pointing=ROD) > error(length_mm=100.0, pointing=ROD)
+    assert error() > error(pointing=DEFAULT_OPTIONS)
+    assert error(length_mm=60.0, pointing=DEFAULT_OPTIONS) > error(
+        length_mm=100.0, pointing=DEFAULT_OPTIONS
+    )
 
 
 # --- moves and advice ------------------------------------------------------------------------
@@ -408,7 +409,9 @@ def test_parts_of_the_error_sum_to_all_of_it():
     assert sum(advice.shares.values()) == pytest.approx(1.0)
     assert advice.shares["bias"] > 0.5  # of a bare hand
     rod = advise(
-        rig_of(PAPER), [SIZE] * 2, AdviceOptions(**BRIEF, pointing=ROD, reference_sigma_px=1.0)
+        rig_of(PAPER),
+        [SIZE] * 2,
+        AdviceOptions(**BRIEF, pointing=DEFAULT_OPTIONS, reference_sigma_px=1.0),
     )
     assert rod.shares["bias"] == 0.0
     assert Concern.REFERENCE_ERROR in {flag.concern for flag in rod.flags}

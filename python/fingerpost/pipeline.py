@@ -26,7 +26,7 @@ from fingerpost.capture import Frame, open_source, read_views
 from fingerpost.config import Rig, View
 from fingerpost.errors import InvalidInputError
 from fingerpost.pointing import (
-    DEFAULT_OPTIONS,
+    BARE_HAND,
     AlignmentState,
     FingerLine,
     Fix,
@@ -248,7 +248,8 @@ class Pointer:
     tracker_options
         What differs from the tracker's defaults, for all views.
     pointing_options
-        When a point counts as one.
+        When a point counts as one, and the allowance for what is no noise: by default that for a
+        bare hand.
     reference_sigma_px
         Standard deviation of reference points that come without a covariance [px], > 0.
 
@@ -263,7 +264,7 @@ class Pointer:
         rig: Rig,
         *,
         tracker_options: Mapping[str, Any] | None = None,
-        pointing_options: PointingOptions = DEFAULT_OPTIONS,
+        pointing_options: PointingOptions = BARE_HAND,
         reference_sigma_px: float = DEFAULT_REFERENCE_SIGMA_PX,
     ) -> None:
         if len(rig.views) < 2:

@@ -838,7 +838,7 @@ fn check_any(tracker: &mut ContourTracker, picture: &Picture, coloured: bool, k:
     let frame = if coloured { Frame::coloured(gray, colours).unwrap() } else { Frame::gray(gray) };
     let track = tracker.update(&frame, k as f64 * FRAME_S).unwrap();
     assert!(track.finger_line.is_none() || track.status == Status::Tracking);
-    if let Some(FingerLine { axis, covariance }) = track.finger_line {
+    if let Some(FingerLine { axis, covariance, .. }) = track.finger_line {
         assert!(axis.angle_rad > -PI - 1e-12 && axis.angle_rad <= PI, "{axis:?}");
         assert!(axis.tip.iter().chain(axis.anchor.iter()).all(|x| x.is_finite()), "{axis:?}");
         assert!(covariance.iter().all(|x| x.is_finite()), "{covariance}");

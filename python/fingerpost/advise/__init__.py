@@ -24,11 +24,9 @@ from fingerpost.advise.advice import (
 from fingerpost.advise.camera import PlaneCamera, recover_camera
 from fingerpost.advise.forecast import Doubt, Figures
 from fingerpost.advise.moves import Move, Way
-from fingerpost.advise.options import BARE_HAND, ROD, AdviceOptions
+from fingerpost.advise.options import AdviceOptions
 
 __all__ = [
-    "BARE_HAND",
-    "ROD",
     "Advice",
     "AdviceOptions",
     "Cell",

@@ -9,17 +9,11 @@ import numpy as np
 from fingerpost.checks import in_range
 from fingerpost.errors import InvalidInputError
 from fingerpost.pipeline import DEFAULT_REFERENCE_SIGMA_PX
-from fingerpost.pointing import PointingOptions
+from fingerpost.pointing import BARE_HAND, PointingOptions
 from fingerpost.simulate import PoseLimits
 
 UNITS_MM = {"µm": 1e-3, "mm": 1.0, "cm": 10.0, "dm": 100.0, "m": 1000.0, "in": 25.4, "inch": 25.4}
 """Names of plane units whose length is known [mm]."""
-
-BARE_HAND = PointingOptions(bias_offset_px=0.05, bias_angle_rad=0.005)
-"""A finger is no cylinder: how far its medial line misses its axis (see `PointingOptions`)."""
-
-ROD = PointingOptions()
-"""A straight rod of even brightness has no bias to allow for."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,7 +39,7 @@ class AdviceOptions:
     blur_px: float = 1.0
     """Standard deviation of the point spread function [px], ≥ 0."""
 
-    efficiency: float = 0.15
+    efficiency: float = 0.6
     """Least possible variance of a finger line's angle over the tracker's, above 0 and at most 1.
     `fingerpost experiment` measures it: "angle variance, bound / meas."."""
 
