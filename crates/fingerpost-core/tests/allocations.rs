@@ -181,7 +181,7 @@ fn refining_an_axis() {
         let (count, refined) =
             allocations(|| refiner.refine(&frame, &finger, Polarity::Bright, None, None).unwrap());
         assert_eq!(refined.unwrap().source, Source::Photometric);
-        // The buffers grow with the pixels near the flanks, which differ from place to place.
-        assert!(k < 6 || count == 0, "{count} allocations in frame {k}");
+        // The table of the blur is worked out once.
+        assert!(k == 0 || count == 0, "{count} allocations in frame {k}");
     }
 }

@@ -62,7 +62,7 @@ pub struct PhotometricOptions {
     pub restlessness_px: f64,
 }
 
-/// Options of a [`Refiner`].
+/// Options of a [`Refiner`](super::Refiner).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RefineOptions {
     /// The bisector.

@@ -22,7 +22,7 @@
 use super::block::{Deviation, EDGE_EFFECT, Evidence, OUTSIDE_EFFECT};
 use super::blur::BlurTable;
 use super::gram::{Gram, Summing, Weighing};
-use super::pixels::{Block, LANES, Strip};
+use super::pixels::{Block, LANES, Strip, USUAL_BLOCKS};
 use super::profile::{CLEAR, RoundEnd};
 use super::sketch::{FlankLines, Sketch};
 use super::unknowns::{
@@ -67,7 +67,7 @@ pub(super) struct Photometric {
 }
 
 /// One flank's pixels, and what deviates along it.
-#[derive(Debug, Clone, Default)]
+#[derive(Debug, Clone)]
 struct Flank {
     strip: Strip,
     deviations: Vec<Deviation>,
@@ -126,8 +126,8 @@ impl Photometric {
             options,
             isa: Isa::detect(),
             table: BlurTable::new(),
-            flanks: [Flank::default(), Flank::default()],
-            sorted: Vec::with_capacity(128),
+            flanks: [Flank::new(), Flank::new()],
+            sorted: Vec::with_capacity(2 * USUAL_BLOCKS),
         }
     }
 
@@ -315,6 +315,11 @@ impl Photometric {
 }
 
 impl Flank {
+    fn new() -> Self {
+        let deviations = Vec::with_capacity(USUAL_BLOCKS);
+        Self { strip: Strip::new(), deviations, variances: [0.0; 3] }
+    }
+
     /// Takes over the variances that the evidence speaks for; by half once there are some, so that
     /// they do not swing with the deviations that depend on them.
     fn adapt(&mut self, evidence: &Evidence, iteration: usize) {

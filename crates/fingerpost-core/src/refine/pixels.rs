@@ -42,7 +42,7 @@ pub(super) struct Block {
 }
 
 /// One flank's pixels.
-#[derive(Debug, Clone, Default)]
+#[derive(Debug, Clone)]
 pub(super) struct Strip {
     pub blocks: Vec<Block>,
     chunks: Vec<Chunk>,
@@ -65,7 +65,18 @@ struct Band {
     v: [f64; 2],
 }
 
+/// A strip of so many blocks, of 32 pixels each, fits without another allocation.
+pub(super) const USUAL_BLOCKS: usize = 128;
+
 impl Strip {
+    pub fn new() -> Self {
+        Self {
+            blocks: Vec::with_capacity(USUAL_BLOCKS),
+            chunks: Vec::with_capacity(4 * USUAL_BLOCKS),
+            seen: Vec::with_capacity(4 * LANES * USUAL_BLOCKS),
+        }
+    }
+
     pub fn chunks(&self, block: &Block) -> &[Chunk] {
         self.chunks.get(block.from_chunk..block.to_chunk).unwrap_or_default()
     }
