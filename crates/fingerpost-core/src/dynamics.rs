@@ -359,6 +359,12 @@ impl Gate {
         Ok(Self { sigmas, shortest_px, longest_px })
     }
 
+    /// The longest search line \[px\].
+    #[must_use]
+    pub fn longest_px(&self) -> f64 {
+        self.longest_px
+    }
+
     /// Half-width of the gate \[standard deviations\].
     #[must_use]
     pub fn sigmas(&self) -> f64 {
