@@ -115,13 +115,40 @@ class _TrackOptions(TypedDict, total=False):
     """How the hand is followed."""
 
     half_length_px: float
-    """Half-length of the search lines [px], 1 to 128."""
+    """Longest half-length of the search lines of a hand that moves as expected [px], 1 to 128.
+
+    A hand that is not found there is sought this much further, and for every frame without it once
+    more.
+    """
     accept: _AcceptOptions
     """When a fit counts."""
     lose_after_frames: int
     """Frames in a row without an accepted fit until the hand is lost, at least 1."""
     appearance_rate: float
     """Part of the known appearance that every accepted frame replaces, 0 to 1."""
+    dynamics: _DynamicsOptions
+    """How the hand moves."""
+
+class _DynamicsOptions(TypedDict, total=False):
+    """How a hand moves in the image between frames; a Kalman filter predicts it.
+
+    Accelerations and speeds are root mean squares, along u and along v or of the finger's angle.
+    """
+
+    acceleration_px_s2: float
+    """Typical acceleration [px/s²], 1 to 1e5."""
+    acceleration_rad_s2: float
+    """Typical angular acceleration [rad/s²], 0.01 to 1000."""
+    acceleration_lasts_s: float
+    """How long an acceleration keeps its direction [s], 0.001 to 1."""
+    first_speed_px_s: float
+    """Typical speed of a hand that is first seen [px/s], 0 to 1e5."""
+    first_speed_rad_s: float
+    """The same of the finger's angle [rad/s], 0 to 100."""
+    confidence: float
+    """Probability that the search along a normal reaches the hand's edge, 0.5 to 0.999999."""
+    longest_gap_s: float
+    """A hand unseen for longer than this is not followed but found again [s], 0.001 to 60."""
 
 class _TrackerOptions(TypedDict, total=False):
     """Everything that can be set about a `ContourTracker`."""
@@ -1476,3 +1503,11 @@ class Diagnostics:
     @property
     def accepted(self) -> bool:
         """Whether the fit was determined and accepted."""
+
+    @property
+    def innovation(self) -> float | None:
+        """How much place and angle of an accepted fit surprise, as a normalised square.
+
+        3 on average for a hand that moves as the option ``track.dynamics`` says; above 21 once in
+        10,000 frames. None where nothing foretold them.
+        """

@@ -33,6 +33,12 @@ pub enum Error {
         /// What it needs and did not get.
         needs: &'static str,
     },
+    /// A covariance that leaves some combination of its components without a variance.
+    #[error("the {what} is not positive definite; every combination needs a positive variance")]
+    NotPositiveDefinite {
+        /// The covariance.
+        what: &'static str,
+    },
     /// An image without pixels.
     #[error("the image is {width} × {height} px; both sides must be at least 1 px")]
     EmptyImage {

@@ -61,6 +61,7 @@ pub mod appearance;
 pub mod bspline;
 pub mod contour;
 pub mod discriminant;
+pub mod dynamics;
 mod error;
 pub mod fit;
 pub mod frame;

@@ -10,7 +10,9 @@
 //! **Tracking.** Of the band model everything stays free, but what a hand cannot change is held
 //! near its acquired value by a prior. The paper's model keeps the settled size; rigid motion and
 //! one shear remain (rigid motion alone where the template has no thumb: nothing but the thumb
-//! shows the shear).
+//! shows the shear). A Kalman filter with constant velocity ([`DynamicsOptions`]) foretells place
+//! and angle, what both models share, and how far along each normal the edge may be. Where the
+//! edges there explain the hand badly, or by a motion that surprises, it is sought all around.
 //!
 //! **Lost.** After [`TrackOptions::lose_after_frames`] frames without an accepted fit the hand is
 //! lost. It is looked for where it last was, and followed again from the first fit there that
@@ -26,7 +28,9 @@ mod convergence;
 mod looks;
 mod mould;
 mod options;
+mod seek;
 
+use crate::dynamics::{Dynamics, Gate, Innovation, Prediction, chi_square_quantile};
 use crate::fit::Prior;
 use crate::frame::Frame;
 use crate::refine::{Finger, RefineOptions, Refiner, Source, Stretch};
@@ -37,11 +41,14 @@ use crate::shape_space::{
 };
 use crate::template::{HALF_LENGTH, Limb, Part, Template, TemplateSample};
 use crate::{Error, Result};
-use convergence::{Attempt, Converged, Convergence, Fit, Seen};
+use convergence::{Attempt, Converged, Convergence, Fit, Seen, Window};
 use looks::{Lead, Looks, Sight, Silhouette};
 use mould::{Kind, Mould, finger_samples};
-use nalgebra::{Matrix2, Point2, SMatrix, SVector, Vector2};
-pub use options::{AcceptOptions, AcquireOptions, Model, TrackOptions, TrackerOptions};
+use nalgebra::{Matrix2, Matrix3, Point2, Rotation2, SMatrix, SVector, Vector2, Vector3};
+pub use options::{
+    AcceptOptions, AcquireOptions, DynamicsOptions, Model, TrackOptions, TrackerOptions,
+};
+use seek::{Judged, Seek};
 
 /// Where the template waits for the hand.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -127,6 +134,10 @@ pub struct Diagnostics {
     pub iterations: usize,
     /// Whether the fit was determined and accepted.
     pub accepted: bool,
+    /// How much place and angle of an accepted fit surprise, as the square of the innovation in
+    /// units of its covariance: 3 on average for a hand that moves as [`TrackOptions::dynamics`]
+    /// says. None where nothing foretold them.
+    pub innovation: Option<f64>,
 }
 
 /// What one frame told.
@@ -152,9 +163,15 @@ pub struct ContourTracker {
     samples: Vec<TemplateSample>,
     waiting: Waiting,
     convergence: Convergence,
+    seek: Seek,
+    gate: Gate,
+    /// An innovation beyond this is no motion of a hand.
+    surprise: f64,
     hand: Hand,
     phase: Phase,
     refiner: Refiner,
+    /// How a tracked hand moves.
+    dynamics: Option<Dynamics<3>>,
     last_time_s: Option<f64>,
 }
 
@@ -193,20 +210,32 @@ enum Phase {
     /// `settled` accepted frames in a row.
     Acquiring { settled: usize },
     /// `missed` frames in a row without an accepted fit.
-    Tracking { missed: usize, motion: Motion },
+    Tracking { missed: usize },
     /// Where the hand was last, and what it showed; `settled` accepted frames in a row since.
     Lost { last: (Shape, Kind), settled: usize },
 }
 
-/// How fast the hand moved last.
-#[derive(Debug, Clone, Copy, PartialEq)]
-struct Motion {
-    /// When the hand was last seen \[s\].
-    seen_s: f64,
-    /// Since when, and from where, the velocity is being measured.
-    since_s: f64,
-    since: Point2<f64>,
-    velocity_px_s: Vector2<f64>,
+/// What the last frames foretell of the next one.
+#[derive(Debug, Clone, Copy)]
+struct Foretold {
+    dynamics: Dynamics<3>,
+    time_s: f64,
+    window: Window,
+}
+
+impl Foretold {
+    /// The filter after a fit, and the innovation; None without a fit.
+    fn followed(&self, found: &Found) -> Result<Option<(Dynamics<3>, Option<Innovation<3>>)>> {
+        let Some(fit) = found.fit else { return Ok(None) };
+        let seen = fit.shape.covariance.fixed_view::<3, 3>(0, 0) + misfit();
+        let mut dynamics = self.dynamics;
+        let innovation = dynamics.update(self.time_s, &found.shape.placement(), &seen)?;
+        Ok(Some((dynamics, innovation)))
+    }
+}
+
+fn misfit() -> Matrix3<f64> {
+    Matrix3::from_diagonal(&Vector3::from(MISFIT_SIGMAS.map(|s| s * s)))
 }
 
 /// How far a convergence looks along the normals, and whether by the pixels' votes or by edges.
@@ -215,11 +244,12 @@ struct Look {
     half_length_px: f64,
     lead: Lead,
     scale: Scale,
+    window: Option<Window>,
 }
 
 impl Look {
     fn edges(half_length_px: f64) -> Self {
-        Self { half_length_px, lead: Lead::HandEdges, scale: Scale::Fine }
+        Self { half_length_px, lead: Lead::HandEdges, scale: Scale::Fine, window: None }
     }
 }
 
@@ -243,6 +273,27 @@ impl Hand {
         }
     }
 
+    /// The hand's samples where a shape puts them, but for those that another limb hides.
+    fn outline(
+        &self,
+        shape: &Shape,
+        samples: &[TemplateSample],
+        measure: &BandMeasure,
+        each: impl FnMut(PlacedSample),
+    ) {
+        match shape {
+            Shape::Planar(map) => self.planar(samples).iter().map(|s| map.place(s)).for_each(each),
+            Shape::Ribbon(x) => {
+                let measure = measure.with_thumb(self.kind.has_thumb);
+                if let Ok(space) = Ribbon::<RIBBON_DOF>::about(x, &measure) {
+                    let pose = space.pose(x);
+                    let placed = self.bands(samples).iter().map(|s| (s, pose.place(s)));
+                    placed.filter(|(s, p)| !pose.is_hidden(s, p)).map(|(_, p)| p).for_each(each);
+                }
+            }
+        }
+    }
+
     /// How many of its samples are the finger's: the first ones.
     fn fingers(&self, samples: &[TemplateSample]) -> usize {
         match self.shape {
@@ -259,9 +310,9 @@ impl Hand {
         look: Look,
         polarity: Polarity,
     ) -> Attempt<'a> {
-        let Look { half_length_px, scale, lead } = look;
+        let Look { half_length_px, scale, lead, window } = look;
         let sight = self.sight(frame, lead, polarity);
-        Attempt { samples, sight, scale, half_length_px }
+        Attempt { samples, sight, scale, half_length_px, window }
     }
 
     /// How to look for it in a frame.
@@ -334,6 +385,17 @@ const BED_IN_SLACK: f64 = 4.0;
 const CROTCH_PX: f64 = 2.0;
 const CAP: f64 = 0.7;
 
+/// What a fit's covariance does not know of: how far the template slides on a hand that is not
+/// quite like it, standard deviations of (c_u, c_v, θ) \[px, px, rad\].
+const MISFIT_SIGMAS: [f64; 3] = [0.5, 0.5, 0.01];
+/// A hand that moves as foretold stays below what counts as a surprise with this probability.
+const SURPRISE: f64 = 0.9999;
+/// Once the votes have been sought, their changes are looked for this part of the way, for the hand
+/// may have turned besides.
+const SOUGHT: f64 = 0.5;
+/// Turns of the hand that are sought \[rad\].
+const SOUGHT_TURNS_RAD: [f64; 3] = [0.0, -0.25, 0.25];
+
 /// A lost hand is looked for this much further than a tracked one.
 const LOST_REACH: f64 = 2.0;
 /// A fit that explains this part of the contour needs no second look from afar.
@@ -375,8 +437,12 @@ impl ContourTracker {
         };
         Ok(Self {
             convergence: Convergence::new(&options)?,
+            seek: Seek::with_capacity(samples.len()),
+            gate: options.gate()?,
+            surprise: chi_square_quantile(SURPRISE, 3)?,
             phase: Phase::Acquiring { settled: 0 },
             refiner: Refiner::new(RefineOptions::default())?,
+            dynamics: None,
             last_time_s: None,
             template,
             options,
@@ -402,7 +468,7 @@ impl ContourTracker {
         match self.phase {
             Phase::Acquiring { settled } => self.acquire(frame, time_s, settled, None),
             Phase::Lost { last, settled } => self.recover(frame, time_s, settled, last),
-            Phase::Tracking { missed, motion } => self.follow(frame, time_s, missed, motion),
+            Phase::Tracking { missed } => self.follow(frame, time_s, missed),
         }
     }
 
@@ -421,19 +487,10 @@ impl ContourTracker {
     /// The contour as it stands in the image after the last frame, or where it waits.
     #[must_use]
     pub fn contour(&self) -> Vec<PlacedSample> {
-        match self.hand.shape {
-            Shape::Planar(map) => {
-                self.hand.planar(&self.samples).iter().map(|s| map.place(s)).collect()
-            }
-            Shape::Ribbon(x) => match self.ribbon::<RIBBON_DOF>(&x) {
-                Ok(space) => {
-                    let pose = space.pose(&x);
-                    let placed = self.hand.bands(&self.samples).iter().map(|s| (s, pose.place(s)));
-                    placed.filter(|(s, p)| !pose.is_hidden(s, p)).map(|(_, p)| p).collect()
-                }
-                Err(_) => Vec::new(),
-            },
-        }
+        let mut contour = Vec::with_capacity(self.samples.len());
+        let Self { hand, samples, waiting, .. } = self;
+        hand.outline(&hand.shape, samples, &waiting.measure, |placed| contour.push(placed));
+        contour
     }
 
     /// The last search: lines, and what each one found.
@@ -453,11 +510,10 @@ impl ContourTracker {
         let (shape, kind) = last;
         let settling = std::mem::replace(&mut self.hand.kind, kind);
         let reach_px = LOST_REACH * self.options.track.half_length_px;
-        let found = self.find(frame, shape, reach_px.min(MAX_HALF_LENGTH_PX as f64))?;
+        let found = self.find(frame, shape, reach_px, None)?;
         if found.is_accepted(&self.options.acquire.accept) {
             self.hand.shape = found.shape;
-            let motion = Motion::at_rest(time_s, found.shape.centre());
-            self.phase = Phase::Tracking { missed: 0, motion };
+            self.start(time_s, &found.shape)?;
             return self.tracked(frame, time_s, &found);
         }
         self.hand.kind = settling;
@@ -492,8 +548,7 @@ impl ContourTracker {
         if settled >= settle_frames
             && let Some(acquired) = self.freeze(frame)?
         {
-            let motion = Motion::at_rest(time_s, acquired.shape.centre());
-            self.phase = Phase::Tracking { missed: 0, motion };
+            self.start(time_s, &acquired.shape)?;
             return self.tracked(frame, time_s, &acquired);
         }
         let (phase, status) = lost
@@ -537,9 +592,10 @@ impl ContourTracker {
         let frozen = match (self.hand.shape, self.options.model) {
             (Shape::Ribbon(x), Model::Ribbon) => {
                 self.hand.acquired = x;
-                self.settle(frame, self.hand.shape, Scale::Fine)?
+                self.settle(frame, self.hand.shape, Scale::Fine, None)?
             }
             (Shape::Ribbon(x), Model::Paper) => {
+                self.hand.acquired = x;
                 let length_px = self.waiting.measure.length_px;
                 // A thumb that the image shows nearly along the finger makes no pistol; the finger
                 // does without it.
@@ -576,7 +632,7 @@ impl ContourTracker {
                 return Ok(());
             };
             let half_length_px = self.options.acquire.half_length_px;
-            let look = Look { half_length_px, lead: Lead::AnyEdge, scale: Scale::Fine };
+            let look = Look { lead: Lead::AnyEdge, ..Look::edges(half_length_px) };
             let turned = self.run_ribbon::<3>(frame, &x, Limb::Finger, look, None)?;
             self.hand.acquired = x;
             let held = self.held::<5>(&x, BED_IN_SLACK);
@@ -598,63 +654,107 @@ impl ContourTracker {
         self.hand.kind.has_thumb || self.template.proportions().is_none()
     }
 
-    /// One frame of tracking.
-    fn follow(
-        &mut self,
-        frame: &Frame<'_>,
-        time_s: f64,
-        missed: usize,
-        motion: Motion,
-    ) -> Result<Track> {
+    /// A hand that was found is followed from here.
+    fn start(&mut self, time_s: f64, shape: &Shape) -> Result<()> {
+        let options = &self.options.track.dynamics;
+        let (components, gap_s) = (options.components(), options.longest_gap_s);
+        let at = shape.placement();
+        self.dynamics = Some(Dynamics::start(components, gap_s, time_s, &at, &misfit())?);
+        self.phase = Phase::Tracking { missed: 0 };
+        Ok(())
+    }
+
+    /// What the hand's motion tells about this frame; nothing after a long gap.
+    fn foretell(&self, time_s: f64) -> Result<Option<Foretold>> {
+        let Some(dynamics) = self.dynamics else { return Ok(None) };
+        Ok(match dynamics.predict(time_s)? {
+            Prediction::Expected(expected) => {
+                let window = Window { expected, gate: self.gate };
+                Some(Foretold { dynamics, time_s, window })
+            }
+            Prediction::Lost { .. } => None,
+        })
+    }
+
+    /// One frame of tracking. A hand that was not seen for long is not followed but found again.
+    fn follow(&mut self, frame: &Frame<'_>, time_s: f64, missed: usize) -> Result<Track> {
         let TrackOptions { half_length_px, accept, lose_after_frames, .. } = self.options.track;
         let from = self.hand.shape;
-        let predicted = from.moved(&motion.until(time_s));
-        // Where it is not seen it may go on moving: every miss widens the search.
-        let reach_px = half_length_px * (1.0 + missed as f64);
-        let found = self.find(frame, predicted, reach_px.min(MAX_HALF_LENGTH_PX as f64))?;
-        if found.is_accepted(&accept) {
-            let motion = motion.seen(found.shape.centre(), time_s);
+        let Some(foretold) = self.foretell(time_s)? else {
+            return self.recover(frame, time_s, 0, (from, self.hand.kind));
+        };
+        let expected = foretold.window.expected.vector;
+        // It may as well have stopped or turned round, and the longer it is unseen the more it may.
+        let went_px = (expected - from.placement()).xy().norm();
+        let reach_px = half_length_px * (1.0 + missed as f64) + went_px;
+        let predicted = from.placed(&expected);
+        let found = self.find(frame, predicted, reach_px, Some(&foretold))?;
+        if found.is_accepted(&accept)
+            && let Some((dynamics, innovation)) = foretold.followed(&found)?
+        {
             self.hand.shape = found.shape;
             self.hand.grow();
             self.learn_looks(frame)?;
-            self.phase = Phase::Tracking { missed: 0, motion };
-            return self.tracked(frame, time_s, &found);
+            self.dynamics = Some(dynamics);
+            self.phase = Phase::Tracking { missed: 0 };
+            let mut track = self.tracked(frame, time_s, &found)?;
+            track.diagnostics.innovation = innovation.map(|i| i.normalised_square());
+            return Ok(track);
         }
         let missed = missed + 1;
         let status = if missed >= lose_after_frames {
             self.phase = Phase::Lost { last: (from, self.hand.kind), settled: 0 };
             Status::Lost
         } else {
-            self.phase = Phase::Tracking { missed, motion };
+            self.phase = Phase::Tracking { missed };
             Status::Tracking
         };
         Ok(track(time_s, status, &found, false))
     }
 
     /// The hand about a predicted shape. Its edges are usually near and sharp; when they explain
-    /// the contour badly, the votes lead there from afar, and a larger kernel sees edges that motion
-    /// has smeared. What explains the contour best counts.
-    fn find(&mut self, frame: &Frame<'_>, predicted: Shape, half_length_px: f64) -> Result<Found> {
-        let near = self.settle(frame, predicted, Scale::Fine)?;
-        if near.explained() >= SURE {
+    /// the contour badly, or by a motion that surprises, the votes lead there from afar, and a
+    /// larger kernel sees edges that motion has smeared. What explains the contour best counts.
+    fn find(
+        &mut self,
+        frame: &Frame<'_>,
+        predicted: Shape,
+        reach_px: f64,
+        foretold: Option<&Foretold>,
+    ) -> Result<Found> {
+        let reach_px = reach_px.min(MAX_HALF_LENGTH_PX as f64);
+        let near = self.settle(frame, predicted, Scale::Fine, foretold.map(|f| f.window))?;
+        if near.explained() >= SURE && !self.surprises(&near, foretold)? {
             return Ok(near);
         }
-        let approached = self.approach(frame, predicted, half_length_px)?;
-        let smeared = self.settle(frame, approached, Scale::Coarse)?;
-        let sharp = self.settle(frame, smeared.shape, Scale::Fine)?;
+        let approached = self.approach(frame, predicted, reach_px)?;
+        let smeared = self.settle(frame, approached, Scale::Coarse, None)?;
+        let sharp = self.settle(frame, smeared.shape, Scale::Fine, None)?;
         if sharp.explained() >= near.explained().max(smeared.explained()) {
             return Ok(sharp);
         }
         if smeared.explained() >= near.explained() {
-            return self.settle(frame, smeared.shape, Scale::Coarse);
+            return self.settle(frame, smeared.shape, Scale::Coarse, None);
         }
-        self.settle(frame, near.shape, Scale::Fine)
+        self.settle(frame, near.shape, Scale::Fine, None)
     }
 
-    /// From afar: the template moves, then turns, until it covers what looks like the hand.
-    fn approach(&mut self, frame: &Frame<'_>, from: Shape, half_length_px: f64) -> Result<Shape> {
-        let lead = if self.hand.votes_in(frame) { Lead::Votes } else { Lead::HandEdges };
-        let look = Look { half_length_px, lead, scale: Scale::Fine };
+    /// Whether a hand that moves as it did would hardly be where it was found.
+    fn surprises(&self, found: &Found, foretold: Option<&Foretold>) -> Result<bool> {
+        let Some(foretold) = foretold else { return Ok(false) };
+        let followed = foretold.followed(found)?.and_then(|(_, innovation)| innovation);
+        Ok(followed.is_none_or(|innovation| innovation.normalised_square() > self.surprise))
+    }
+
+    /// From afar: by the votes of pixels, if they are known, to about the right place; then the
+    /// template moves, then turns, until it covers what looks like the hand.
+    fn approach(&mut self, frame: &Frame<'_>, from: Shape, reach_px: f64) -> Result<Shape> {
+        let (from, look) = if self.hand.votes_in(frame) {
+            let look = Look { lead: Lead::Votes, ..Look::edges(SOUGHT * reach_px) };
+            (self.seek(frame, from, reach_px)?, look)
+        } else {
+            (from, Look::edges(reach_px))
+        };
         Ok(match from {
             Shape::Planar(map) => {
                 let moved = self.planar::<Translation, 2>(frame, map, look)?;
@@ -667,18 +767,52 @@ impl ContourTracker {
         })
     }
 
-    /// From nearby, by edges: everything that the model leaves a tracked hand. The paper's leans
-    /// its thumb, if it has one to show the shear; the band model takes up what a hand can change.
-    fn settle(&mut self, frame: &Frame<'_>, from: Shape, scale: Scale) -> Result<Found> {
+    /// The pose about another that looks most like the hand.
+    fn seek(&mut self, frame: &Frame<'_>, about: Shape, reach_px: f64) -> Result<Shape> {
+        let Self { hand, samples, waiting, seek, convergence, options, .. } = self;
+        let sight = hand.sight(frame, Lead::Votes, options.polarity);
+        let Some(appearance) = sight.cue.appearance() else { return Ok(about) };
+        let mut best = (f32::NEG_INFINITY, about);
+        for turn_rad in SOUGHT_TURNS_RAD {
+            let mut placement = about.placement();
+            placement[2] += turn_rad;
+            seek.clear(hand.acquired[3]);
+            let turned = about.placed(&placement);
+            hand.outline(&turned, samples, &waiting.measure, |placed| seek.push(&placed));
+            let shown = convergence.shown_about(frame, sight.mixture, seek.pixels(), reach_px)?;
+            let Judged { by_px, separation } = seek.best(&shown, appearance, reach_px);
+            if separation > best.0 {
+                placement[0] += by_px.x;
+                placement[1] += by_px.y;
+                best = (separation, about.placed(&placement));
+            }
+        }
+        Ok(best.1)
+    }
+
+    /// From nearby, or as far as the window says, by edges: everything that the model leaves a
+    /// tracked hand. The paper's leans its thumb, if it has one to show the shear; the band model
+    /// takes up what a hand can change.
+    fn settle(
+        &mut self,
+        frame: &Frame<'_>,
+        from: Shape,
+        scale: Scale,
+        window: Option<Window>,
+    ) -> Result<Found> {
         let look = Look { scale, ..Look::edges(NEAR_PX) };
+        let first = match window {
+            Some(Window { gate, .. }) => Look { scale, window, ..Look::edges(gate.longest_px()) },
+            None => look,
+        };
         Ok(match from {
             Shape::Planar(map) if self.shows_shear() => {
-                let turned = self.planar::<Rigid, 3>(frame, map, look)?;
+                let turned = self.planar::<Rigid, 3>(frame, map, first)?;
                 self.planar::<RigidShear, 4>(frame, turned.shape, look)?.into()
             }
-            Shape::Planar(map) => self.planar::<Rigid, 3>(frame, map, look)?.into(),
+            Shape::Planar(map) => self.planar::<Rigid, 3>(frame, map, first)?.into(),
             Shape::Ribbon(x) => {
-                let turned = self.run_ribbon::<3>(frame, &x, Limb::Finger, look, None)?;
+                let turned = self.run_ribbon::<3>(frame, &x, Limb::Finger, first, None)?;
                 let held = self.held::<5>(&x, 1.0);
                 let finger =
                     self.run_ribbon::<5>(frame, &turned.x, Limb::Finger, look, Some(&held))?;
@@ -889,6 +1023,7 @@ fn track(time_s: f64, status: Status, found: &Found, accepted: bool) -> Track {
             inliers: seen.inliers,
             residual_rms_px: found.fit.map_or(0.0, |f| f.residual_rms_px),
             rank: found.fit.map_or(0, |f| f.rank),
+            innovation: None,
         },
     }
 }
@@ -908,10 +1043,31 @@ impl Waiting {
 }
 
 impl Shape {
-    fn centre(&self) -> Point2<f64> {
+    /// (c_u, c_v, θ): what both models share.
+    fn placement(&self) -> Vector3<f64> {
         match self {
-            Self::Ribbon(x) => Point2::new(x[0], x[1]),
-            Self::Planar(map) => map.centre,
+            Self::Ribbon(x) => x.fixed_rows::<3>(0).into_owned(),
+            Self::Planar(map) => {
+                let a = map.linear.column(0);
+                Vector3::new(map.centre.x, map.centre.y, a.y.atan2(a.x))
+            }
+        }
+    }
+
+    /// The whole hand moved and turned to a placement.
+    fn placed(&self, at: &Vector3<f64>) -> Self {
+        let turn = Rotation2::new(at[2] - self.placement()[2]);
+        match *self {
+            Self::Ribbon(mut x) => {
+                x.fixed_rows_mut::<3>(0).copy_from(at);
+                let thumb = turn * Vector2::new(x[6], x[7]);
+                (x[6], x[7]) = (thumb.x, thumb.y);
+                Self::Ribbon(x)
+            }
+            Self::Planar(AffineMap { linear, .. }) => Self::Planar(AffineMap {
+                centre: Point2::from(at.xy()),
+                linear: turn.matrix() * linear,
+            }),
         }
     }
 
@@ -930,45 +1086,4 @@ impl Shape {
             Self::Planar(map) => map.linear.determinant() / map.linear.column(0).norm(),
         }
     }
-
-    fn moved(&self, by_px: &Vector2<f64>) -> Self {
-        match *self {
-            Self::Ribbon(mut x) => {
-                x[0] += by_px.x;
-                x[1] += by_px.y;
-                Self::Ribbon(x)
-            }
-            Self::Planar(map) => Self::Planar(AffineMap { centre: map.centre + by_px, ..map }),
-        }
-    }
 }
-
-impl Motion {
-    fn at_rest(seen_s: f64, at: Point2<f64>) -> Self {
-        Self { seen_s, since_s: seen_s, since: at, velocity_px_s: Vector2::zeros() }
-    }
-
-    /// How far the hand has gone on by a time \[px\]; after a pause nobody knows.
-    fn until(&self, time_s: f64) -> Vector2<f64> {
-        let elapsed_s = time_s - self.seen_s;
-        if elapsed_s > LONGEST_PREDICTION_S {
-            return Vector2::zeros();
-        }
-        self.velocity_px_s * elapsed_s
-    }
-
-    /// The motion of a hand that is seen again. Two frames at nearly the same time show its noise,
-    /// not its velocity: that takes a while longer.
-    fn seen(&self, at: Point2<f64>, time_s: f64) -> Self {
-        let elapsed_s = time_s - self.since_s;
-        if elapsed_s < SHORTEST_INTERVAL_S {
-            return Self { seen_s: time_s, ..*self };
-        }
-        let velocity_px_s = (at - self.since) / elapsed_s;
-        Self { seen_s: time_s, since_s: time_s, since: at, velocity_px_s }
-    }
-}
-
-/// Velocity is measured over at least, and predicts over at most, this \[s\].
-const SHORTEST_INTERVAL_S: f64 = 0.004;
-const LONGEST_PREDICTION_S: f64 = 0.25;

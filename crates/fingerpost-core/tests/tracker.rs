@@ -470,6 +470,76 @@ fn frames_at_almost_the_same_time_do_not_throw_a_resting_hand_away() {
     check_gaps(&[FRAME_S, 1e-6, FRAME_S, 0.0, FRAME_S, 1e-9, FRAME_S]);
 }
 
+/// A table strewn with bars, some of them finger-wide, none as bright as the hand.
+fn strewn(hand: &Hand, noise: &mut Noise) -> Picture {
+    let mut canvas = Canvas::new(320, 200, BACKGROUND);
+    let mut random = Noise::new(0x7374_7265);
+    for _ in 0..14 {
+        let at = Point2::new(random.between(0.0, 320.0), random.between(0.0, 200.0));
+        let angle_rad = random.between(-PI, PI);
+        let bar = Hand::usual(Thumb::None, at, angle_rad, random.between(30.0, 90.0));
+        canvas = canvas.paint(&bar, random.between(20.0, 105.0));
+    }
+    canvas.paint(hand, HAND).blur(BLUR_PX).take(NOISE, noise)
+}
+
+#[test]
+fn a_hand_that_turns_round_in_full_motion_is_followed() {
+    // 22 px a frame and 0.1 rad at the turns: where it was expected it is 44 px away.
+    for model in MODELS {
+        for thumb in [Thumb::Left, Thumb::None] {
+            let at = |k: usize| {
+                let phase = (k.max(5) - 5) % 14;
+                let swing = phase.min(14 - phase) as f64;
+                let tip = Point2::new(120.0 + 22.0 * swing, 120.0 - 4.0 * swing);
+                Hand::usual(thumb, tip, -0.6 + 0.1 * swing, LENGTH_PX)
+            };
+            let Hand { tip_px, angle_rad, length_px, .. } = at(0);
+            let start = StartPose { tip_px, angle_rad, length_px };
+            let template = Template::pistol(thumb).unwrap();
+            let mut tracker = ContourTracker::new(template, &start, options(model)).unwrap();
+            let mut noise = Noise::new(0x7475_726e);
+            for k in 0..40 {
+                let hand = at(k);
+                let track = update(&mut tracker, &strewn(&hand, &mut noise), k as f64 * FRAME_S);
+                if k < 4 {
+                    continue;
+                }
+                let what = format!("{model:?} {thumb:?}, frame {k}");
+                let error = LineError::of(&track.finger_line.expect(&what), &hand);
+                assert!(error.tip_px < 1.0 && error.angle_rad.abs() < 0.02, "{what}: {error:?}");
+            }
+        }
+    }
+}
+
+#[test]
+fn a_jump_surprises_and_a_steady_motion_does_not() {
+    let beyond = fingerpost_core::dynamics::chi_square_quantile(0.9999, 3).unwrap();
+    for model in MODELS {
+        let (mut tracker, mut noise) = (tracker(model, Thumb::None), Noise::new(0x6a75_6d70));
+        let hand = held_up(Thumb::None);
+        let mut time_s = acquire(&mut tracker, &hand, &mut noise);
+        let mut step = |offset: Vector2<f64>, after_s: f64| {
+            let hand = Hand { tip_px: hand.tip_px + offset, ..hand };
+            let track = update(&mut tracker, &picture(&hand, &mut noise), time_s + after_s);
+            time_s += FRAME_S + after_s;
+            assert!(track.finger_line.is_some());
+            track.diagnostics.innovation
+        };
+        let steady = Vector2::new(-3.0, 2.0);
+        for k in 1..8 {
+            let innovation = step(steady * f64::from(k), 0.0).unwrap();
+            assert!(k < 3 || innovation < 1.0, "{model:?}: {innovation}");
+        }
+        let jump = Vector2::new(-50.0, 35.0);
+        assert!(step(jump, 0.0).unwrap() > beyond, "{model:?}");
+        // After a long pause nothing is foretold, and nothing surprises.
+        assert_eq!(step(jump, 2.0), None, "{model:?}");
+        assert!(step(jump, 0.0).is_some());
+    }
+}
+
 #[test]
 fn time_does_not_run_backwards() {
     let (mut tracker, mut noise) = (tracker(Model::Ribbon, Thumb::None), Noise::new(0x7469_6d65));
@@ -700,7 +770,7 @@ type Set = fn(&mut TrackerOptions, f64);
 
 #[test]
 fn options_out_of_range_are_refused_with_their_value() {
-    let ranges: [(&str, Set, &[f64]); 14] = [
+    let ranges: [(&str, Set, &[f64]); 21] = [
         ("contour samples", |o, x| o.samples = x as usize, &[0.0, 7.0, 2001.0]),
         ("most iterations", |o, x| o.max_iterations = x as usize, &[0.0, 101.0]),
         ("correlation of neighbours", |o, x| o.correlation = x, &[0.99, -1.0]),
@@ -719,6 +789,17 @@ fn options_out_of_range_are_refused_with_their_value() {
         ("frames in a row", |o, x| o.acquire.settle_frames = x as usize, &[0.0]),
         ("frames in a row", |o, x| o.track.lose_after_frames = x as usize, &[0.0]),
         ("appearance rate", |o, x| o.track.appearance_rate = x, &[-0.1, 1.5]),
+        (
+            "acceleration [px/s²]",
+            |o, x| o.track.dynamics.acceleration_px_s2 = x,
+            &[0.0, -1.0, 100_001.0],
+        ),
+        ("acceleration [rad/s²]", |o, x| o.track.dynamics.acceleration_rad_s2 = x, &[0.0, 1001.0]),
+        ("acceleration lasts [s]", |o, x| o.track.dynamics.acceleration_lasts_s = x, &[0.0, 1.5]),
+        ("first speed [px/s]", |o, x| o.track.dynamics.first_speed_px_s = x, &[-1.0, 100_001.0]),
+        ("first speed [rad/s]", |o, x| o.track.dynamics.first_speed_rad_s = x, &[-1.0, 101.0]),
+        ("confidence of the gate", |o, x| o.track.dynamics.confidence = x, &[0.0, 0.49, 1.0]),
+        ("longest gap [s]", |o, x| o.track.dynamics.longest_gap_s = x, &[0.0, 61.0]),
     ];
     let refusal = |set: Set, x: f64| {
         let mut options = TrackerOptions::default();

@@ -10,15 +10,30 @@ use crate::template::PyTemplate;
 use crate::words::Word;
 use fingerpost_core::shape_space::{AffineMap, Axis};
 use fingerpost_core::tracker::{
-    AcceptOptions, AcquireOptions, ContourTracker, Diagnostics, FingerLine, Model, ShapeEstimate,
-    StartPose, Track, TrackOptions, TrackerOptions,
+    AcceptOptions, AcquireOptions, ContourTracker, Diagnostics, DynamicsOptions, FingerLine, Model,
+    ShapeEstimate, StartPose, Track, TrackOptions, TrackerOptions,
 };
 use numpy::{PyArray1, PyArray2};
 use pyo3::prelude::*;
 
 overlay_fields!(AcceptOptions { min_inliers, max_residual_px });
 overlay_fields!(AcquireOptions { half_length_px, accept, settle_frames, settle_change, max_scale });
-overlay_fields!(TrackOptions { half_length_px, accept, lose_after_frames, appearance_rate });
+overlay_fields!(TrackOptions {
+    half_length_px,
+    accept,
+    lose_after_frames,
+    appearance_rate,
+    dynamics,
+});
+overlay_fields!(DynamicsOptions {
+    acceleration_px_s2,
+    acceleration_rad_s2,
+    acceleration_lasts_s,
+    first_speed_px_s,
+    first_speed_rad_s,
+    confidence,
+    longest_gap_s,
+});
 overlay_fields!(TrackerOptions {
     model,
     samples,
@@ -336,13 +351,20 @@ impl PyDiagnostics {
         self.0.accepted
     }
 
+    /// How much an accepted fit surprises.
+    #[getter]
+    fn innovation(&self) -> Option<f64> {
+        self.0.innovation
+    }
+
     fn __repr__(&self) -> String {
-        let Diagnostics { visible, hits, inliers, residual_rms_px, rank, iterations, accepted } =
-            self.0;
-        let accepted = if accepted { "True" } else { "False" };
+        let Diagnostics { visible, hits, inliers, residual_rms_px, rank, iterations, .. } = self.0;
+        let accepted = if self.0.accepted { "True" } else { "False" };
+        let innovation = self.0.innovation.map_or("None".to_owned(), |i| format!("{i:.2}"));
         format!(
             "Diagnostics(accepted={accepted}, visible={visible}, hits={hits}, inliers={inliers}, \
-             residual_rms_px={residual_rms_px:.3}, rank={rank}, iterations={iterations})"
+             residual_rms_px={residual_rms_px:.3}, rank={rank}, iterations={iterations}, \
+             innovation={innovation})"
         )
     }
 }

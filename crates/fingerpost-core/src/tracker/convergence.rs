@@ -5,24 +5,30 @@ use super::options::{AcceptOptions, TrackerOptions};
 use super::{MAX_DOF, ShapeEstimate};
 use crate::Result;
 use crate::discriminant::{DiscriminantImage, Mixture};
+use crate::dynamics::{Expectation, Gate};
 use crate::fit::{EquationBuffer, Equations, FitReport, Fitter, Outcome, Prior};
 use crate::frame::Frame;
 use crate::refine::Finger;
 use crate::search::{EdgeMeasurement, EdgeSearch, Scale, SearchLine};
 use crate::shape_space::{Axis, PlacedSample, Pose, ShapeSpace};
 use crate::template::{Part, TemplateSample};
-use nalgebra::{Matrix2, Point2, SMatrix, SVector};
+use nalgebra::{Matrix2, Point2, SMatrix, SVector, Vector3};
 
 /// The contour has converged when no sample moves further than this \[px\].
 const CONVERGED_PX: f64 = 0.02;
 /// What the search lines shrink by once a step stays well inside them, and how short they get.
 const SHRINK: f64 = 0.7;
-const MIN_HALF_LENGTH_PX: f64 = 5.0;
+pub(super) const MIN_HALF_LENGTH_PX: f64 = 5.0;
+/// Within a window, the next lines need be no longer than this many steps.
+const LEFT: f64 = 3.0;
 /// Beyond that length the residual offsets' scale is not taken below this part of it: only a few
 /// samples at the tip tell how far the finger has slid along itself, and must be heard.
 const FAR_SCALE: f64 = 0.2;
 /// A sample supports a fit when its residual offset is below this \[px\].
 const SUPPORT_PX: f64 = 1.5;
+/// What a hand does besides moving and turning shifts its edges by this, as a standard deviation
+/// \[px\].
+const BESIDES_PX: f64 = 1.0;
 
 /// How one convergence searches.
 #[derive(Debug, Clone, Copy)]
@@ -32,7 +38,28 @@ pub(super) struct Attempt<'a> {
     /// What the search lines look for, and in which image.
     pub sight: Sight<'a>,
     pub scale: Scale,
+    /// The longest search line.
     pub half_length_px: f64,
+    /// What shortens the lines further, if the hand's motion is known.
+    pub window: Option<Window>,
+}
+
+/// Where a hand that moved on is expected, and how far from there its edges are looked for.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Window {
+    /// (c_u, c_v, θ).
+    pub expected: Expectation<3>,
+    pub gate: Gate,
+}
+
+impl Window {
+    /// How far to look along the normal of a sample: it moves with the hand, and a little besides.
+    fn length(&self, placed: &PlacedSample) -> f64 {
+        let PlacedSample { position, normal } = placed;
+        let arm = position.coords - self.expected.vector.xy();
+        let row = Vector3::new(normal.x, normal.y, arm.perp(normal));
+        self.expected.search_length(&row, BESIDES_PX * BESIDES_PX, &self.gate)
+    }
 }
 
 /// Where the template came to rest.
@@ -204,6 +231,20 @@ impl Convergence {
         self.image.of(frame, mixture, hull(ends.iter().map(|end| (*end, reach))))
     }
 
+    /// The frame about some pixels, as a mixture shows it.
+    pub fn shown_about<'a>(
+        &'a mut self,
+        frame: &Frame<'a>,
+        mixture: Option<&Mixture>,
+        pixels: impl Iterator<Item = Point2<f64>>,
+        reach_px: f64,
+    ) -> Result<Frame<'a>> {
+        match mixture {
+            Some(mixture) => self.image.of(frame, mixture, hull(pixels.map(|p| (p, reach_px)))),
+            None => Ok(*frame),
+        }
+    }
+
     /// From `x`, where the image takes it in this space. `believed` is a prior on the shape vector
     /// itself.
     pub fn run<S: ShapeSpace<D>, const D: usize>(
@@ -241,7 +282,10 @@ impl Convergence {
                 break;
             }
             if moved_px < half_length_px / 2.0 {
-                half_length_px = (half_length_px * SHRINK).max(MIN_HALF_LENGTH_PX);
+                let shrunk_px = half_length_px * SHRINK;
+                // In its window, one step brings the contour most of the way.
+                let left_px = attempt.window.map_or(shrunk_px, |_| LEFT * moved_px);
+                half_length_px = shrunk_px.min(left_px).max(MIN_HALF_LENGTH_PX);
             }
         }
         Ok(at)
@@ -275,7 +319,9 @@ impl Convergence {
                 self.visible.push(i);
                 self.lines.push(SearchLine {
                     sample: placed,
-                    half_length_px,
+                    half_length_px: attempt
+                        .window
+                        .map_or(half_length_px, |w| w.length(&placed).min(half_length_px)),
                     polarity: attempt.sight.polarity,
                 });
             }

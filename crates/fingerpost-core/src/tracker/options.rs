@@ -1,5 +1,7 @@
 //! Options of a tracker, their defaults and ranges.
 
+use super::convergence::MIN_HALF_LENGTH_PX;
+use crate::dynamics::{Component, Course, Domain, Gate, acceleration_density};
 use crate::fit::FitOptions;
 use crate::search::{MAX_HALF_LENGTH_PX, Polarity, SearchOptions};
 use crate::{Error, Result};
@@ -41,7 +43,9 @@ pub struct AcquireOptions {
 /// How the hand is followed.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TrackOptions {
-    /// Half-length of the search lines \[px\], 1–128.
+    /// Longest half-length of the search lines of a hand that moves as expected \[px\], 1–128. A
+    /// hand that is not found there is sought this much further, and for every frame without it
+    /// once more.
     pub half_length_px: f64,
     /// When a fit counts.
     pub accept: AcceptOptions,
@@ -50,6 +54,76 @@ pub struct TrackOptions {
     /// How fast the known appearance follows what is seen: part taken over per accepted frame,
     /// 0–1.
     pub appearance_rate: f64,
+    /// How the hand moves.
+    pub dynamics: DynamicsOptions,
+}
+
+/// How a hand moves in the image between frames: a Kalman filter with constant velocity predicts
+/// it, see [`Dynamics`](crate::dynamics::Dynamics).
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct DynamicsOptions {
+    /// Typical (root mean square) acceleration along u and along v \[px/s²\], 1–1e5.
+    pub acceleration_px_s2: f64,
+    /// The same of the finger's angle \[rad/s²\], 0.01–1000.
+    pub acceleration_rad_s2: f64,
+    /// How long an acceleration keeps its direction \[s\], 0.001–1.
+    pub acceleration_lasts_s: f64,
+    /// Typical speed along u and along v of a hand that is first seen \[px/s\], 0–1e5.
+    pub first_speed_px_s: f64,
+    /// The same of the finger's angle \[rad/s\], 0–100.
+    pub first_speed_rad_s: f64,
+    /// Probability with which the search along a normal reaches the hand's edge if the hand moves
+    /// like this, 0.5–0.999999.
+    pub confidence: f64,
+    /// A hand unseen for longer than this is not followed but found again \[s\], 0.001–60.
+    pub longest_gap_s: f64,
+}
+
+impl Default for DynamicsOptions {
+    fn default() -> Self {
+        Self {
+            acceleration_px_s2: 4000.0,
+            acceleration_rad_s2: 25.0,
+            acceleration_lasts_s: 0.03,
+            first_speed_px_s: 300.0,
+            first_speed_rad_s: 2.0,
+            confidence: 0.95,
+            longest_gap_s: 0.25,
+        }
+    }
+}
+
+impl DynamicsOptions {
+    /// Of (c_u, c_v, θ).
+    pub(super) fn components(&self) -> [Component; 3] {
+        let component = |acceleration, first_sigma, domain| Component {
+            course: Course::Velocity {
+                density: acceleration_density(acceleration, self.acceleration_lasts_s),
+                first_sigma,
+            },
+            domain,
+        };
+        let place = component(self.acceleration_px_s2, self.first_speed_px_s, Domain::Line);
+        let angle = component(self.acceleration_rad_s2, self.first_speed_rad_s, Domain::Circle);
+        [place, place, angle]
+    }
+
+    fn check(&self) -> Result<()> {
+        let Self { acceleration_px_s2, acceleration_rad_s2, acceleration_lasts_s, .. } = *self;
+        let Self { first_speed_px_s, first_speed_rad_s, confidence, longest_gap_s, .. } = *self;
+        for (what, value, right, range) in [
+            ("acceleration [px/s²]", acceleration_px_s2, "1 to 1e5", 1.0..=1e5),
+            ("acceleration [rad/s²]", acceleration_rad_s2, "0.01 to 1000", 0.01..=1e3),
+            ("acceleration lasts [s]", acceleration_lasts_s, "0.001 to 1", 0.001..=1.0),
+            ("first speed [px/s]", first_speed_px_s, "0 to 1e5", 0.0..=1e5),
+            ("first speed [rad/s]", first_speed_rad_s, "0 to 100", 0.0..=100.0),
+            ("confidence of the gate", confidence, "0.5 to 0.999999", 0.5..=0.999_999),
+            ("longest gap [s]", longest_gap_s, "0.001 to 60", 0.001..=60.0),
+        ] {
+            Error::within(what, value, right, |v| range.contains(&v))?;
+        }
+        Ok(())
+    }
 }
 
 /// Options of a [`ContourTracker`](super::ContourTracker), with their defaults.
@@ -102,12 +176,19 @@ impl Default for TrackerOptions {
                 accept: AcceptOptions { min_inliers: 0.5, max_residual_px: 2.0 },
                 lose_after_frames: 5,
                 appearance_rate: 0.2,
+                dynamics: DynamicsOptions::default(),
             },
         }
     }
 }
 
 impl TrackerOptions {
+    /// How far the edges of a tracked hand are looked for.
+    pub(super) fn gate(&self) -> Result<Gate> {
+        let TrackOptions { half_length_px, dynamics, .. } = &self.track;
+        Gate::new(dynamics.confidence, MIN_HALF_LENGTH_PX.min(*half_length_px), *half_length_px)
+    }
+
     /// Whether every option is finite and in its range; search and fit check their own.
     pub(super) fn check(&self) -> Result<()> {
         let Self { samples, max_iterations, correlation, acquire, track, .. } = self;
@@ -139,6 +220,6 @@ impl TrackerOptions {
         Error::within("appearance rate", track.appearance_rate, "0 to 1", |r| {
             (0.0..=1.0).contains(&r)
         })?;
-        Ok(())
+        track.dynamics.check()
     }
 }
