@@ -95,7 +95,8 @@ class _AcceptOptions(TypedDict, total=False):
     min_inliers: float
     """Least part of the visible samples whose edges agree with the fit, 0 to 1."""
     max_residual_px: float
-    """Largest root mean square of their residual offsets [px], positive."""
+    """Largest root mean square of their residual offsets [px], positive; a fifth of the finger's
+    half-width if that is more."""
 
 class _AcquireOptions(TypedDict, total=False):
     """How the template waits for the hand."""

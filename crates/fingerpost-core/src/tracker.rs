@@ -341,7 +341,7 @@ struct Found<T = Shape> {
 
 impl Found {
     fn is_accepted(&self, accept: &AcceptOptions) -> bool {
-        self.fit.is_some_and(|f| f.is_accepted(accept))
+        self.fit.is_some_and(|f| f.is_accepted(accept, self.shape.width()))
     }
 
     /// The part of the visible contour that the fit explains, 0–1.

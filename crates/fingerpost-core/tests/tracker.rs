@@ -13,8 +13,8 @@ use fingerpost_core::search::{Polarity, SearchOptions};
 use fingerpost_core::shape_space::{AffineMap, PlacedSample, Pose};
 use fingerpost_core::template::{HALF_LENGTH, OutlineAxis, Template, Thumb};
 use fingerpost_core::tracker::{
-    AcceptOptions, AcquireOptions, ContourTracker, FingerLine, Model, StartPose, Status, Track,
-    TrackOptions, TrackerOptions,
+    AcceptOptions, AcquireOptions, ContourTracker, FingerLine, LineSource, Model, StartPose,
+    Status, Track, TrackOptions, TrackerOptions,
 };
 use fingerpost_core::{Error, Frame};
 use proptest::prelude::*;
@@ -254,11 +254,11 @@ fn a_frame_without_the_hand_starts_settling_anew() {
     for model in MODELS {
         let mut tracker = tracker(model, Thumb::None);
         let (hand, mut noise) = (held_up(Thumb::None), Noise::new(0x616e_6577));
-        let shown = [true, true, false, true, true, true];
+        let shown = [true, false, true, true];
         for (k, shown) in shown.into_iter().enumerate() {
             let picture = if shown { picture(&hand, &mut noise) } else { empty(&mut noise) };
             let track = update(&mut tracker, &picture, k as f64 * FRAME_S);
-            let tracking = k == 5;
+            let tracking = k == 3;
             assert_eq!(track.status == Status::Tracking, tracking, "{model:?}, frame {k}");
             assert_eq!(track.diagnostics.accepted, shown, "{model:?}, frame {k}");
             if !shown {
@@ -640,11 +640,21 @@ fn a_track_tells_its_story() {
             }
         }
         assert!((0..names).all(|i| covariance[(i, i)] > 0.0));
-        // The line goes through the centre that the shape vector begins with.
+        // The line goes through the centre that the shape vector begins with; the pixels move it by
+        // less than the contour's own error.
+        let (near_px, near_rad) = match line.source {
+            LineSource::Contour => (1e-9, 1e-9),
+            LineSource::Edges | LineSource::Pixels => (0.2, 0.01),
+        };
+        assert_eq!(line.source == LineSource::Pixels, model == Model::Ribbon, "{thumb:?}");
         let centre = Point2::new(shape.vector[0], shape.vector[1]);
-        assert!((centre - line.axis.anchor).dot(&line.axis.normal()).abs() < 1e-9);
-        assert!(turn(shape.vector[2], line.axis.angle_rad).abs() < 1e-9);
-        assert!((covariance[(2, 2)] - line.covariance[(1, 1)]).abs() < 1e-12);
+        assert!((centre - line.axis.anchor).dot(&line.axis.normal()).abs() < near_px);
+        assert!(turn(shape.vector[2], line.axis.angle_rad).abs() < near_rad);
+        if line.source == LineSource::Contour {
+            assert!((covariance[(2, 2)] - line.covariance[(1, 1)]).abs() < 1e-12);
+        } else {
+            assert!(line.covariance[(1, 1)] < covariance[(2, 2)], "refined in vain");
+        }
 
         assert!(told.accepted && told.iterations >= 1);
         assert!(told.inliers <= told.hits && told.hits <= told.visible);

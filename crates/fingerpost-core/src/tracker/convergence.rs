@@ -24,6 +24,9 @@ const LEFT: f64 = 3.0;
 /// Beyond that length the residual offsets' scale is not taken below this part of it: only a few
 /// samples at the tip tell how far the finger has slid along itself, and must be heard.
 const FAR_SCALE: f64 = 0.2;
+/// Motion smears a large finger as it does a small one, in proportion: residual offsets up to this part
+/// of its half-width are no reason to refuse it.
+const RESIDUAL_SHARE: f64 = 0.2;
 /// A sample supports a fit when its residual offset is below this \[px\].
 const SUPPORT_PX: f64 = 1.5;
 /// What a hand does besides moving and turning shifts its edges by this, as a standard deviation
@@ -137,8 +140,9 @@ impl Support {
 }
 
 impl Fit {
-    pub fn is_accepted(&self, accept: &AcceptOptions) -> bool {
-        self.agreement >= accept.min_inliers && self.residual_rms_px <= accept.max_residual_px
+    pub fn is_accepted(&self, accept: &AcceptOptions, half_width_px: f64) -> bool {
+        let max_residual_px = accept.max_residual_px.max(RESIDUAL_SHARE * half_width_px);
+        self.agreement >= accept.min_inliers && self.residual_rms_px <= max_residual_px
     }
 }
 

@@ -21,7 +21,8 @@ pub enum Model {
 pub struct AcceptOptions {
     /// Least part of the contour's visible samples whose edges agree with the fit, 0–1.
     pub min_inliers: f64,
-    /// Largest root mean square of their residual offsets \[px\], positive.
+    /// Largest root mean square of their residual offsets \[px\], positive; a fifth of the finger's
+    /// half-width if that is more.
     pub max_residual_px: f64,
 }
 
@@ -167,7 +168,7 @@ impl Default for TrackerOptions {
             acquire: AcquireOptions {
                 half_length_px: 20.0,
                 accept: AcceptOptions { min_inliers: 0.65, max_residual_px: 1.5 },
-                settle_frames: 3,
+                settle_frames: 2,
                 settle_change: 0.1,
                 max_scale: 2.0,
             },
