@@ -88,6 +88,7 @@ RUST_RULES = {
     "frame": {"error", "image"},
     "appearance": {"error", "image", "frame"} | _LANES,
     "discriminant": {"error", "image", "frame"},
+    "background": {"error", "image", "frame"},
     "bspline": {"error"},
     "contour": {"error", "bspline"},
     "template": {"error", "bspline", "contour"},

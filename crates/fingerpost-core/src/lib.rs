@@ -58,6 +58,7 @@
 //! ```
 
 pub mod appearance;
+pub mod background;
 pub mod bspline;
 pub mod contour;
 pub mod discriminant;
