@@ -89,6 +89,7 @@ RUST_RULES = {
     "appearance": {"error", "image", "frame"} | _LANES,
     "discriminant": {"error", "image", "frame"},
     "background": {"error", "image", "frame"},
+    "candidates": {"error", "image", "frame", "background", "template"},
     "bspline": {"error"},
     "contour": {"error", "bspline"},
     "template": {"error", "bspline", "contour"},
