@@ -32,6 +32,7 @@ PYTHON_GROUPS = {
     "robot": "robot",
     "live": "live",
     "config": "config",
+    "finding": "pipeline",
     "pipeline": "pipeline",
     "experiment": "application",
     "guidance": "application",
