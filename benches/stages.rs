@@ -1,5 +1,6 @@
 //! The stages of one frame: search along 100 normals of ±20 px, fit, a whole iteration, and whole
-//! updates of a tracker that follows a hand. Frames are rotated, so that each is cold in cache.
+//! updates of a tracker that follows a hand; then what it takes to find one. Frames are rotated, so
+//! that each is cold in cache.
 //!
 //!     cargo bench -p fingerpost-benches
 
@@ -10,6 +11,8 @@
 
 use criterion::{BenchmarkId, Criterion, criterion_group, criterion_main};
 use fingerpost_benches::{Scene, frames};
+use fingerpost_core::background::{Background, BackgroundOptions};
+use fingerpost_core::candidates::{FinderOptions, HandFinder};
 use fingerpost_core::fit::{EquationBuffer, FitOptions, Fitter};
 use fingerpost_core::frame::Frame;
 use fingerpost_core::image::GrayView;
@@ -146,10 +149,30 @@ fn updates(c: &mut Criterion) {
     group.finish();
 }
 
+/// What a view without a hand costs: learning its background, and looking for candidates.
+fn finding(c: &mut Criterion) {
+    for (size, pixels, count) in SIZES {
+        let scenes = frames(pixels, count);
+        let mut background = Background::new(BackgroundOptions::default()).unwrap();
+        for _ in 0..20 {
+            background.observe(&view(&scenes[0]), None).unwrap();
+        }
+        let mut turn = scenes.iter().cycle();
+        c.bench_function(&format!("background/{size}"), |b| {
+            b.iter(|| background.observe(&view(turn.next().unwrap()), None).unwrap());
+        });
+        let mut finder = HandFinder::new(FinderOptions::default()).unwrap();
+        c.bench_function(&format!("candidates/{size}"), |b| {
+            b.iter(|| black_box(finder.find(&view(turn.next().unwrap()), Some(&background)).len()));
+        });
+    }
+}
+
 fn stages(c: &mut Criterion) {
     iteration::<Affine, 6>(c, "affine");
     iteration::<RigidShear, 4>(c, "rigid_shear");
     updates(c);
+    finding(c);
 }
 
 criterion_group!(benches, stages);

@@ -25,8 +25,8 @@ read-only.
 ``options`` of every stage tells; an unknown key is refused with its path.
 
 *Threads*: whatever takes longer than some microseconds releases the GIL. Objects are immutable and
-may be shared, but for `ContourTracker` and `Appearance`: while one is at work in one thread, any
-use of it in another raises `fingerpost.errors.FingerpostError`.
+may be shared, but for `ContourTracker`, `Appearance`, `Background` and `HandFinder`: while one is
+at work in one thread, any use of it in another raises `fingerpost.errors.FingerpostError`.
 
 Bad input raises `fingerpost.errors.InvalidInputError`, a `ValueError`, that names the value and
 what would be right; an object of the wrong class raises `TypeError`. A hand that is not there is
@@ -44,7 +44,9 @@ __all__ = [
     "ArcLength",
     "Axis",
     "BSpline",
+    "Background",
     "BasisRows",
+    "Candidate",
     "ContourSamples",
     "ContourTracker",
     "CurvePoints",
@@ -53,6 +55,7 @@ __all__ = [
     "FingerLine",
     "FitReport",
     "Fitter",
+    "HandFinder",
     "PlacedContour",
     "SearchLines",
     "ShapeSpace",
@@ -64,6 +67,36 @@ __all__ = [
 ]
 
 # --- options ---------------------------------------------------------------------------------
+
+class _BackgroundOptions(TypedDict, total=False):
+    """How a background is learned."""
+
+    learn_frames: int
+    """Visits that a level must have lasted before its pixel is known, 1 to 200."""
+    rate: float
+    """Part by which mean and variance take over a visit that agrees, 0.001 to 1."""
+    absorb_frames: int
+    """Frames for which something new has to stay until it is background, 4 to 1000."""
+    noise_grey: float
+    """Least standard deviation of a pixel about its level [grey levels], 0.1 to 64."""
+    changed_sigmas: float
+    """A pixel this many standard deviations away from its level has changed, 1 to 20."""
+    shadow_light: float
+    """Light that the deepest shadow leaves, 0 to 1; 1 where there are none."""
+    void_share: float
+    """The camera has moved when more of the image than this has changed, 0 to 1."""
+
+class _FinderOptions(TypedDict, total=False):
+    """What a finder looks for."""
+
+    min_half_width: float
+    """Half-width of the slimmest finger [parts of the longer side], 0.003 to 0.1."""
+    max_half_width: float
+    """Half-width of the stoutest finger [the same], above the least and up to 0.2."""
+    min_gradient_grey: float
+    """The least change of brightness from cell to cell that is an edge [grey levels], 1 to 100."""
+    candidates: int
+    """The most candidates that are given, 1 to 100."""
 
 class _SearchOptions(TypedDict, total=False):
     """How edges are looked for."""
@@ -1158,6 +1191,227 @@ class Appearance:
         """
 
 @final
+class Background:
+    """What a camera that keeps still sees when no hand is there.
+
+    Every pixel keeps the level that it shows most of the time. The light of a frame is fitted as
+    gain · background + offset; what is left is the foreground, unless a shadow explains it. When
+    most of the image changes for some frames, the camera has moved and the background is learned
+    anew.
+
+    References
+    ----------
+    Stauffer & Grimson 1999; Horprasert, Harwood & Davis 1999 for shadows.
+    """
+
+    def __new__(cls, options: Mapping[str, object] | None = None) -> Background:
+        """Make a background that has seen nothing.
+
+        Parameters
+        ----------
+        options
+            What differs from the defaults; see the property ``options``.
+
+        Raises
+        ------
+        InvalidInputError
+            An option that is unknown, of another type or out of range.
+        """
+
+    def observe(
+        self,
+        image: NDArray[np.uint8],
+        colour: NDArray[np.uint8] | None = None,
+        *,
+        keep_out: tuple[ArrayLike, ArrayLike, float] | None = None,
+    ) -> None:
+        """Take one frame: estimate its light, and learn from what agrees.
+
+        Parameters
+        ----------
+        image : (height, width)
+            Grey levels; not copied. Another size starts a new background.
+        colour : (height, width, 3), optional
+            Colours of the same frame.
+        keep_out
+            A part of the image that is not learned: two ends (u, v) of a segment [px], and the
+            radius around it [px].
+
+        Raises
+        ------
+        InvalidInputError
+            An image that cannot be used, or a part to keep out that is not finite or has no
+            radius.
+        FingerpostError
+            The background is in use in another thread.
+        """
+
+    def forget(self, part: tuple[ArrayLike, ArrayLike, float]) -> None:
+        """Forget a part of the image, such as a hand that has stood there from the start.
+
+        Parameters
+        ----------
+        part
+            Two ends (u, v) of a segment [px], and the radius around it [px].
+
+        Raises
+        ------
+        InvalidInputError
+            A part that is not finite or has no radius.
+        """
+
+    def clear(self) -> None:
+        """Forget everything."""
+
+    @property
+    def is_known(self) -> bool:
+        """Whether it has lasted long enough to tell the foreground from it."""
+
+    @property
+    def light(self) -> tuple[float, float]:
+        """Gain and offset [grey levels] of the last frame's light over the background's."""
+
+    @property
+    def changed_share(self) -> float:
+        """Part of the pixels that would show a motion of the camera and have changed, 0 to 1."""
+
+    @property
+    def options(self) -> _BackgroundOptions:
+        """Every option in force."""
+
+    def expected(self, position_px: ArrayLike) -> NDArray[np.float64]:
+        """Tell the grey levels to expect where nothing stands before the background.
+
+        Parameters
+        ----------
+        position_px : (N, 2)
+            Places [px].
+
+        Returns
+        -------
+        (N, 2)
+            Grey level in the light of the last frame, and its standard deviation, without the
+            noise of a frame that it is compared with; NaN where it is unknown.
+        """
+
+    def foreground(
+        self,
+        image: NDArray[np.uint8],
+        position_px: ArrayLike,
+        colour: NDArray[np.uint8] | None = None,
+    ) -> NDArray[np.float64]:
+        """Tell how likely some places of a frame show something before the background.
+
+        Parameters
+        ----------
+        image, colour
+            As for `observe`.
+        position_px : (N, 2)
+            Places [px]; the nearest pixels count.
+
+        Returns
+        -------
+        (N,)
+            0 to 1; NaN where the background is unknown.
+        """
+
+    def foreground_map(
+        self, image: NDArray[np.uint8], colour: NDArray[np.uint8] | None = None
+    ) -> NDArray[np.uint8]:
+        """Tell the same for every second pixel of every second row.
+
+        Returns
+        -------
+        (⌈height / 2⌉, ⌈width / 2⌉)
+            0 for background, 255 for foreground; all 0 while the background is unknown.
+        """
+
+@final
+class HandFinder:
+    """Finds where in an image a pointing hand may be.
+
+    A template of a finger's round end and flanks is scored at every place, angle and size,
+    coarsely; the best places are looked at closely. What comes out are candidates: only a fit, and
+    the other views, can tell.
+
+    References
+    ----------
+    Hinterstoisser et al. 2012 for spread orientations and their fast sums.
+    """
+
+    def __new__(cls, options: Mapping[str, object] | None = None) -> HandFinder:
+        """Make a finder.
+
+        Parameters
+        ----------
+        options
+            What differs from the defaults; see the property ``options``.
+
+        Raises
+        ------
+        InvalidInputError
+            An option that is unknown, of another type or out of range.
+        """
+
+    def find(
+        self,
+        image: NDArray[np.uint8],
+        colour: NDArray[np.uint8] | None = None,
+        *,
+        background: Background | None = None,
+    ) -> list[Candidate]:
+        """Find the candidates in a frame, the likeliest first.
+
+        Parameters
+        ----------
+        image : (height, width)
+            Grey levels; not copied.
+        colour : (height, width, 3), optional
+            Colours of the same frame; with them fingers are told better from what is around.
+        background
+            What is known of the background; where it is, what has come into view goes first.
+
+        Raises
+        ------
+        InvalidInputError
+            An image that cannot be used.
+        FingerpostError
+            The finder or the background is in use in another thread.
+        """
+
+    @property
+    def options(self) -> _FinderOptions:
+        """Every option in force."""
+
+@final
+class Candidate:
+    """A place where a pointing hand may be."""
+
+    @property
+    def start(self) -> StartPose:
+        """Where a template would wait for it."""
+
+    @property
+    def half_width_px(self) -> float:
+        """Half the finger's width [px]."""
+
+    @property
+    def thumb(self) -> Literal["left", "right", "none"]:
+        """Side of a second band that may be its thumb."""
+
+    @property
+    def colour(self) -> tuple[float, float, float]:
+        """Mean colour of its inside; a grey level three times."""
+
+    @property
+    def foreground(self) -> float:
+        """How like foreground its inside is, 0 to 1; 0 while no background is known."""
+
+    @property
+    def score(self) -> float:
+        """How like a finger it is by its shape and colours alone, 0 to 1."""
+
+@final
 class Fitter:
     """Weighted least squares for the step of a shape vector.
 
@@ -1359,6 +1613,27 @@ class ContourTracker:
         InvalidInputError
             An option that is unknown, of another type or out of range; a traced outline for the
             model "ribbon".
+        """
+
+    @staticmethod
+    def at_hand(
+        template: Template, start: StartPose, options: Mapping[str, object] | None = None
+    ) -> ContourTracker:
+        """Make a tracker whose hand is believed to be at ``start`` already.
+
+        The first frame is fitted there at once, from the template's own width, where a template
+        that waits tries several places, angles and widths. When that frame shows no hand there,
+        the template waits.
+
+        Parameters
+        ----------
+        template, start, options
+            As for the class itself.
+
+        Raises
+        ------
+        InvalidInputError
+            As for the class itself.
         """
 
     @property

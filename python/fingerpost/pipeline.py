@@ -25,6 +25,7 @@ from fingerpost._core import ContourTracker, StartPose, Template, Track
 from fingerpost.capture import Frame, open_source, read_views
 from fingerpost.config import Rig, View
 from fingerpost.errors import InvalidInputError
+from fingerpost.finding import DOUBTED_FRAMES, HandSearch, Viewpoint, can_be_one, find_hand
 from fingerpost.pointing import (
     BARE_HAND,
     AlignmentState,
@@ -53,11 +54,13 @@ class Observation:
     frame
         The frame; None where it could not be read.
     track
-        What the tracker made of it; None without a frame.
+        What the tracker made of it; None without a frame, and while no hand has been found.
     contour_px
         The template's outline after the frame, (N, 2) [px].
     edges_px
         The edges that the last search found, (M, 2) [px].
+    missing
+        What a view without a track is: it looks for its first hand, or for one that it has lost.
     """
 
     view: str
@@ -65,12 +68,15 @@ class Observation:
     track: Track | None
     contour_px: NDArray[np.float64]
     edges_px: NDArray[np.float64]
+    missing: Status = Status.LOST
 
     @property
     def finger(self) -> FingerLine | Status:
         """The finger line, or why there is none."""
-        if self.frame is None or self.track is None:
+        if self.frame is None:
             return Status.LOST
+        if self.track is None:
+            return self.missing
         line = self.track.finger_line
         if line is not None:
             return FingerLine(
@@ -84,11 +90,11 @@ class Observation:
 
     def track_row(self) -> TrackRow | None:
         """Return the row of `tracks.csv`; None for a frame that could not be read."""
-        if self.frame is None or self.track is None:
+        if self.frame is None:
             return None
         cells: dict[str, float] = {}
         status = str(self.finger) if isinstance(self.finger, Status) else "tracking"
-        line = self.track.finger_line
+        line = self.track.finger_line if self.track is not None else None
         if line is not None:
             sigma_offset_px, sigma_angle_rad = np.sqrt(np.diag(line.covariance)).tolist()
             cells = {
@@ -139,12 +145,15 @@ class Step:
 
 
 class HandView:
-    """One view of the hand: its tracker, and how it sees the plane.
+    """One view of the hand: its tracker, its search for the hand, and how it sees the plane.
+
+    A view with a start pose waits there for the hand until it has followed one. A view without,
+    and any view that has lost the hand, looks everywhere; see `fingerpost.finding`.
 
     Parameters
     ----------
     view
-        The view of the rig; it needs a start pose.
+        The view of the rig.
     plane_points : (N, 2)
         The plane's reference points.
     tracker_options
@@ -160,10 +169,6 @@ class HandView:
         tracker_options: Mapping[str, Any] | None,
         reference_sigma_px: float,
     ) -> None:
-        if view.start is None:
-            raise InvalidInputError(
-                f'view "{view.name}" has no [view.start]; the template needs a place to wait'
-            )
         self.name = view.name
         self.plane_view = PlaneView.from_reference_points(
             plane_points,
@@ -171,21 +176,78 @@ class HandView:
             view.reference_covariances(reference_sigma_px),
             view.lens,
         )
-        start = StartPose(view.start.tip_px, np.radians(view.start.angle_deg), view.start.length_px)
-        template = Template.pistol(view.start.thumb)
-        self._tracker = ContourTracker(template, start, tracker_options)
+        self.viewpoint = Viewpoint(self.plane_view, np.full(3, np.nan))
+        self.search = HandSearch(tracker_options)
+        self._tracker: ContourTracker | None = None
+        self._track: Track | None = None
+        self._finds_by_itself = view.start is None
+        self._doubts = 0
+        self._missing = Status.ACQUIRING
+        if view.start is not None:
+            tip_px, angle_deg = view.start.tip_px, view.start.angle_deg
+            start = StartPose(tip_px, np.radians(angle_deg), view.start.length_px)
+            template = Template.pistol(view.start.thumb)
+            self._tracker = ContourTracker(template, start, tracker_options)
 
-    def observe(self, frame: Frame | None) -> Observation:
-        """Track the hand in a frame; None stands for one that could not be read."""
+    @property
+    def is_searching(self) -> bool:
+        """Whether the hand may be anywhere: it is neither followed for good nor waited for."""
+        return self._tracker is None or (self._track is not None and self._track.status == "lost")
+
+    @property
+    def track(self) -> Track | None:
+        """What the view's tracker, or the trial that is believed, made of the last frame."""
+        return self.search.found.track if self.search.found is not None else self._track
+
+    def observe(self, frame: Frame | None) -> None:
+        """Track the hand in a frame, or look for it; None stands for one that cannot be read."""
         if frame is None:
+            return
+        height_px, width_px = frame.image.shape[:2]
+        if np.isnan(self.viewpoint.centre).any():
+            self.viewpoint = Viewpoint.of(self.plane_view, (width_px, height_px))
+        if self._tracker is not None:
+            colour = frame.image if frame.image.ndim == 3 else None
+            self._track = self._tracker.update(frame.grey(), frame.time_s, colour)
+        if self._finds_by_itself and self.search.shows_background(frame, self._track):
+            self._let_go()
+        self.search.learn(frame, self.track)
+        if self.is_searching:
+            self.search.look(frame)
+        else:
+            self.search.rest()
+
+    def settle(self) -> None:
+        """Follow for good the hand that the search has found, once it is proven."""
+        found = self.search.found
+        if found is not None and found.is_proven:
+            self._tracker, self._track = found.tracker, found.track
+            self._missing = Status.LOST
+            self.search.rest()
+
+    def doubt(self, is_alone: bool) -> None:
+        """Count frames in which no other view shows what this one has found; let go after some."""
+        self._doubts = self._doubts + 1 if is_alone and self._finds_by_itself else 0
+        if self._doubts >= DOUBTED_FRAMES:
+            self._let_go()
+
+    def _let_go(self) -> None:
+        """Follow nothing any more, and look everywhere."""
+        self._tracker, self._track, self._doubts = None, None, 0
+        self._missing = Status.LOST
+        self.search.rest()
+
+    def observation(self, frame: Frame | None) -> Observation:
+        """Return what the view saw in the frame that it observed last."""
+        found = self.search.found
+        tracker, track = (found.tracker, found.track) if found else (self._tracker, self._track)
+        if frame is None or tracker is None:
             nothing = np.empty((0, 2))
-            return Observation(self.name, None, None, nothing, nothing)
-        colour = frame.image if frame.image.ndim == 3 else None
-        track = self._tracker.update(frame.grey(), frame.time_s, colour)
-        lines = self._tracker.search_lines()
-        found = np.isfinite(lines.offset_px)
-        edges = (lines.position_px + lines.normal * lines.offset_px[:, None])[found]
-        return Observation(self.name, frame, track, self._tracker.contour(), edges)
+            return Observation(self.name, frame, None, nothing, nothing, self._missing)
+        lines = tracker.search_lines()
+        hit = np.isfinite(lines.offset_px)
+        edges = (lines.position_px + lines.normal * lines.offset_px[:, None])[hit]
+        return Observation(self.name, frame, track, tracker.contour(), edges)
 
 
 @dataclass(slots=True)
@@ -244,7 +306,7 @@ class Pointer:
     Parameters
     ----------
     rig
-        At least two views, each with a start pose.
+        At least two views.
     tracker_options
         What differs from the tracker's defaults, for all views.
     pointing_options
@@ -295,8 +357,15 @@ class Pointer:
         frames
             One per view, in the rig's order; None where a frame could not be read.
         """
+        for view, frame in zip(self.views, frames, strict=True):
+            view.observe(frame)
+        find_hand(self.views, frames)
+        for view in self.views:
+            view.settle()
+            others = (other for other in self.views if other is not view)
+            view.doubt(not any(can_be_one((view, other)) for other in others))
         observations = tuple(
-            view.observe(frame) for view, frame in zip(self.views, frames, strict=True)
+            view.observation(frame) for view, frame in zip(self.views, frames, strict=True)
         )
         for history, observation in zip(self._histories, observations, strict=True):
             history.add(observation)
@@ -344,7 +413,7 @@ def track(rig: Rig, *, max_frames: int | None = None, **options: Any) -> Iterato
     Parameters
     ----------
     rig
-        At least two views, each with a start pose.
+        At least two views.
     max_frames
         Stop after as many frames of each view; None reads on to the end.
     **options

@@ -58,7 +58,9 @@
 //! ```
 
 pub mod appearance;
+pub mod background;
 pub mod bspline;
+pub mod candidates;
 pub mod contour;
 pub mod discriminant;
 pub mod dynamics;

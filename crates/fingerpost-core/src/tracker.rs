@@ -452,6 +452,19 @@ impl ContourTracker {
         })
     }
 
+    /// A tracker whose hand is believed to be at `start` already, as a candidate of
+    /// [`candidates`](crate::candidates) is: the first frame is fitted there at once, from the
+    /// template's own width, where a template that waits would try several places, angles and
+    /// widths. When that frame shows no hand there, the template waits.
+    ///
+    /// # Errors
+    /// Those of [`new`](Self::new).
+    pub fn at_hand(template: Template, start: &StartPose, options: TrackerOptions) -> Result<Self> {
+        let mut tracker = Self::new(template, start, options)?;
+        tracker.phase = Phase::Acquiring { settled: 1 };
+        Ok(tracker)
+    }
+
     /// Takes one frame, captured at `time_s`, and tells where the hand is.
     ///
     /// # Errors

@@ -6,6 +6,7 @@ mod common;
 
 use common::{Canvas, Hand, Noise, Picture};
 use fingerpost_core::Frame;
+use fingerpost_core::background::{Background, BackgroundOptions, ForegroundMap};
 use fingerpost_core::frame::ColourView;
 use fingerpost_core::nalgebra::Point2;
 use fingerpost_core::refine::{Finger, RefineOptions, Refiner, Source, Stretch};
@@ -183,5 +184,29 @@ fn refining_an_axis() {
         assert_eq!(refined.unwrap().source, Source::Photometric);
         // The table of the blur is worked out once.
         assert!(k == 0 || count == 0, "{count} allocations in frame {k}");
+    }
+}
+
+#[test]
+fn a_learned_background() {
+    for coloured in [false, true] {
+        let mut background = Background::new(BackgroundOptions::default()).unwrap();
+        let mut map = ForegroundMap::default();
+        let mut noise = Noise::new(0x6261_636b);
+        for k in 0..20 {
+            let picture = empty(&mut noise);
+            let mut observe = |frame: &Frame<'_>| {
+                let (count, ()) = allocations(|| {
+                    background.observe(frame, None).unwrap();
+                    background.foreground_map(frame, &mut map);
+                });
+                assert!(k == 0 || count == 0, "coloured {coloured}, frame {k}");
+            };
+            if coloured {
+                with_colours(&picture, observe);
+            } else {
+                observe(&picture.view().into());
+            }
+        }
     }
 }

@@ -3,7 +3,9 @@
 
 mod appearance;
 mod arrays;
+mod background;
 mod bspline;
+mod candidates;
 mod contour;
 mod errors;
 mod fit;
@@ -29,7 +31,11 @@ mod _core {
     #[pymodule_export]
     use super::appearance::PyAppearance;
     #[pymodule_export]
+    use super::background::PyBackground;
+    #[pymodule_export]
     use super::bspline::{PyArcLength, PyBSpline, PyBasisRows, PyCurvePoints, PySplineFit};
+    #[pymodule_export]
+    use super::candidates::{PyCandidate, PyHandFinder};
     #[pymodule_export]
     use super::contour::{PyContourSamples, sample_contour};
     #[pymodule_export]

@@ -66,14 +66,11 @@ impl PyStartPose {
         angle_rad: &Bound<'_, PyAny>,
         length_px: &Bound<'_, PyAny>,
     ) -> PyResult<Self> {
-        let start = StartPose {
+        Self::at(StartPose {
             tip_px: point(tip_px, "tip_px")?,
             angle_rad: real(angle_rad, "angle_rad")?,
             length_px: real(length_px, "length_px")?,
-        };
-        let StartPose { tip_px, angle_rad, length_px } = start;
-        let map = AffineMap::upright(tip_px, angle_rad, length_px).map_err(invalid_input)?;
-        Ok(Self { start, map })
+        })
     }
 
     /// The finger's tip.
@@ -115,6 +112,15 @@ impl PyStartPose {
     }
 }
 
+impl PyStartPose {
+    /// The start pose, or the error that there is no such pose.
+    pub fn at(start: StartPose) -> PyResult<Self> {
+        let StartPose { tip_px, angle_rad, length_px } = start;
+        let map = AffineMap::upright(tip_px, angle_rad, length_px).map_err(invalid_input)?;
+        Ok(Self { start, map })
+    }
+}
+
 /// Follows one hand in one view.
 #[pyclass(name = "ContourTracker", module = "fingerpost")]
 pub struct PyContourTracker(ContourTracker);
@@ -132,6 +138,22 @@ impl PyContourTracker {
         let options: TrackerOptions = self::options(options)?;
         let template = template.0.clone();
         py.detach(|| ContourTracker::new(template, &start.start, options))
+            .map(Self)
+            .map_err(invalid_input)
+    }
+
+    /// A tracker whose hand is believed to be there already.
+    #[staticmethod]
+    #[pyo3(signature = (template, start, options = None))]
+    fn at_hand(
+        py: Python<'_>,
+        template: &PyTemplate,
+        start: &PyStartPose,
+        options: Option<&Bound<'_, PyAny>>,
+    ) -> PyResult<Self> {
+        let options: TrackerOptions = self::options(options)?;
+        let template = template.0.clone();
+        py.detach(|| ContourTracker::at_hand(template, &start.start, options))
             .map(Self)
             .map_err(invalid_input)
     }

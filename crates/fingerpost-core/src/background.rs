@@ -1,0 +1,700 @@
+//! What a camera that keeps still sees when no hand is there.
+//!
+//! Every pixel keeps the grey level that it shows most of the time, with a running mean and variance
+//! of what agrees with it, and a count of how often that was so. A visit that disagrees lowers the
+//! count; at zero the pixel starts anew with what it shows now (the majority vote of Boyer and
+//! Moore, as a running estimate). So the first frames give the level that most of them show, a hand
+//! that passes changes nothing, and what is put down and stays becomes background after a while. A
+//! hand that is being followed is kept out altogether.
+//!
+//! The light may change: every frame is first explained as `gain · background + offset`, fitted
+//! robustly to a grid of pixels, and everything is compared and learned in the light of the
+//! background. What is left is the foreground, unless it is darker by a ratio that a shadow may have
+//! and, where there are colours, of unchanged hue. When most of the pixels that would show it have
+//! changed, the camera has moved: the background is void and is learned anew.
+//!
+//! A frame visits every fourth row in turn, and allocates nothing once it has seen its first frame.
+//!
+//! Sources: Stauffer & Grimson 1999 for a background of levels that last; Horprasert, Harwood &
+//! Davis 1999 for shadows as a change of brightness without one of hue.
+
+use crate::frame::Frame;
+use crate::{Error, Result};
+use nalgebra::{Point2, Vector2};
+
+/// How a background is learned, and what counts as a change.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct BackgroundOptions {
+    /// Visits that a level must have lasted before its pixel is known, 1–200. While the background
+    /// is new every frame visits every pixel.
+    pub learn_frames: usize,
+    /// Part by which the running mean and variance take over a visit that agrees, 0.001–1.
+    pub rate: f64,
+    /// Frames for which something new has to stay until it is background, 4–1000.
+    pub absorb_frames: usize,
+    /// Least standard deviation of a pixel about its level \[grey levels\], 0.1–64.
+    pub noise_grey: f64,
+    /// A pixel this many of its standard deviations away from its level has changed, 1–20.
+    pub changed_sigmas: f64,
+    /// Light that the deepest shadow leaves, 0–1; 1 where there are none.
+    pub shadow_light: f64,
+    /// The background is void when more than this part of the pixels that show it have changed,
+    /// 0–1.
+    pub void_share: f64,
+}
+
+impl Default for BackgroundOptions {
+    fn default() -> Self {
+        Self {
+            learn_frames: 8,
+            rate: 0.1,
+            absorb_frames: 120,
+            noise_grey: 2.0,
+            changed_sigmas: 4.0,
+            shadow_light: 0.45,
+            void_share: 0.5,
+        }
+    }
+}
+
+impl BackgroundOptions {
+    fn check(&self) -> Result<()> {
+        let Self { learn_frames, rate, absorb_frames, noise_grey, .. } = *self;
+        let Self { changed_sigmas, shadow_light, void_share, .. } = *self;
+        Error::within("frames to learn a background", learn_frames as f64, "1 to 200", |n| {
+            (1.0..=200.0).contains(&n)
+        })?;
+        Error::within("background rate", rate, "0.001 to 1", |r| (0.001..=1.0).contains(&r))?;
+        Error::within("frames to absorb a change", absorb_frames as f64, "4 to 1000", |n| {
+            (4.0..=1000.0).contains(&n)
+        })?;
+        Error::within("background noise [grey levels]", noise_grey, "0.1 to 64", |n| {
+            (0.1..=64.0).contains(&n)
+        })?;
+        Error::within("sigmas of a change", changed_sigmas, "1 to 20", |n| {
+            (1.0..=20.0).contains(&n)
+        })?;
+        for part in [shadow_light, void_share] {
+            Error::within("shadow light and void share", part, "0 to 1", |p| {
+                (0.0..=1.0).contains(&p)
+            })?;
+        }
+        Ok(())
+    }
+}
+
+/// A part of the image that must not become background: everything within `radius_px` of the
+/// segment from `from` to `to`, such as a hand behind its finger.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct KeepOut {
+    /// One end of the segment \[px\].
+    pub from: Point2<f64>,
+    /// The other \[px\].
+    pub to: Point2<f64>,
+    /// Radius \[px\], positive.
+    pub radius_px: f64,
+}
+
+/// How the light of a frame differs from that in which the background was learned: a pixel of level
+/// B there shows gain · B + offset now.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Light {
+    /// Gain, positive.
+    pub gain: f64,
+    /// Offset \[grey levels\].
+    pub offset_grey: f64,
+}
+
+impl Light {
+    const UNCHANGED: Self = Self { gain: 1.0, offset_grey: 0.0 };
+}
+
+/// The grey level to expect at a place where nothing stands before the background.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ExpectedGrey {
+    /// The level in the light of the last frame \[grey levels\].
+    pub grey: f64,
+    /// How uncertain it is \[grey levels\]: the standard deviation of the mean, without the noise
+    /// of a frame that it is compared with.
+    pub sigma_grey: f64,
+}
+
+/// How like foreground the image is, on a grid of cells of `step` × `step` pixels.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct ForegroundMap {
+    /// Cells in a row; cell (x, y) stands for the pixel (x · step, y · step).
+    pub width: usize,
+    /// Rows of cells.
+    pub height: usize,
+    /// Pixels from one cell to the next.
+    pub step: usize,
+    /// Row by row: 0 for background, 255 for foreground; between them it is uncertain.
+    pub cells: Vec<u8>,
+}
+
+impl ForegroundMap {
+    /// The likelihood of foreground at a place \[0–1\]; that of the nearest cell outside the image.
+    #[must_use]
+    pub fn at(&self, u: f64, v: f64) -> f64 {
+        let cell = |x: f64, n: usize| {
+            ((x / self.step.max(1) as f64).round().max(0.0) as usize).min(n.saturating_sub(1))
+        };
+        let i = cell(v, self.height) * self.width + cell(u, self.width);
+        self.cells.get(i).map_or(0.0, |&c| f64::from(c) / 255.0)
+    }
+}
+
+/// The learned background of one view.
+///
+/// ```
+/// use fingerpost_core::background::{Background, BackgroundOptions};
+/// use fingerpost_core::{Frame, GrayView};
+///
+/// let mut background = Background::new(BackgroundOptions::default())?;
+/// let table = [80; 64 * 48];
+/// for _ in 0..10 {
+///     background.observe(&Frame::gray(GrayView::new(&table, 64, 48, 64)?), None)?;
+/// }
+/// assert!(background.is_known());
+/// let expected = background.expected(20.3, 10.7).expect("the pixels around it are known");
+/// assert_eq!(expected.grey, 80.0);
+/// # Ok::<(), fingerpost_core::Error>(())
+/// ```
+#[derive(Debug, Clone)]
+pub struct Background {
+    options: BackgroundOptions,
+    size: Option<(usize, usize)>,
+    grey: Plane,
+    /// Blue, green and red (or whatever order they come in), at every second pixel of every second
+    /// row; empty without colours.
+    colour: Vec<[f32; 3]>,
+    light: Light,
+    /// Standard deviation of the light fit's inliers \[grey levels\].
+    light_sigma: f32,
+    /// Part of the telling pixels that have changed, and since how many frames that is too much.
+    changed_share: f64,
+    moved_frames: usize,
+    frames: usize,
+    pairs: Vec<(f32, f32)>,
+    ratios: Vec<f32>,
+}
+
+/// How a pixel differs from its background.
+struct Change {
+    /// In standard deviations.
+    sigmas: f32,
+    /// Whether a shadow would explain it.
+    is_shadow: bool,
+}
+
+/// Level, variance and number of agreeing visits of every pixel.
+#[derive(Debug, Clone, Default)]
+struct Plane {
+    level: Vec<f32>,
+    variance: Vec<f32>,
+    seen: Vec<u8>,
+}
+
+/// A frame visits every fourth row.
+const ROWS_IN_TURN: usize = 4;
+/// Pixels from one cell of the foreground map to the next.
+pub const CELL_PX: usize = 2;
+/// The light and the share of changed pixels are estimated from about this many pixels.
+const SAMPLES: usize = 3000;
+/// Levels beyond these are clipped or lost in noise, and tell nothing of the light.
+const DARKEST: f32 = 8.0;
+const BRIGHTEST: f32 = 247.0;
+/// A light that leaves less, or gives more, than this is no change of light.
+const GAINS: std::ops::RangeInclusive<f64> = 0.1..=8.0;
+/// Fits of the light, each with weights from the last.
+const LIGHT_FITS: usize = 4;
+/// Tukey's constant, times the factor from a median absolute deviation to a standard deviation.
+const TUKEY_MAD: f32 = 4.685 * 1.4826;
+/// The camera has moved when the change lasts this many frames: a flash does not.
+const MOVED_FRAMES: usize = 3;
+/// A pixel shows that the camera moves where the background changes by this much over four pixels
+/// \[grey levels\].
+const TELLING_GREY: f32 = 12.0;
+/// Fewer of them than this tell nothing, and all pixels have to.
+const TELLING_LEAST: usize = 60;
+/// A shadow changes no chromaticity (a share of the sum of the channels) by more than this, plus the
+/// noise.
+const SHADOW_HUE: f32 = 0.025;
+/// The noise of a channel, in parts of that of the grey level.
+const COLOUR_NOISE: f32 = 1.5;
+/// Without colours a hand may look like a shadow: only a light one is recognised.
+const GREY_SHADOW_LIGHT: f32 = 0.8;
+/// What a shadow keeps of its likelihood of foreground: a hand in a dark glove looks like one.
+const SHADOW_DOUBT: f32 = 0.6;
+/// The likelihood of foreground rises from 0 to 1 between these parts of
+/// [`BackgroundOptions::changed_sigmas`].
+const RAMP: (f32, f32) = (0.6, 1.4);
+
+impl Background {
+    /// A background that has seen nothing.
+    ///
+    /// # Errors
+    /// When an option is outside its documented range.
+    pub fn new(options: BackgroundOptions) -> Result<Self> {
+        options.check()?;
+        Ok(Self {
+            options,
+            size: None,
+            grey: Plane::default(),
+            colour: Vec::new(),
+            light: Light::UNCHANGED,
+            light_sigma: 0.0,
+            changed_share: 0.0,
+            moved_frames: 0,
+            frames: 0,
+            pairs: Vec::with_capacity(2 * SAMPLES),
+            ratios: Vec::with_capacity(2 * SAMPLES),
+        })
+    }
+
+    /// The options in force.
+    #[must_use]
+    pub fn options(&self) -> &BackgroundOptions {
+        &self.options
+    }
+
+    /// Forgets everything.
+    pub fn clear(&mut self) {
+        self.size = None;
+        self.frames = 0;
+        self.moved_frames = 0;
+        self.light = Light::UNCHANGED;
+        self.changed_share = 0.0;
+    }
+
+    /// Forgets a part of the image, such as a hand that has stood there from the start.
+    ///
+    /// # Errors
+    /// When the part is not finite or its radius not positive.
+    pub fn forget(&mut self, part: &KeepOut) -> Result<()> {
+        part.check()?;
+        let Some((width, height)) = self.size else { return Ok(()) };
+        for y in 0..height {
+            let columns = part.columns(y as f64, width);
+            self.grey.seen[y * width..][columns].fill(0);
+        }
+        Ok(())
+    }
+
+    /// Whether it has lasted long enough to tell the foreground from it.
+    #[must_use]
+    pub fn is_known(&self) -> bool {
+        self.frames >= self.options.learn_frames && self.moved_frames == 0
+    }
+
+    /// How the light of the last frame differs from the background's.
+    #[must_use]
+    pub fn light(&self) -> Light {
+        self.light
+    }
+
+    /// Part of the pixels that would show a motion of the camera and have changed, 0–1.
+    #[must_use]
+    pub fn changed_share(&self) -> f64 {
+        self.changed_share
+    }
+
+    /// Takes one frame: estimates its light and learns from what agrees with the background.
+    /// Nothing within `keep_out` is learned. A frame of another size, or with colours where there
+    /// were none, starts a new background.
+    ///
+    /// # Errors
+    /// When `keep_out` is not finite or its radius not positive.
+    pub fn observe(&mut self, frame: &Frame<'_>, keep_out: Option<&KeepOut>) -> Result<()> {
+        if let Some(keep_out) = keep_out {
+            keep_out.check()?;
+        }
+        let size = (frame.image().width(), frame.image().height());
+        let coloured = frame.colour().is_some();
+        if self.size != Some(size) || self.colour.is_empty() == coloured {
+            self.start(size, coloured);
+        }
+        self.estimate_light(frame);
+        self.notice_motion(frame);
+        let all_rows = self.frames < self.options.learn_frames;
+        let (first, step) =
+            if all_rows { (0, 1) } else { (self.frames % ROWS_IN_TURN, ROWS_IN_TURN) };
+        for y in (first..size.1).step_by(step) {
+            self.learn_row(frame, y, keep_out);
+        }
+        self.frames = self.frames.saturating_add(1);
+        Ok(())
+    }
+
+    /// The grey level to expect at a subpixel place in the light of the last frame; `None` where a
+    /// pixel around it is unknown or outside the image.
+    #[must_use]
+    pub fn expected(&self, u: f64, v: f64) -> Option<ExpectedGrey> {
+        let (width, height) = self.size?;
+        if !(u >= 0.0 && v >= 0.0 && u <= (width - 1) as f64 && v <= (height - 1) as f64) {
+            return None;
+        }
+        let (x, y) =
+            ((u as usize).min(width.saturating_sub(2)), (v as usize).min(height.saturating_sub(2)));
+        let (s, t) = (u - x as f64, v - y as f64);
+        let (right, below) = (usize::from(width > 1), usize::from(height > 1) * width);
+        let (mut grey, mut variance) = (0.0, 0.0);
+        let corners = [
+            (0, (1.0 - s) * (1.0 - t)),
+            (right, s * (1.0 - t)),
+            (below, (1.0 - s) * t),
+            (below + right, s * t),
+        ];
+        for (offset, weight) in corners.into_iter().filter(|(_, weight)| *weight > 0.0) {
+            let i = y * width + x + offset;
+            if usize::from(self.grey.seen[i]) < self.known_from() {
+                return None;
+            }
+            grey += weight * f64::from(self.grey.level[i]);
+            variance += weight * weight * self.variance_of_mean(i);
+        }
+        let Light { gain, offset_grey } = self.light;
+        Some(ExpectedGrey { grey: gain * grey + offset_grey, sigma_grey: gain * variance.sqrt() })
+    }
+
+    /// How likely the pixel nearest to a place shows something before the background, 0–1; `None`
+    /// outside the image and where the background is unknown.
+    #[must_use]
+    pub fn foreground(&self, frame: &Frame<'_>, u: f64, v: f64) -> Option<f64> {
+        let size = (frame.image().width(), frame.image().height());
+        if self.size != Some(size) || !self.is_known() || !frame.image().contains(u, v, -0.5) {
+            return None;
+        }
+        let (x, y) = ((u + 0.5) as usize, (v + 0.5) as usize);
+        let (x, y) = (x.min(size.0 - 1), y.min(size.1 - 1));
+        self.change(frame, x, y, size.0).map(|change| f64::from(self.likelihood(&change)))
+    }
+
+    /// Fills `map` with how like foreground every cell of the frame is; all background while the
+    /// background is unknown.
+    pub fn foreground_map(&self, frame: &Frame<'_>, map: &mut ForegroundMap) {
+        let (width, height) = (frame.image().width(), frame.image().height());
+        (map.width, map.height) = (width.div_ceil(CELL_PX), height.div_ceil(CELL_PX));
+        map.step = CELL_PX;
+        map.cells.clear();
+        if !self.is_known() || self.size != Some((width, height)) {
+            map.cells.resize(map.width * map.height, 0);
+            return;
+        }
+        for y in (0..height).step_by(CELL_PX) {
+            map.cells.extend((0..width).step_by(CELL_PX).map(|x| {
+                self.change(frame, x, y, width).map_or(0, |c| (255.0 * self.likelihood(&c)) as u8)
+            }));
+        }
+    }
+
+    fn start(&mut self, size: (usize, usize), coloured: bool) {
+        self.clear();
+        self.size = Some(size);
+        let pixels = size.0 * size.1;
+        self.grey.level.clear();
+        self.grey.level.resize(pixels, 0.0);
+        self.grey.variance.clear();
+        self.grey.variance.resize(pixels, 0.0);
+        self.grey.seen.clear();
+        self.grey.seen.resize(pixels, 0);
+        self.colour.clear();
+        if coloured {
+            let cells = size.0.div_ceil(CELL_PX) * size.1.div_ceil(CELL_PX);
+            self.colour.resize(cells, [0.0; 3]);
+        }
+    }
+
+    /// Agreeing visits from which a pixel is known, and at most counted: in turn, a visit stands for
+    /// four frames.
+    fn known_from(&self) -> usize {
+        self.options.learn_frames.div_ceil(2)
+    }
+
+    fn most_seen(&self) -> u8 {
+        let visits = self.options.absorb_frames.div_ceil(ROWS_IN_TURN);
+        visits.max(self.known_from() + 1).min(usize::from(u8::MAX)) as u8
+    }
+
+    /// Variance of a pixel's level: of a mean over its visits, or of the running mean in the end.
+    fn variance_of_mean(&self, i: usize) -> f64 {
+        let rate = self.options.rate;
+        let share = (1.0 / f64::from(self.grey.seen[i].max(1))).max(rate / (2.0 - rate));
+        share * self.noise_variance(i) + f64::from(self.light_sigma * self.light_sigma) / 100.0
+    }
+
+    fn noise_variance(&self, i: usize) -> f64 {
+        f64::from(self.grey.variance[i]).max(self.options.noise_grey * self.options.noise_grey)
+    }
+
+    /// Likelihood of foreground by how a pixel differs, 0–1.
+    fn likelihood(&self, change: &Change) -> f32 {
+        let part = change.sigmas / self.options.changed_sigmas as f32;
+        let likely = ((part - RAMP.0) / (RAMP.1 - RAMP.0)).clamp(0.0, 1.0);
+        if change.is_shadow { SHADOW_DOUBT * likely } else { likely }
+    }
+
+    /// How a pixel inside the image differs from its background, if that is known.
+    fn change(&self, frame: &Frame<'_>, x: usize, y: usize, width: usize) -> Option<Change> {
+        let i = y * width + x;
+        if usize::from(self.grey.seen[i]) < self.known_from() {
+            return None;
+        }
+        let now = f32::from(frame.image().pixel(x, y)?);
+        let (gain, offset) = (self.light.gain as f32, self.light.offset_grey as f32);
+        let grey = gain * self.grey.level[i] + offset;
+        let sigma = (self.noise_variance(i) as f32).sqrt() * gain.max(1.0) + self.light_sigma;
+        let mut sigmas = (now - grey).abs() / sigma;
+        let mut light = now / grey.max(1.0);
+        let mut deepest = (self.options.shadow_light as f32).max(GREY_SHADOW_LIGHT);
+        let mut hue = 0.0;
+        if let Some((known, now)) = self.colours(frame, x, y) {
+            let expected = known.map(|c| gain * c + offset);
+            let (sum_expected, sum_now) =
+                (expected.iter().sum::<f32>().max(1.0), now.iter().sum::<f32>().max(1.0));
+            for (a, b) in expected.iter().zip(now) {
+                sigmas = sigmas.max((b - a).abs() / (COLOUR_NOISE * sigma));
+                hue = f32::max(hue, (a / sum_expected - b / sum_now).abs());
+            }
+            hue -= COLOUR_NOISE * sigma / sum_now;
+            light = sum_now / sum_expected;
+            deepest = self.options.shadow_light as f32;
+        }
+        let is_shadow = hue < SHADOW_HUE && (deepest..1.0).contains(&light);
+        Some(Change { sigmas, is_shadow })
+    }
+
+    /// The background's colours and the frame's at the cell of a pixel.
+    fn colours(&self, frame: &Frame<'_>, x: usize, y: usize) -> Option<([f32; 3], [f32; 3])> {
+        let (width, _) = self.size?;
+        let (cx, cy) = (x / CELL_PX, y / CELL_PX);
+        let known = self.colour.get(cy * width.div_ceil(CELL_PX) + cx)?;
+        Some((*known, frame.colour()?.pixel(cx * CELL_PX, cy * CELL_PX)?.map(f32::from)))
+    }
+
+    /// Pixels of an even grid of about [`SAMPLES`], as (x, y); the same for every frame.
+    fn grid((width, height): (usize, usize)) -> impl Iterator<Item = (usize, usize)> {
+        let step = ((width * height / SAMPLES) as f64).sqrt().ceil().max(1.0) as usize;
+        (step / 2..height)
+            .step_by(step)
+            .flat_map(move |y| (step / 2..width).step_by(step).map(move |x| (x, y)))
+    }
+
+    /// Fits gain and offset: the median ratio first, which half of the pixels may contradict, then
+    /// least squares with Tukey's weights.
+    fn estimate_light(&mut self, frame: &Frame<'_>) {
+        let Some(size) = self.size else { return };
+        self.pairs.clear();
+        for (x, y) in Self::grid(size) {
+            let i = y * size.0 + x;
+            let Some(now) = frame.image().pixel(x, y).map(f32::from) else { continue };
+            let level = self.grey.level[i];
+            let usable = |g: f32| (DARKEST..BRIGHTEST).contains(&g);
+            if self.grey.seen[i] > 0 && usable(now) && usable(level) {
+                self.pairs.push((level, now));
+            }
+        }
+        if self.pairs.len() < TELLING_LEAST {
+            return;
+        }
+        self.ratios.clear();
+        self.ratios.extend(self.pairs.iter().map(|(level, now)| now / level));
+        let mut light = Light { gain: f64::from(median(&mut self.ratios)), offset_grey: 0.0 };
+        let mut sigma = 0.0;
+        for _ in 0..LIGHT_FITS {
+            let residual = |(level, now): (f32, f32)| {
+                now - light.gain as f32 * level - light.offset_grey as f32
+            };
+            self.ratios.clear();
+            self.ratios.extend(self.pairs.iter().map(|&pair| residual(pair).abs()));
+            let mad = median(&mut self.ratios);
+            let scale = (TUKEY_MAD * mad).max(TUKEY_MAD * 0.5 * self.options.noise_grey as f32);
+            sigma = 1.4826 * mad;
+            let Some(next) = fit_light(&self.pairs, scale, residual) else { break };
+            light = next;
+        }
+        if GAINS.contains(&light.gain) {
+            self.light = light;
+            // What one pixel's noise does not explain is light that changes from place to place, or
+            // a camera that moves, which must not hide behind it.
+            let noise = (self.options.noise_grey * light.gain.max(1.0)) as f32;
+            self.light_sigma = (sigma - noise).clamp(0.0, noise);
+        }
+    }
+
+    /// Counts what has changed on the grid, and starts anew when the camera has moved.
+    fn notice_motion(&mut self, frame: &Frame<'_>) {
+        let Some(size) = self.size else { return };
+        if self.frames == 0 {
+            return;
+        }
+        let reach = CELL_PX;
+        let (mut telling, mut told, mut all, mut changed) = (0_usize, 0_usize, 0_usize, 0_usize);
+        for (x, y) in Self::grid(size) {
+            let i = y * size.0 + x;
+            let Some(change) = self.change(frame, x, y, size.0) else { continue };
+            let has_changed = usize::from(change.sigmas > self.options.changed_sigmas as f32);
+            all += 1;
+            changed += has_changed;
+            let inside = x >= reach && y >= reach && x + reach < size.0 && y + reach < size.1;
+            let level = |j: usize| self.grey.level[j];
+            if inside
+                && (level(i + reach) - level(i - reach))
+                    .abs()
+                    .max((level(i + reach * size.0) - level(i - reach * size.0)).abs())
+                    > TELLING_GREY
+            {
+                telling += 1;
+                told += has_changed;
+            }
+        }
+        let share = |part: usize, whole: usize| part as f64 / whole.max(1) as f64;
+        self.changed_share =
+            if telling >= TELLING_LEAST { share(told, telling) } else { share(changed, all) };
+        if self.changed_share <= self.options.void_share {
+            self.moved_frames = 0;
+            return;
+        }
+        self.moved_frames += 1;
+        if self.moved_frames >= MOVED_FRAMES {
+            let (share, coloured) = (self.changed_share, !self.colour.is_empty());
+            self.start(size, coloured);
+            self.changed_share = share;
+        }
+    }
+
+    /// One visit of every pixel of a row.
+    fn learn_row(&mut self, frame: &Frame<'_>, y: usize, keep_out: Option<&KeepOut>) {
+        let (Some((width, _)), Some(row)) = (self.size, frame.image().row(y)) else { return };
+        let most_seen = self.most_seen();
+        let rate = self.options.rate as f32;
+        let noise = self.options.noise_grey as f32;
+        let sigmas = self.options.changed_sigmas as f32;
+        let (gain, offset) = (self.light.gain as f32, self.light.offset_grey as f32);
+        let skip = keep_out.map_or(0..0, |k| k.columns(y as f64, width));
+        let cells = width.div_ceil(CELL_PX);
+        let colours = frame.colour().filter(|_| y.is_multiple_of(CELL_PX));
+        let Plane { level, variance, seen } = &mut self.grey;
+        let at = y * width..(y + 1) * width;
+        let pixels = level[at.clone()].iter_mut().zip(&mut variance[at.clone()]);
+        for (x, ((level, variance), (seen, &now))) in
+            pixels.zip(seen[at].iter_mut().zip(row)).enumerate()
+        {
+            if skip.contains(&x) {
+                continue;
+            }
+            let now = (f32::from(now) - offset) / gain;
+            let change = now - *level;
+            let sigma2 = variance.max(noise * noise);
+            // The first level of a pixel, or another one that has outlasted it.
+            let starts = *seen == 0;
+            let agrees = change * change <= sigmas * sigmas * sigma2;
+            let part = if starts { 1.0 } else { rate.max(1.0 / (1.0 + f32::from(*seen))) };
+            if starts || agrees {
+                *level += part * change;
+                *variance = if starts {
+                    noise * noise
+                } else {
+                    *variance + rate * (change * change - *variance)
+                };
+                *seen = (*seen + 1).min(most_seen);
+            } else {
+                *seen -= 1;
+            }
+            if let Some(colours) = colours
+                && x.is_multiple_of(CELL_PX)
+                && (starts || agrees)
+                && let Some(now) = colours.pixel(x, y)
+                && let Some(known) = self.colour.get_mut(y / CELL_PX * cells + x / CELL_PX)
+            {
+                for (known, now) in known.iter_mut().zip(now) {
+                    *known += part * ((f32::from(now) - offset) / gain - *known);
+                }
+            }
+        }
+    }
+}
+
+impl KeepOut {
+    fn check(&self) -> Result<()> {
+        let Self { from, to, radius_px } = self;
+        Error::finite("keep-out segment [px]", from.x + from.y + to.x + to.y)?;
+        Error::within("keep-out radius [px]", *radius_px, "positive", |r| r > 0.0)?;
+        Ok(())
+    }
+
+    /// The columns of a row that lie within it: it is convex, so they are one range.
+    fn columns(&self, y: f64, width: usize) -> std::ops::Range<usize> {
+        let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
+        let mut include = |x: f64| {
+            low = low.min(x);
+            high = high.max(x);
+        };
+        for end in [self.from, self.to] {
+            let half = (self.radius_px * self.radius_px - (y - end.y) * (y - end.y)).sqrt();
+            if half >= 0.0 {
+                include(end.x - half);
+                include(end.x + half);
+            }
+        }
+        let along = self.to - self.from;
+        if let Some(e) = along.try_normalize(0.0) {
+            let n = Vector2::new(-e.y, e.x) * self.radius_px;
+            let corners = [self.from + n, self.to + n, self.to - n, self.from - n];
+            for (a, b) in corners.iter().zip(corners.iter().cycle().skip(1)) {
+                if (a.y - y) * (b.y - y) < 0.0 {
+                    include(a.x + (b.x - a.x) * (y - a.y) / (b.y - a.y));
+                }
+            }
+        }
+        if low > high {
+            return 0..0;
+        }
+        let clip = |x: f64| x.clamp(0.0, width as f64) as usize;
+        clip(low.ceil())..clip(high.floor() + 1.0)
+    }
+}
+
+/// Least squares with Tukey's weights about the last residuals; the offset counts only where the
+/// levels differ enough to tell it from the gain. `None` without inliers.
+fn fit_light(
+    pairs: &[(f32, f32)],
+    scale: f32,
+    residual: impl Fn((f32, f32)) -> f32,
+) -> Option<Light> {
+    let (mut w0, mut wb, mut wi, mut wbb, mut wbi) = (0.0_f64, 0.0, 0.0, 0.0, 0.0);
+    for &(level, now) in pairs {
+        let r = residual((level, now)) / scale;
+        if r.abs() < 1.0 {
+            let w = f64::from((1.0 - r * r) * (1.0 - r * r));
+            let (b, i) = (f64::from(level), f64::from(now));
+            w0 += w;
+            wb += w * b;
+            wi += w * i;
+            wbb += w * b * b;
+            wbi += w * b * i;
+        }
+    }
+    if w0 < 0.1 * pairs.len() as f64 {
+        return None;
+    }
+    let spread = wbb - wb * wb / w0;
+    if spread / w0 > LEVELS_SPREAD * LEVELS_SPREAD {
+        let gain = (wbi - wb * wi / w0) / spread;
+        return Some(Light { gain, offset_grey: (wi - gain * wb) / w0 });
+    }
+    Some(Light { gain: wbi / wbb, offset_grey: 0.0 })
+}
+
+/// Gain and offset are told apart where the levels have at least this standard deviation \[grey
+/// levels\].
+const LEVELS_SPREAD: f64 = 20.0;
+
+/// The median of values that may be reordered; 0 of none.
+fn median(values: &mut [f32]) -> f32 {
+    let middle = values.len() / 2;
+    if values.is_empty() {
+        return 0.0;
+    }
+    *values.select_nth_unstable_by(middle, f32::total_cmp).1
+}

@@ -1,0 +1,334 @@
+//! The background of a camera that keeps still: what it learns, and what it does not.
+#![allow(clippy::unwrap_used, clippy::expect_used, missing_docs)]
+
+mod common;
+
+use common::Noise;
+use fingerpost_core::background::{Background, BackgroundOptions, CELL_PX, ForegroundMap, KeepOut};
+use fingerpost_core::frame::ColourView;
+use fingerpost_core::nalgebra::Point2;
+use fingerpost_core::{Error, Frame, GrayView};
+
+const WIDTH: usize = 96;
+const HEIGHT: usize = 80;
+const NOISE: f64 = 2.0;
+
+/// A table in colour: grain, and squares as markings.
+fn table(x: usize, y: usize) -> [f64; 3] {
+    let grain = 8.0 * (0.7 * x as f64).sin();
+    let mark = if (x / 16 + y / 16).is_multiple_of(2) { 40.0 } else { 0.0 };
+    [70.0 + grain + mark, 90.0 + grain + mark, 110.0 + grain + mark]
+}
+
+/// A frame of `scene`, in the light `gain`, with noise.
+struct Shot {
+    grey: Vec<u8>,
+    colour: Vec<u8>,
+}
+
+impl Shot {
+    fn of(scene: impl Fn(usize, usize) -> [f64; 3], gain: f64, noise: &mut Noise) -> Self {
+        let (mut grey, mut colour) = (Vec::new(), Vec::new());
+        for y in 0..HEIGHT {
+            for x in 0..WIDTH {
+                let pixel = scene(x, y);
+                let mut take = |level: f64| (gain * level + NOISE * noise.normal()).round() as u8;
+                grey.push(take(grey_of(pixel)));
+                colour.extend(pixel.map(&mut take));
+            }
+        }
+        Self { grey, colour }
+    }
+
+    fn with<T>(&self, coloured: bool, then: impl FnOnce(&Frame<'_>) -> T) -> T {
+        let grey = GrayView::new(&self.grey, WIDTH, HEIGHT, WIDTH).unwrap();
+        if !coloured {
+            return then(&Frame::gray(grey));
+        }
+        let colour = ColourView::new(&self.colour, WIDTH, HEIGHT, 3 * WIDTH).unwrap();
+        then(&Frame::coloured(grey, colour).unwrap())
+    }
+}
+
+fn grey_of([b, g, r]: [f64; 3]) -> f64 {
+    0.114 * b + 0.587 * g + 0.299 * r
+}
+
+const SKIN: [f64; 3] = [110.0, 140.0, 200.0];
+
+/// A square of skin of 24 px, its left edge at `left`.
+fn with_hand(left: usize) -> impl Fn(usize, usize) -> [f64; 3] {
+    move |x, y| {
+        if (left..left + 24).contains(&x) && (30..54).contains(&y) { SKIN } else { table(x, y) }
+    }
+}
+
+fn learned(coloured: bool, frames: usize, noise: &mut Noise) -> Background {
+    let mut background = Background::new(BackgroundOptions::default()).unwrap();
+    for _ in 0..frames {
+        let shot = Shot::of(table, 1.0, noise);
+        shot.with(coloured, |f| background.observe(f, None)).unwrap();
+    }
+    background
+}
+
+fn map_of(background: &Background, shot: &Shot, coloured: bool) -> ForegroundMap {
+    let mut map = ForegroundMap::default();
+    shot.with(coloured, |f| background.foreground_map(f, &mut map));
+    map
+}
+
+/// Mean likelihood of foreground where `inside` says so, and elsewhere.
+fn shares(map: &ForegroundMap, inside: impl Fn(usize, usize) -> bool) -> (f64, f64) {
+    let mut sums = [(0.0, 0.0); 2];
+    for (i, &cell) in map.cells.iter().enumerate() {
+        let side = usize::from(inside(i % map.width * map.step, i / map.width * map.step));
+        sums[side].0 += f64::from(cell) / 255.0;
+        sums[side].1 += 1.0;
+    }
+    (sums[1].0 / sums[1].1, sums[0].0 / sums[0].1)
+}
+
+fn in_hand(left: usize) -> impl Fn(usize, usize) -> bool {
+    move |x, y| (left..left + 24).contains(&x) && (30..54).contains(&y)
+}
+
+#[test]
+fn the_level_is_the_mean_and_says_how_uncertain_it_is() {
+    let mut noise = Noise::new(0x6c65_7665);
+    let background = learned(false, 40, &mut noise);
+    assert!(background.is_known());
+    let mut squares = (0.0, 0.0);
+    for y in 0..HEIGHT {
+        for x in 0..WIDTH {
+            let expected = background.expected(x as f64, y as f64).unwrap();
+            let error = expected.grey - grey_of(table(x, y));
+            squares.0 += error * error;
+            squares.1 += expected.sigma_grey * expected.sigma_grey;
+        }
+    }
+    // Its own noise, and not much more: the claimed variance is the true one within a third.
+    let ratio: f64 = squares.0 / squares.1;
+    assert!((0.67..1.5).contains(&ratio), "{ratio}");
+    assert!((squares.1 / (WIDTH * HEIGHT) as f64).sqrt() < NOISE / 2.0);
+}
+
+#[test]
+fn between_pixels_it_is_bilinear_and_outside_there_is_none() {
+    let ramp: Vec<u8> = (0..64 * 32).map(|i| (2 * (i % 64)) as u8).collect();
+    let mut background = Background::new(BackgroundOptions::default()).unwrap();
+    for _ in 0..9 {
+        let view = GrayView::new(&ramp, 64, 32, 64).unwrap();
+        background.observe(&Frame::gray(view), None).unwrap();
+    }
+    for (u, v) in [(0.0, 0.0), (10.25, 3.5), (63.0, 31.0), (62.9, 30.1)] {
+        let expected = background.expected(u, v).unwrap();
+        assert!((expected.grey - 2.0 * u).abs() < 1e-3, "{u} {v}: {expected:?}");
+    }
+    for (u, v) in [(-0.1, 3.0), (63.1, 3.0), (3.0, 31.1), (f64::NAN, 3.0)] {
+        assert_eq!(background.expected(u, v), None);
+    }
+}
+
+#[test]
+fn a_hand_that_passes_is_foreground_and_is_not_learned() {
+    for coloured in [false, true] {
+        let mut noise = Noise::new(0x7061_7373);
+        let mut background = learned(coloured, 12, &mut noise);
+        for k in 0..60 {
+            let shot = Shot::of(with_hand(k), 1.0, &mut noise);
+            shot.with(coloured, |f| background.observe(f, None)).unwrap();
+            let (hand, table) = shares(&map_of(&background, &shot, coloured), in_hand(k));
+            assert!(hand > 0.8, "coloured {coloured}, frame {k}: {hand}");
+            assert!(table < 0.01, "coloured {coloured}, frame {k}: {table}");
+        }
+        let expected = background.expected(60.0, 40.0).unwrap();
+        assert!((expected.grey - grey_of(table(60, 40))).abs() < 2.0, "{expected:?}");
+    }
+}
+
+#[test]
+fn a_hand_in_the_first_frames_leaves_no_ghost_for_long() {
+    let mut noise = Noise::new(0x6768_6f73);
+    let mut background = Background::new(BackgroundOptions::default()).unwrap();
+    let mut last = None;
+    for k in 0..30 {
+        let shot = if k < 3 {
+            Shot::of(with_hand(30), 1.0, &mut noise)
+        } else {
+            Shot::of(table, 1.0, &mut noise)
+        };
+        shot.with(true, |f| background.observe(f, None)).unwrap();
+        last = Some(shot);
+    }
+    let (ghost, _) = shares(&map_of(&background, &last.unwrap(), true), in_hand(30));
+    assert!(ghost < 0.05, "{ghost}");
+}
+
+#[test]
+fn what_is_put_down_becomes_background() {
+    let mut noise = Noise::new(0x7075_7464);
+    let mut background = learned(true, 20, &mut noise);
+    let absorb = background.options().absorb_frames;
+    let mut seen = Vec::new();
+    for _ in 0..2 * absorb {
+        let shot = Shot::of(with_hand(40), 1.0, &mut noise);
+        shot.with(true, |f| background.observe(f, None)).unwrap();
+        seen.push(shares(&map_of(&background, &shot, true), in_hand(40)).0);
+    }
+    assert!(seen[10] > 0.9, "{}", seen[10]);
+    assert!(seen[2 * absorb - 1] < 0.05, "{}", seen[2 * absorb - 1]);
+}
+
+#[test]
+fn a_kept_out_hand_is_never_learned() {
+    let mut noise = Noise::new(0x6b65_6570);
+    let keep_out =
+        KeepOut { from: Point2::new(20.0, 30.0), to: Point2::new(60.5, 48.2), radius_px: 11.3 };
+    let mut background = Background::new(BackgroundOptions::default()).unwrap();
+    for _ in 0..40 {
+        let shot = Shot::of(with_hand(30), 1.0, &mut noise);
+        shot.with(true, |f| background.observe(f, Some(&keep_out))).unwrap();
+    }
+    let along = keep_out.to - keep_out.from;
+    // Forgetting it afterwards is as good as never having learned it.
+    let mut forgotten = learned(true, 40, &mut noise);
+    forgotten.forget(&keep_out).unwrap();
+    for y in 0..HEIGHT {
+        for x in 0..WIDTH {
+            let d = Point2::new(x as f64, y as f64) - keep_out.from;
+            let part = (d.dot(&along) / along.norm_squared()).clamp(0.0, 1.0);
+            let distance = (d - along * part).norm();
+            if (distance - keep_out.radius_px).abs() > 1e-6 {
+                let known = background.expected(x as f64, y as f64).is_some();
+                assert_eq!(known, distance > keep_out.radius_px, "({x}, {y})");
+                assert_eq!(forgotten.expected(x as f64, y as f64).is_some(), known, "({x}, {y})");
+            }
+        }
+    }
+}
+
+#[test]
+fn the_light_may_drop_by_forty_percent_while_a_hand_is_there() {
+    for coloured in [false, true] {
+        let mut noise = Noise::new(0x6c69_6768);
+        let mut background = learned(coloured, 12, &mut noise);
+        for k in 0..10 {
+            let shot = Shot::of(with_hand(20 + k), 0.6, &mut noise);
+            shot.with(coloured, |f| background.observe(f, None)).unwrap();
+            let light = background.light();
+            assert!((light.gain - 0.6).abs() < 0.02, "{light:?}");
+            assert!(light.offset_grey.abs() < 2.0, "{light:?}");
+            let (hand, table) = shares(&map_of(&background, &shot, coloured), in_hand(20 + k));
+            assert!(hand > 0.8 && table < 0.01, "coloured {coloured}: {hand} {table}");
+        }
+        let expected = background.expected(5.0, 5.0).unwrap();
+        assert!((expected.grey - 0.6 * grey_of(table(5, 5))).abs() < 1.5, "{expected:?}");
+    }
+}
+
+#[test]
+fn a_shadow_is_told_from_a_hand_by_its_hue() {
+    let mut noise = Noise::new(0x7368_6164);
+    let background = learned(true, 12, &mut noise);
+    let shaded =
+        |x: usize, y: usize| table(x, y).map(|c| if in_hand(20)(x, y) { 0.6 * c } else { c });
+    let shot = Shot::of(shaded, 1.0, &mut noise);
+    let (shadow, _) = shares(&map_of(&background, &shot, true), in_hand(20));
+    // As dark as the shadow, but of another colour.
+    let dark = |x: usize, y: usize| {
+        let [b, g, r] = table(x, y);
+        if in_hand(20)(x, y) { [0.45 * b, 0.55 * g, 0.75 * r] } else { [b, g, r] }
+    };
+    let shot = Shot::of(dark, 1.0, &mut noise);
+    let (hand, _) = shares(&map_of(&background, &shot, true), in_hand(20));
+    assert!(shadow < 0.65, "{shadow}");
+    assert!(hand > 0.9, "{hand}");
+}
+
+#[test]
+fn a_camera_that_moves_voids_the_background_and_one_that_keeps_still_learns_it_anew() {
+    let mut noise = Noise::new(0x6d6f_7665);
+    let mut background = learned(false, 20, &mut noise);
+    let moved = |k: usize| move |x: usize, y: usize| table(x + 3 * k, y + k);
+    for k in 1..6 {
+        let shot = Shot::of(moved(k), 1.0, &mut noise);
+        shot.with(false, |f| background.observe(f, None)).unwrap();
+        assert!(!background.is_known(), "frame {k}: {}", background.changed_share());
+        assert_eq!(shares(&map_of(&background, &shot, false), |_, y| y < 40), (0.0, 0.0));
+    }
+    for _ in 0..20 {
+        let shot = Shot::of(moved(5), 1.0, &mut noise);
+        shot.with(false, |f| background.observe(f, None)).unwrap();
+    }
+    assert!(background.is_known());
+    let expected = background.expected(30.0, 30.0).unwrap();
+    assert!((expected.grey - grey_of(table(45, 35))).abs() < 2.0, "{expected:?}");
+}
+
+#[test]
+fn a_single_bright_frame_is_no_motion() {
+    let mut noise = Noise::new(0x666c_6173);
+    let mut background = learned(false, 20, &mut noise);
+    let flash = Shot::of(|x, y| [((x * 37 + y * 91) % 200) as f64; 3], 1.0, &mut noise);
+    flash.with(false, |f| background.observe(f, None)).unwrap();
+    for _ in 0..2 {
+        let shot = Shot::of(table, 1.0, &mut noise);
+        shot.with(false, |f| background.observe(f, None)).unwrap();
+    }
+    assert!(background.is_known());
+    let expected = background.expected(30.0, 30.0).unwrap();
+    assert!((expected.grey - grey_of(table(30, 30))).abs() < 3.0, "{expected:?}");
+}
+
+#[test]
+fn the_map_covers_images_of_any_size() {
+    for (width, height) in [(1, 1), (2, 1), (7, 5), (33, 1)] {
+        let pixels = vec![90; width * height];
+        let mut background = Background::new(BackgroundOptions::default()).unwrap();
+        let mut map = ForegroundMap::default();
+        for _ in 0..20 {
+            let frame = Frame::gray(GrayView::new(&pixels, width, height, width).unwrap());
+            background.observe(&frame, None).unwrap();
+            background.foreground_map(&frame, &mut map);
+        }
+        assert_eq!((map.width, map.height), (width.div_ceil(CELL_PX), height.div_ceil(CELL_PX)));
+        assert!(map.cells.iter().all(|&c| c == 0));
+        assert!((background.expected(0.0, 0.0).unwrap().grey - 90.0).abs() < 1e-3);
+    }
+}
+
+#[test]
+fn another_size_starts_anew() {
+    let mut noise = Noise::new(0x7369_7a65);
+    let mut background = learned(false, 20, &mut noise);
+    let pixels = [10; 30];
+    background.observe(&Frame::gray(GrayView::new(&pixels, 6, 5, 6).unwrap()), None).unwrap();
+    assert!(!background.is_known());
+    assert_eq!(background.expected(20.0, 20.0), None);
+}
+
+#[test]
+fn options_out_of_range_are_refused() {
+    let usual = BackgroundOptions::default();
+    for wrong in [
+        BackgroundOptions { learn_frames: 0, ..usual },
+        BackgroundOptions { rate: 0.0, ..usual },
+        BackgroundOptions { absorb_frames: 3, ..usual },
+        BackgroundOptions { noise_grey: f64::NAN, ..usual },
+        BackgroundOptions { changed_sigmas: 0.5, ..usual },
+        BackgroundOptions { shadow_light: 1.1, ..usual },
+        BackgroundOptions { void_share: -0.1, ..usual },
+    ] {
+        assert!(Background::new(wrong).is_err(), "{wrong:?}");
+    }
+    let mut background = Background::new(usual).unwrap();
+    let pixels = [10; 30];
+    let frame = Frame::gray(GrayView::new(&pixels, 6, 5, 6).unwrap());
+    let at = Point2::new(1.0, 1.0);
+    let keep_out = KeepOut { from: at, to: at, radius_px: 0.0 };
+    let refused = background.observe(&frame, Some(&keep_out));
+    assert!(matches!(refused, Err(Error::OutOfRange { .. })), "{refused:?}");
+    let keep_out = KeepOut { from: at, to: Point2::new(f64::NAN, 0.0), radius_px: 2.0 };
+    assert!(background.observe(&frame, Some(&keep_out)).is_err());
+}

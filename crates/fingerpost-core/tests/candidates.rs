@@ -1,0 +1,201 @@
+//! Where a hand may be: the true finger is among the first candidates, wherever it is and whatever
+//! it looks like.
+#![allow(clippy::unwrap_used, clippy::expect_used, missing_docs)]
+
+mod common;
+
+use common::{Canvas, HalfPlane, Hand, Noise, Picture};
+use fingerpost_core::background::{Background, BackgroundOptions};
+use fingerpost_core::candidates::{Candidate, FinderOptions, HandFinder};
+use fingerpost_core::frame::ColourView;
+use fingerpost_core::nalgebra::Point2;
+use fingerpost_core::template::Thumb;
+use fingerpost_core::{Frame, GrayView};
+use std::f64::consts::{PI, TAU};
+
+const WIDTH: usize = 320;
+const HEIGHT: usize = 240;
+const TABLE: f64 = 70.0;
+
+fn canvas() -> Canvas {
+    Canvas::new(WIDTH, HEIGHT, TABLE)
+}
+
+/// A hand with its fist: a bare finger ends at both ends like one.
+fn with_hand(canvas: Canvas, hand: &Hand, grey: f64) -> Canvas {
+    let fist = Hand {
+        tip_px: hand.tip_px - hand.direction() * (0.75 * hand.length_px),
+        half_width_px: 0.35 * hand.length_px,
+        thumb: None,
+        ..*hand
+    };
+    canvas.paint(&fist, grey).paint(hand, grey)
+}
+
+fn finder() -> HandFinder {
+    // The image is small for the hand in it.
+    let options = FinderOptions { max_half_width: 0.05, ..FinderOptions::default() };
+    HandFinder::new(options).unwrap()
+}
+
+fn found(picture: &Picture) -> Vec<Candidate> {
+    finder().find(&picture.view().into(), None).to_vec()
+}
+
+/// The place among the candidates of the one that is a hand, within what a fit can make good.
+fn rank(candidates: &[Candidate], hand: &Hand) -> Option<usize> {
+    candidates.iter().position(|c| {
+        let turned = (c.angle_rad - hand.angle_rad + PI).rem_euclid(TAU) - PI;
+        (c.tip_px - hand.tip_px).norm() < 1.5 * hand.half_width_px
+            && turned.abs() < 0.3
+            && (0.7..1.4).contains(&(c.half_width_px / hand.half_width_px))
+    })
+}
+
+/// A hand anywhere in the image, of any usual size.
+fn any_hand(thumb: Thumb, noise: &mut Noise) -> Hand {
+    let length_px = noise.between(45.0, 90.0);
+    let tip = Point2::new(noise.between(60.0, 260.0), noise.between(60.0, 180.0));
+    Hand::usual(thumb, tip, noise.between(-PI, PI), length_px)
+}
+
+#[test]
+fn a_finger_is_found_at_any_place_angle_and_size() {
+    let mut noise = Noise::new(0x616e_7977);
+    for k in 0..30 {
+        let hand = any_hand(Thumb::None, &mut noise);
+        for grey in [TABLE + 60.0, TABLE - 50.0] {
+            let picture = with_hand(canvas(), &hand, grey).blur(0.9).take(2.0, &mut noise);
+            let candidates = found(&picture);
+            let place = rank(&candidates, &hand);
+            assert!(place.is_some_and(|k| k < 3), "{k}, {grey}: {place:?} {hand:?} {candidates:?}");
+        }
+    }
+}
+
+#[test]
+fn the_side_of_the_thumb_is_told() {
+    let mut noise = Noise::new(0x7468_756d);
+    let mut told = 0;
+    for k in 0..20 {
+        let thumb = if k % 2 == 0 { Thumb::Left } else { Thumb::Right };
+        let hand = any_hand(thumb, &mut noise);
+        let picture = with_hand(canvas(), &hand, 150.0).blur(0.9).take(2.0, &mut noise);
+        let candidates = found(&picture);
+        let place = rank(&candidates, &hand).expect("the finger is a candidate");
+        assert!(place < 3, "{k}: {place}");
+        told += usize::from(candidates[place].thumb == thumb);
+    }
+    assert!(told >= 17, "{told} of 20");
+}
+
+#[test]
+fn an_edge_of_the_table_behind_the_finger_does_no_harm() {
+    let mut noise = Noise::new(0x6564_6765);
+    for k in 0..20 {
+        let hand = any_hand(Thumb::None, &mut noise);
+        let edge = HalfPlane::beyond(hand.tip_px, noise.between(-PI, PI), -25.0);
+        // Brighter than the finger on one side, darker on the other.
+        let scene = with_hand(canvas().paint(&edge, 210.0), &hand, 140.0);
+        let picture = scene.blur(0.9).take(2.0, &mut noise);
+        let candidates = found(&picture);
+        let place = rank(&candidates, &hand);
+        assert!(place.is_some_and(|place| place < 4), "{k}: {place:?}");
+    }
+}
+
+#[test]
+fn an_empty_table_has_no_candidates() {
+    let mut noise = Noise::new(0x656d_7074);
+    let edge = HalfPlane::beyond(Point2::new(160.0, 120.0), 0.4, 0.0);
+    for picture in
+        [canvas().take(2.0, &mut noise), canvas().paint(&edge, 180.0).take(2.0, &mut noise)]
+    {
+        assert_eq!(found(&picture), []);
+    }
+}
+
+#[test]
+fn what_has_come_into_view_goes_first() {
+    let mut noise = Noise::new(0x636f_6d65);
+    let pen = Hand::usual(Thumb::None, Point2::new(50.0, 205.0), 3.0, 60.0);
+    let hand = Hand::usual(Thumb::None, Point2::new(200.0, 140.0), 0.7, 60.0);
+    let before = with_hand(canvas(), &pen, 190.0);
+    let mut background = Background::new(BackgroundOptions::default()).unwrap();
+    for _ in 0..12 {
+        let picture = before.clone().blur(0.9).take(2.0, &mut noise);
+        background.observe(&picture.view().into(), None).unwrap();
+    }
+    let picture = with_hand(before, &hand, 110.0).blur(0.9).take(2.0, &mut noise);
+    background.observe(&picture.view().into(), None).unwrap();
+    let mut finder = finder();
+    let candidates = finder.find(&picture.view().into(), Some(&background)).to_vec();
+    assert_eq!(rank(&candidates, &hand), Some(0), "{candidates:?}");
+    assert!(candidates[0].foreground > 0.9);
+    let there = rank(&candidates, &pen).expect("the pen is a candidate");
+    assert!(candidates[there].foreground < 0.1);
+    // Without the background the pen, of more contrast, is at least as good.
+    assert!(rank(&found(&picture), &pen).is_some_and(|place| place < 2));
+}
+
+#[test]
+fn colours_show_a_finger_that_grey_levels_hide() {
+    let mut noise = Noise::new(0x636f_6c6f);
+    let hand = Hand::usual(Thumb::None, Point2::new(180.0, 130.0), 2.0, 70.0);
+    let flat = canvas().take(1.0, &mut noise);
+    let shape = canvas().paint(&hand, TABLE + 60.0).blur(0.9).take(2.0, &mut noise);
+    let bytes: Vec<u8> =
+        shape.bytes.iter().flat_map(|&g| [140 - (g / 2).min(140), 70, g]).collect();
+    let colours = ColourView::new(&bytes, WIDTH, HEIGHT, 3 * WIDTH).unwrap();
+    assert_eq!(found(&flat), []);
+    let mut finder = finder();
+    let candidates = finder.find(&Frame::coloured(flat.view(), colours).unwrap(), None);
+    assert_eq!(rank(candidates, &hand), Some(0), "{candidates:?}");
+    assert!((candidates[0].colour[2] - 130.0).abs() < 8.0, "{:?}", candidates[0].colour);
+}
+
+#[test]
+fn images_of_any_size_are_searched() {
+    let mut finder = finder();
+    let mut noise = Noise::new(0x7369_7a65);
+    for (width, height) in [(1, 1), (2, 1), (3, 40), (17, 9), (641, 3), (97, 131)] {
+        let pixels: Vec<u8> = (0..width * height).map(|_| noise.bits() as u8).collect();
+        let frame = Frame::gray(GrayView::new(&pixels, width, height, width).unwrap());
+        for candidate in finder.find(&frame, None) {
+            assert!(candidate.length_px > 0.0 && candidate.half_width_px > 0.0);
+            assert!((0.0..=1.0).contains(&candidate.score), "{candidate:?}");
+        }
+    }
+}
+
+#[test]
+fn no_more_are_given_than_wanted() {
+    let mut noise = Noise::new(0x6d61_6e79);
+    let options = FinderOptions { candidates: 2, ..FinderOptions::default() };
+    let pixels: Vec<u8> = (0..WIDTH * HEIGHT)
+        .map(|i| {
+            if (i % WIDTH / 12 + i / WIDTH / 30).is_multiple_of(2) {
+                60
+            } else {
+                160 + noise.bits() as u8 % 8
+            }
+        })
+        .collect();
+    let mut finder = HandFinder::new(options).unwrap();
+    let frame = Frame::gray(GrayView::new(&pixels, WIDTH, HEIGHT, WIDTH).unwrap());
+    assert!(finder.find(&frame, None).len() <= 2);
+}
+
+#[test]
+fn options_out_of_range_are_refused() {
+    let usual = FinderOptions::default();
+    for wrong in [
+        FinderOptions { min_half_width: 0.001, ..usual },
+        FinderOptions { max_half_width: usual.min_half_width, ..usual },
+        FinderOptions { max_half_width: f64::NAN, ..usual },
+        FinderOptions { min_gradient_grey: 0.0, ..usual },
+        FinderOptions { candidates: 0, ..usual },
+    ] {
+        assert!(HandFinder::new(wrong).is_err(), "{wrong:?}");
+    }
+}

@@ -1,0 +1,166 @@
+//! `fingerpost._core.Background`.
+
+use crate::arrays::{column, flat_table, point, points, table};
+use crate::errors::{in_use, invalid_input};
+use crate::image::FrameArrays;
+use crate::numbers::real;
+use crate::options::{Overlay, options, overlay_fields};
+use fingerpost_core::background::{Background, BackgroundOptions, ForegroundMap, KeepOut};
+use fingerpost_core::nalgebra::Point2;
+use numpy::{PyArray1, PyArray2};
+use pyo3::prelude::*;
+
+overlay_fields!(BackgroundOptions {
+    learn_frames,
+    rate,
+    absorb_frames,
+    noise_grey,
+    changed_sigmas,
+    shadow_light,
+    void_share,
+});
+
+/// Two ends of a segment, and the radius around it.
+type Part<'py> = (Bound<'py, PyAny>, Bound<'py, PyAny>, Bound<'py, PyAny>);
+
+fn part((from, to, radius_px): &Part<'_>, what: &str) -> PyResult<KeepOut> {
+    Ok(KeepOut {
+        from: point(from, &format!("{what}[0]"))?,
+        to: point(to, &format!("{what}[1]"))?,
+        radius_px: real(radius_px, &format!("{what}[2]"))?,
+    })
+}
+
+/// What a camera that keeps still sees when no hand is there.
+#[pyclass(name = "Background", module = "fingerpost._core")]
+pub struct PyBackground(pub Background);
+
+#[pymethods]
+impl PyBackground {
+    #[new]
+    #[pyo3(signature = (options = None))]
+    fn new(options: Option<&Bound<'_, PyAny>>) -> PyResult<Self> {
+        Background::new(self::options(options)?).map(Self).map_err(invalid_input)
+    }
+
+    /// Takes one frame.
+    #[pyo3(signature = (image, colour = None, *, keep_out = None))]
+    fn observe(
+        slf: &Bound<'_, Self>,
+        py: Python<'_>,
+        image: &Bound<'_, PyAny>,
+        colour: Option<&Bound<'_, PyAny>>,
+        keep_out: Option<Part<'_>>,
+    ) -> PyResult<()> {
+        let arrays = FrameArrays::new(image, colour)?;
+        let frame = arrays.frame()?;
+        let keep_out = keep_out.map(|part| self::part(&part, "keep_out")).transpose()?;
+        let mut this = slf.try_borrow_mut().map_err(|_| in_use("Background"))?;
+        let background = &mut this.0;
+        py.detach(|| background.observe(&frame, keep_out.as_ref())).map_err(invalid_input)
+    }
+
+    /// Forgets a part of the image.
+    #[expect(clippy::needless_pass_by_value, reason = "pyo3 extracts tuples by value")]
+    fn forget(slf: &Bound<'_, Self>, part: Part<'_>) -> PyResult<()> {
+        let part = self::part(&part, "part")?;
+        let mut this = slf.try_borrow_mut().map_err(|_| in_use("Background"))?;
+        this.0.forget(&part).map_err(invalid_input)
+    }
+
+    /// Forgets everything.
+    fn clear(slf: &Bound<'_, Self>) -> PyResult<()> {
+        slf.try_borrow_mut().map_err(|_| in_use("Background"))?.0.clear();
+        Ok(())
+    }
+
+    /// Whether it tells the foreground.
+    #[getter]
+    fn is_known(slf: &Bound<'_, Self>) -> PyResult<bool> {
+        Ok(Self::at_rest(slf)?.0.is_known())
+    }
+
+    /// Gain and offset of the light.
+    #[getter]
+    fn light(slf: &Bound<'_, Self>) -> PyResult<(f64, f64)> {
+        let light = Self::at_rest(slf)?.0.light();
+        Ok((light.gain, light.offset_grey))
+    }
+
+    /// Part of the telling pixels that have changed.
+    #[getter]
+    fn changed_share(slf: &Bound<'_, Self>) -> PyResult<f64> {
+        Ok(Self::at_rest(slf)?.0.changed_share())
+    }
+
+    /// Every option in force.
+    #[getter]
+    fn options<'py>(slf: &Bound<'py, Self>, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        Self::at_rest(slf)?.0.options().entry(py)
+    }
+
+    /// The grey levels to expect at some places, and how uncertain they are.
+    fn expected(
+        slf: &Bound<'_, Self>,
+        py: Python<'_>,
+        position_px: &Bound<'_, PyAny>,
+    ) -> PyResult<Py<PyArray2<f64>>> {
+        let positions = points(position_px, "position_px")?;
+        let this = Self::at_rest(slf)?;
+        let expected = positions.iter().map(|p| {
+            let expected = this.0.expected(p.x, p.y);
+            expected.map_or([f64::NAN; 2], |e| [e.grey, e.sigma_grey])
+        });
+        table(py, expected)
+    }
+
+    /// How likely some places show something before the background.
+    #[pyo3(signature = (image, position_px, colour = None))]
+    fn foreground(
+        slf: &Bound<'_, Self>,
+        py: Python<'_>,
+        image: &Bound<'_, PyAny>,
+        position_px: &Bound<'_, PyAny>,
+        colour: Option<&Bound<'_, PyAny>>,
+    ) -> PyResult<Py<PyArray1<f64>>> {
+        let arrays = FrameArrays::new(image, colour)?;
+        let frame = arrays.frame()?;
+        let positions = points(position_px, "position_px")?;
+        let background = &Self::at_rest(slf)?.0;
+        let likelihood = |p: &Point2<f64>| background.foreground(&frame, p.x, p.y);
+        Ok(column(py, positions.iter().map(|p| likelihood(p).unwrap_or(f64::NAN))))
+    }
+
+    /// How like foreground a frame is.
+    #[pyo3(signature = (image, colour = None))]
+    fn foreground_map(
+        slf: &Bound<'_, Self>,
+        py: Python<'_>,
+        image: &Bound<'_, PyAny>,
+        colour: Option<&Bound<'_, PyAny>>,
+    ) -> PyResult<Py<PyArray2<u8>>> {
+        let arrays = FrameArrays::new(image, colour)?;
+        let frame = arrays.frame()?;
+        let this = Self::at_rest(slf)?;
+        let background = &this.0;
+        let map = py.detach(|| {
+            let mut map = ForegroundMap::default();
+            background.foreground_map(&frame, &mut map);
+            map
+        });
+        flat_table(py, map.cells, map.width)
+    }
+
+    fn __repr__(slf: &Bound<'_, Self>) -> PyResult<String> {
+        let this = Self::at_rest(slf)?;
+        let known = if this.0.is_known() { "True" } else { "False" };
+        Ok(format!("Background(is_known={known})"))
+    }
+}
+
+impl PyBackground {
+    /// The background, unless it is changed in another thread.
+    pub fn at_rest<'py>(slf: &Bound<'py, Self>) -> PyResult<PyRef<'py, Self>> {
+        slf.try_borrow().map_err(|_| in_use("Background"))
+    }
+}

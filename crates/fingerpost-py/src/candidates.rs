@@ -1,0 +1,107 @@
+//! `fingerpost._core.HandFinder` and the candidates that it finds.
+
+use crate::background::PyBackground;
+use crate::errors::{in_use, invalid_input};
+use crate::image::FrameArrays;
+use crate::options::{Overlay, options, overlay_fields};
+use crate::tracker::PyStartPose;
+use crate::words::Word;
+use fingerpost_core::candidates::{Candidate, FinderOptions, HandFinder};
+use fingerpost_core::tracker::StartPose;
+use pyo3::prelude::*;
+
+overlay_fields!(FinderOptions { min_half_width, max_half_width, min_gradient_grey, candidates });
+
+/// Finds where a pointing hand may be.
+#[pyclass(name = "HandFinder", module = "fingerpost._core")]
+pub struct PyHandFinder(HandFinder);
+
+#[pymethods]
+impl PyHandFinder {
+    #[new]
+    #[pyo3(signature = (options = None))]
+    fn new(options: Option<&Bound<'_, PyAny>>) -> PyResult<Self> {
+        HandFinder::new(self::options(options)?).map(Self).map_err(invalid_input)
+    }
+
+    /// The candidates in a frame.
+    #[pyo3(signature = (image, colour = None, *, background = None))]
+    fn find(
+        slf: &Bound<'_, Self>,
+        py: Python<'_>,
+        image: &Bound<'_, PyAny>,
+        colour: Option<&Bound<'_, PyAny>>,
+        background: Option<&Bound<'_, PyBackground>>,
+    ) -> PyResult<Vec<PyCandidate>> {
+        let arrays = FrameArrays::new(image, colour)?;
+        let frame = arrays.frame()?;
+        let background = background.map(PyBackground::at_rest).transpose()?;
+        let background = background.as_ref().map(|b| &b.0);
+        let mut this = slf.try_borrow_mut().map_err(|_| in_use("HandFinder"))?;
+        let finder = &mut this.0;
+        Ok(py.detach(|| finder.find(&frame, background).iter().map(|&c| PyCandidate(c)).collect()))
+    }
+
+    /// Every option in force.
+    #[getter]
+    fn options<'py>(slf: &Bound<'py, Self>, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        slf.try_borrow().map_err(|_| in_use("HandFinder"))?.0.options().entry(py)
+    }
+}
+
+/// A place where a pointing hand may be.
+#[pyclass(name = "Candidate", module = "fingerpost._core", frozen)]
+pub struct PyCandidate(Candidate);
+
+#[pymethods]
+impl PyCandidate {
+    /// Where a template would wait for it.
+    #[getter]
+    fn start(&self) -> PyResult<PyStartPose> {
+        let Candidate { tip_px, angle_rad, length_px, .. } = self.0;
+        PyStartPose::at(StartPose { tip_px, angle_rad, length_px })
+    }
+
+    /// Half the finger's width.
+    #[getter]
+    fn half_width_px(&self) -> f64 {
+        self.0.half_width_px
+    }
+
+    /// Side of what may be its thumb.
+    #[getter]
+    fn thumb(&self) -> &'static str {
+        self.0.thumb.word()
+    }
+
+    /// Mean colour of its inside.
+    #[getter]
+    fn colour(&self) -> (f64, f64, f64) {
+        self.0.colour.into()
+    }
+
+    /// How like foreground its inside is.
+    #[getter]
+    fn foreground(&self) -> f64 {
+        self.0.foreground
+    }
+
+    /// How like a finger it is.
+    #[getter]
+    fn score(&self) -> f64 {
+        self.0.score
+    }
+
+    fn __repr__(&self) -> String {
+        let Candidate { tip_px, angle_rad, length_px, half_width_px, foreground, score, .. } =
+            self.0;
+        format!(
+            "Candidate(tip_px=({:.1}, {:.1}), angle_rad={angle_rad:.3}, length_px={length_px:.1}, \
+             half_width_px={half_width_px:.1}, thumb='{}', foreground={foreground:.2}, \
+             score={score:.3})",
+            tip_px.x,
+            tip_px.y,
+            self.thumb()
+        )
+    }
+}
