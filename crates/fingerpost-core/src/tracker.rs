@@ -383,6 +383,9 @@ const BED_IN_SLACK: f64 = 4.0;
 /// Flanks are refined from so far beyond where another limb hides them \[px\], and round the tip to
 /// this part of the half-width beyond the middle of its round end.
 const CROTCH_PX: f64 = 2.0;
+/// A flank that nothing hides is refined from so much before the outline's beginning, in units of the
+/// finger's length: what is no finger there is found out, and a longer flank gives a surer angle.
+const BEYOND_OUTLINE: f64 = 0.07;
 const CAP: f64 = 0.7;
 
 /// What a fit's covariance does not know of: how far the template slides on a hand that is not
@@ -1006,15 +1009,24 @@ impl ContourTracker {
 
     /// The finger that the band template stands for, as far as both its flanks were seen.
     fn finger(&self, x: &RibbonVector) -> Result<Option<Finger>> {
-        let flanks = [Part::RightFlank, Part::LeftFlank]
-            .map(|flank| self.convergence.beginning(&self.samples, flank));
-        let [Some(right), Some(left)] = flanks else { return Ok(None) };
-        let (half_width_px, taper) = (x[3], x[4]);
         let BandMeasure { length_px, round_end_px, .. } = self.waiting.measure;
-        let flanks = [right, left].map(|along| Stretch {
-            from_px: along * length_px + CROTCH_PX,
-            to_px: round_end_px + CAP * half_width_px,
-        });
+        let (half_width_px, taper) = (x[3], x[4]);
+        let flank = |flank| {
+            let from = self.convergence.beginning(&self.samples, flank)?;
+            let whole = self.samples.iter().filter(|s| s.part() == flank).all(|s| s.along >= from);
+            Some(Stretch {
+                from_px: if whole {
+                    (from - BEYOND_OUTLINE) * length_px
+                } else {
+                    from * length_px + CROTCH_PX
+                },
+                to_px: round_end_px + CAP * half_width_px,
+            })
+        };
+        let (Some(right), Some(left)) = (flank(Part::RightFlank), flank(Part::LeftFlank)) else {
+            return Ok(None);
+        };
+        let flanks = [right, left];
         let axis = self.ribbon::<RIBBON_DOF>(x)?.pose(x).axis();
         Ok(Some(Finger { axis, half_width_px, taper, flanks, round_end_px: Some(round_end_px) }))
     }
