@@ -360,7 +360,8 @@ impl From<Found<AffineMap>> for Found {
 impl From<Converged<RIBBON_DOF>> for Found {
     fn from(found: Converged<RIBBON_DOF>) -> Self {
         let Converged { x, fit, iterations } = found;
-        Self { shape: Shape::Ribbon(x), fit, iterations }
+        // A band that is turned inside out is no finger.
+        Self { shape: Shape::Ribbon(x), fit: fit.filter(|_| x[3] > 0.0), iterations }
     }
 }
 
