@@ -23,7 +23,8 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 # What `shell` runs does not see the variables exported above.
 WITH_PATH := export PATH='$(PATH)';
 NEW_ENOUGH := import sys; sys.exit(sys.version_info < (3, 11))
-DRAWS := import ctypes; [ctypes.CDLL(name) for name in ("libEGL.so.1", "libGL.so.1")]
+DRAWS := import ctypes, sys; \
+	[ctypes.CDLL(name) for name in ("libEGL.so.1", "libGL.so.1") if sys.platform == "linux"]
 PYTHON ?= $(shell $(WITH_PATH) for python in python3 python3.11 python3.12 python3.13 python3.14; \
 	do $$python -c '$(NEW_ENOUGH)' 2>/dev/null && echo $$python && break; done)
 RUST_VERSION := $(shell $(WITH_PATH) sed -n 's/^rust-version = "\(.*\)"/\1/p' Cargo.toml)
