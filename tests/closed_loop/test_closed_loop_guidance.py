@@ -1,4 +1,4 @@
-"""The whole product in the loop: plane by the robot, pointing, correcting, picking and placing."""
+"""The guidance experiment: the plane by the robot, its figures, and what is refused."""
 
 import numpy as np
 import pytest
@@ -6,13 +6,9 @@ from click.testing import CliRunner
 
 from fingerpost.cli import main
 from fingerpost.closed_loop import CameraPlacement, GuidanceOptions, GuidanceResult, Leg
-from fingerpost.closed_loop.setup import exact_rig
 from fingerpost.closed_loop.trials import (
-    GOAL_MM,
-    WITHIN_MM,
     GuidanceTrial,
     PlaneAccuracy,
-    guide,
     measure_plane,
     run_guidance,
 )
@@ -31,19 +27,6 @@ def test_the_robot_defines_the_plane_it_points_by(height_mm):
     assert len(rig.plane.points) == 9
     assert accuracy.missing == 0
     assert accuracy.rms_mm < PLANE_RMS_MM
-
-
-def test_an_operator_has_a_block_carried():
-    options = GuidanceOptions(seed=2)
-    trial = guide(0, exact_rig(options.cameras.cameras(), 0.0), options)
-    assert trial.problem == ""
-    assert [leg.open_mm > GOAL_MM for leg in trial.legs] == [True, True]
-    assert all(leg.closed_mm is not None and leg.closed_mm <= WITHIN_MM for leg in trial.legs)
-    assert all(leg.corrections >= 1 for leg in trial.legs)
-    assert trial.placed_mm is not None
-    assert trial.placed_mm <= WITHIN_MM
-    assert trial.table_steps == 0
-    assert trial.fixes > 0.9 * trial.frames
 
 
 def a_result() -> GuidanceResult:
@@ -95,4 +78,4 @@ def test_guidance_goes_with_nothing_else():
 def test_both_cameras_see_the_workspace():
     for camera in CameraPlacement().cameras():
         corners = camera.project([[330, -120, 0], [520, 130, 0], [520, -120, 0], [330, 130, 50]])
-        assert camera.contains(corners, border_px=20).all()
+        assert camera.contains(corners, border_px=10).all()

@@ -68,10 +68,6 @@ MOST_TURNED_RAD = 0.25
 """A block is put down about square to the robot: parallel jaws turn it the rest of the way."""
 
 
-# What draws does not give all of its memory back; a worker that is started afresh does.
-_TASKS_PER_WORKER = 8
-
-
 @dataclass(frozen=True)
 class GuidanceOptions:
     """How the experiment is run."""
@@ -262,7 +258,6 @@ def run_guidance(
         min(workers or os.cpu_count() or 1, total),
         mp_context=get_context("spawn"),
         initializer=_start_worker,
-        max_tasks_per_child=_TASKS_PER_WORKER,
     ) as pool:
         try:
             defined: list[Future[Any]] = [
