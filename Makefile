@@ -23,6 +23,8 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 # What `shell` runs does not see the variables exported above.
 WITH_PATH := export PATH='$(PATH)';
 NEW_ENOUGH := import sys; sys.exit(sys.version_info < (3, 11))
+DRAWS := import ctypes, sys; \
+	[ctypes.CDLL(name) for name in ("libEGL.so.1", "libGL.so.1") if sys.platform == "linux"]
 PYTHON ?= $(shell $(WITH_PATH) for python in python3 python3.11 python3.12 python3.13 python3.14; \
 	do $$python -c '$(NEW_ENOUGH)' 2>/dev/null && echo $$python && break; done)
 RUST_VERSION := $(shell $(WITH_PATH) sed -n 's/^rust-version = "\(.*\)"/\1/p' Cargo.toml)
@@ -85,7 +87,8 @@ $(STAMPS)/rust: Cargo.toml
 	fi
 	@mkdir -p $(@D) && touch $@
 
-# Rust links with the C compiler; Debian's Python comes without the module that makes .venv.
+# Rust links with the C compiler; Debian's Python comes without the module that makes .venv; the
+# simulated robot cell is drawn off the screen, by EGL.
 $(STAMPS)/debian:
 	@if ! "$(PYTHON)" -c '$(NEW_ENOUGH)' 2>/dev/null; then \
 		echo "Python 3.11 or newer is needed; name one with make PYTHON=..." >&2; \
@@ -94,6 +97,7 @@ $(STAMPS)/debian:
 	@missing=; \
 	command -v cc >/dev/null || missing="gcc libc6-dev"; \
 	$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || missing="$$missing python3-venv"; \
+	$(PYTHON) -c '$(DRAWS)' 2>/dev/null || missing="$$missing libegl1 libgl1 libgl1-mesa-dri"; \
 	if [ -n "$$missing" ]; then \
 		echo "installing the Debian packages $$missing"; \
 		root=; [ "$$(id -u)" = 0 ] || root=sudo; \

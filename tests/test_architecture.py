@@ -36,6 +36,7 @@ PYTHON_GROUPS = {
     "pipeline": "pipeline",
     "experiment": "application",
     "guidance": "application",
+    "closed_loop": "application",
     "advise": "application",
     "demo": "application",
     "doctor": "application",

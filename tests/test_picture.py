@@ -18,14 +18,17 @@ from fingerpost.errors import InvalidInputError
 from fingerpost.lens import Lens
 from fingerpost.pointing import Fix, PlaneView, Status, indicated_point
 from fingerpost.recording.picture import (
+    BLOCK,
     INK,
     MAX_WIDTH_PX,
     PANEL,
     POINT,
+    ROBOT,
     STATUSES,
     VIEWS,
     Composition,
     Plan,
+    RobotMarks,
     draw_plan,
     draw_view,
 )
@@ -318,6 +321,55 @@ def test_the_plan_is_never_mirrored(azimuth, elevation, mirrored, turn, unit):
         return float(x @ np.roll(y, -1) - y @ np.roll(x, -1))
 
     assert np.sign(signed_area(on_plan)) == np.sign(signed_area(image))
+
+
+@pytest.mark.parametrize("azimuth", range(0, 360, 30))
+def test_the_plan_lies_as_the_view_sees_the_plane(azimuth):
+    view = camera(azimuth + 10.0, 60.0)
+    plane = PlaneView.from_reference_points(CORNERS, view.project(on_plane(CORNERS)), np.eye(2))
+    plan = Plan.of(plane, SIZE)
+    middle = CORNERS.mean(axis=0)
+    ahead = middle + np.eye(2)
+    seen = plane.project(ahead) - plane.project(middle)
+    drawn = plan.place(ahead) - plan.place(middle)
+    # The axis that the view sees run across runs across; the other runs up or down as it is seen.
+    across = int(abs(seen[1, 0]) > abs(seen[0, 0]))
+    assert plan.across == across
+    assert abs(drawn[across, 0]) > 1e6 * abs(drawn[across, 1])
+    assert abs(drawn[1 - across, 1]) > 1e6 * abs(drawn[1 - across, 0])
+    if across:
+        assert np.sign(drawn[1, 0]) == np.sign(seen[1, 0])
+        assert np.sign(drawn[0, 1]) == np.sign(seen[0, 1])
+
+
+MARKS = RobotMarks(
+    gripper=(120.0, 300.0),
+    jaw_width=70.0,
+    jaw_angle_rad=0.5,
+    jaw_length=20.0,
+    trail=((20.0, 300.0), (120.0, 300.0)),
+    block=((290.0, 90.0), (330.0, 90.0), (330.0, 130.0), (290.0, 130.0)),
+    words="descend",
+)
+
+
+def test_the_plan_marks_the_robot_and_its_block():
+    picture = plan_picture(NO_FIX, robot=MARKS)
+    plan = Plan.of(PLANE_VIEWS[0], SIZE)
+    along = np.array([np.cos(0.5), np.sin(0.5)])
+    jaws = np.array(MARKS.gripper) + np.array([[-35.0], [35.0]]) * along
+    assert shows(picture, plan.place(jaws), ROBOT).all()
+    assert MARKS.jaws().mean(axis=1) == pytest.approx(jaws)
+    assert shows(picture, plan.place((310.0, 110.0)), BLOCK, SHARED_OUT).all()
+    assert not shows(plan_picture(NO_FIX), plan.place(jaws), ROBOT).any()
+
+
+@pytest.mark.parametrize("in_views", [False, True])
+def test_a_view_marks_a_robot_that_it_does_not_show(in_views):
+    marks = dataclasses.replace(MARKS, in_views=in_views)
+    picture = draw_view(seen(), PLANE_VIEWS, 0, NO_FIX, size_px=SIZE, robot=marks)
+    jaws = PLANE_VIEWS[0].project(marks.jaws().mean(axis=1))
+    assert shows(picture, jaws, ROBOT).all() == in_views
 
 
 @given(

@@ -6,11 +6,14 @@ import sys
 import threading
 import time
 
+import numpy as np
 import pytest
 import serial
 
 from fingerpost.errors import InvalidInputError
 from fingerpost.robot.emulator import EMULATED, Fault, make_emulator, serve
+from fingerpost.robot.emulator.acl import IMPACT_RAD, PARKED_JOINTS_RAD, AclController, AclStyle
+from fingerpost.robot.emulator.ports import PluggedController, PtyPort
 
 
 def ask(address, command, wait_s=0.3):
@@ -110,3 +113,60 @@ def test_the_command_prints_the_port_and_serves_until_it_is_interrupted():
         assert ask(address, b"SPEED 20\r") == b"Done.\r\n>"
         process.send_signal(signal.SIGINT)
         assert process.wait(5.0) == 130
+
+
+def test_without_a_thread_it_answers_when_it_is_served():
+    now_s = 0.0
+    controller = AclController(AclStyle(homing_s=10.0))
+    with (
+        PluggedController(controller, PtyPort(), clock=lambda: now_s) as plugged,
+        serial.serial_for_url(plugged.address, timeout=0) as port,
+    ):
+        port.write(b"HOME\r")
+        assert port.read(100) == b""
+        plugged.serve()
+        assert port.read(100) == b"HOME\r\nWAIT!! HOMING...\r\n"
+        now_s = 9.9
+        plugged.serve()
+        assert port.read(100) == b""
+        now_s = 10.1
+        plugged.serve()
+        assert port.read(100) == b"HOMING COMPLETE (ROBOT)\r\n>"
+        plugged.inject(Fault.IMPACT)
+        plugged.serve()
+        assert b"*** 53 IMPACT" in port.read(100)
+
+
+class StuckArm:
+    """An arm that lags behind its commands by a share of the way, as if something held it."""
+
+    def __init__(self):
+        self.joints = PARKED_JOINTS_RAD.copy()
+
+    def __call__(self):
+        return self.joints
+
+
+def test_the_controller_tells_where_the_encoders_say_the_arm_is():
+    arm = StuckArm()
+    controller = AclController(AclStyle(homing_s=1.0), encoders=arm)
+    controller.receive(b"HOME\r", 0.0)
+    arm.joints = controller.commanded_rad(0.99)
+    controller.poll(1.1)
+    arm.joints = controller.commanded_rad(1.1) + np.array([0.1, 0, 0, 0, 0])
+    controller.receive(b"LISTPV POSITION\r", 1.2)
+    assert b"1: 800 2:0" in controller.poll(1.2)  # 8000 counts per rad
+    assert controller.units(1.2)[1] > 400.0
+
+
+def test_a_joint_that_does_not_follow_has_hit_something():
+    arm = StuckArm()
+    controller = AclController(AclStyle(homing_s=1.0), encoders=arm)
+    controller.receive(b"HOME\r", 0.0)
+    arm.joints = controller.commanded_rad(1.1) + np.array([0, 0, 1.1 * IMPACT_RAD, 0, 0])
+    assert b"*** 53 IMPACT PROTECTION AXIS 3" in controller.poll(1.1)
+    assert not controller.servos
+    # The motors go on from where the arm is, not from where it should have been.
+    assert controller.commanded_rad(2.0) == pytest.approx(arm.joints)
+    controller.receive(b"CON\r", 2.0)
+    assert b"***" not in controller.poll(2.0)

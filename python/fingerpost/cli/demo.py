@@ -4,10 +4,15 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
-from fingerpost.cli.progress import watched
+from fingerpost.cli.progress import telling, watched
+
+if TYPE_CHECKING:
+    from fingerpost.closed_loop import RobotDemoSummary
+    from fingerpost.demo import DemoSummary
 
 
 @click.command()
@@ -20,18 +25,39 @@ from fingerpost.cli.progress import watched
     help="Where tables, picture and video go.",
 )
 @click.option("--simulate", is_flag=True, help="Play the simulated rig instead of the clip.")
+@click.option("--robot", is_flag=True, help="Have a robot go there, in a simulated world.")
 @click.option("--seed", type=int, default=0, show_default=True, help="Of the simulation.")
 @click.option("--max-frames", metavar="N", type=click.IntRange(min=1), help="Stop after N frames.")
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON.")
-def demo(output: Path, simulate: bool, seed: int, max_frames: int | None, as_json: bool) -> None:
-    """Play the built-in clip: fixes, a summary, a picture and a video, nothing plugged in."""
-    from fingerpost.demo import run_demo
+def demo(
+    output: Path,
+    simulate: bool,
+    robot: bool,
+    seed: int,
+    max_frames: int | None,
+    as_json: bool,
+) -> None:
+    """Play the built-in clip: fixes, a summary, a picture and a video, nothing plugged in.
 
-    summary = run_demo(
-        output,
-        simulate=simulate,
-        seed=seed,
-        max_frames=max_frames,
-        watch=lambda frames, count: watched(frames, count, "tracking"),
-    )
+    With --robot, an operator points at a block and at a place, corrects by what he sees the robot
+    do, and the robot carries the block there: under physics if fingerpost[mujoco] is installed.
+    """
+    summary: DemoSummary | RobotDemoSummary
+    if robot:
+        if simulate:
+            raise click.UsageError("--robot and --simulate do not go together")
+        from fingerpost.closed_loop import run_robot_demo
+
+        with telling() as tell:
+            summary = run_robot_demo(output, seed=seed, max_frames=max_frames, tell=tell)
+    else:
+        from fingerpost.demo import run_demo
+
+        summary = run_demo(
+            output,
+            simulate=simulate,
+            seed=seed,
+            max_frames=max_frames,
+            watch=lambda frames, count: watched(frames, count, "tracking"),
+        )
     click.echo(json.dumps(summary.as_dict()) if as_json else "\n".join(summary.lines()))

@@ -43,12 +43,14 @@ _Pair = tuple[float, float]
 @click.option("--lens", type=click.Choice(["known", "ignored"]), help="Whether it is corrected.")
 @click.option("--recording", metavar="RIG.TOML", type=_IN, help="Measure on footage instead.")
 @click.option("--truth", metavar="T.CSV", type=_IN, help="Its truth: frame,time_s,x,y.")
+@click.option("--guidance", metavar="N", type=click.IntRange(min=0), help="Section 3.4, N times.")
 @click.option("--draw", metavar="E.PNG", type=_IN, help="Draw scatter, ellipses and coverage.")
 @click.option("--json", "as_json", is_flag=True, help="Print the table as JSON.")
 def experiment(
     tracker: str,
     recording: Path | None,
     truth: Path | None,
+    guidance: int | None,
     draw: Path | None,
     as_json: bool,
     **settings: Any,
@@ -57,12 +59,18 @@ def experiment(
 
     A simulated device points at random targets; RECORDING and TRUTH measure on footage. What is
     not given is the paper's rig at its ordinary settings.
+
+    --guidance repeats the robot guidance experiment of section 3.4 under physics; it takes --seed
+    and --json, and needs fingerpost[mujoco].
     """
+    if guidance is not None:
+        _guide(guidance, settings["seed"], as_json)
+        return
     from fingerpost.experiment import run_experiment, run_recording
 
     if (recording is None) != (truth is None):
         raise click.UsageError("--recording and --truth go together")
-    progress = _progress()
+    progress = _progress("targets")
     if recording is not None and truth is not None:
         result = run_recording(
             recording, truth, tracker_options={"model": tracker}, progress=progress
@@ -70,6 +78,22 @@ def experiment(
     else:
         result = run_experiment(_options(tracker, settings), progress=progress)
     _report(result, draw, as_json)
+
+
+def _guide(trials: int, seed: int, as_json: bool) -> None:
+    """Repeat the guidance experiment and print its table."""
+    _refuse_beside_guidance()
+    from fingerpost.closed_loop import GuidanceOptions, run_guidance
+
+    result = run_guidance(trials, GuidanceOptions(seed=seed), progress=_progress("trials"))
+    click.echo(json.dumps(result.as_dict()) if as_json else "\n".join(result.table()))
+
+
+def _refuse_beside_guidance() -> None:
+    context = click.get_current_context()
+    for name in set(context.params) - {"guidance", "seed", "as_json"}:
+        if context.get_parameter_source(name) is not click.core.ParameterSource.DEFAULT:
+            raise click.UsageError(f"--{name.replace('_', '-')} does not go with --guidance")
 
 
 def _options(tracker: str, settings: dict[str, Any]) -> ExperimentOptions:
@@ -96,13 +120,13 @@ def _options(tracker: str, settings: dict[str, Any]) -> ExperimentOptions:
     return ExperimentOptions(tracker={"model": tracker}, **nested, **renamed, **given)
 
 
-def _progress() -> Progress | None:
+def _progress(what: str) -> Progress | None:
     """Count on stderr, where a person watches."""
     if not sys.stderr.isatty():
         return None
 
     def show(done: int, of: int) -> None:
-        click.echo(f"\r{done} of {of} targets", nl=done == of, err=True)
+        click.echo(f"\r{done} of {of} {what}", nl=done == of, err=True)
 
     return show
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from typing import TypeVar
 
 import click
@@ -28,3 +29,21 @@ def watched(items: Iterable[T], length: int | None, label: str) -> Iterator[T]:
         return
     with click.progressbar(items, length=length, label=label, file=sys.stderr) as bar:
         yield from bar
+
+
+@contextmanager
+def telling() -> Iterator[Callable[[str], None]]:
+    """Give what shows, in one line that changes, what is being done; nothing where nobody watches.
+
+    Yields
+    ------
+    callable
+        Takes the words.
+    """
+    if not sys.stderr.isatty():
+        yield lambda _words: None
+        return
+    try:
+        yield lambda words: click.echo(f"\r{words:<60}", nl=False, err=True)
+    finally:
+        click.echo(err=True)

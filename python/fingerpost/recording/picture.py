@@ -48,6 +48,10 @@ TRUTH = INK
 """Where the hand truly points, where that is known."""
 VIEWS = (_colour(0x56B4E9), _colour(0xF2A33A), _colour(0xF0E442), _colour(0x9A4DFF))
 """One per view, from the first again when there are more views."""
+ROBOT = _colour(0xA8E05F)
+"""The robot's gripper and where it went."""
+BLOCK = _colour(0xDEBC8C)
+"""What it carries."""
 STATUSES = {
     "tracking": _colour(0x4FDBA5),
     "ok": _colour(0x4FDBA5),
@@ -114,6 +118,52 @@ class Observed(Protocol):
         """The finger line, or why there is none."""
 
 
+@dataclass(frozen=True, eq=False)
+class RobotMarks:
+    """A robot on the plan, and in views that do not show it themselves.
+
+    Parameters
+    ----------
+    gripper : (2,)
+        Point of the plane under or over the gripper [plane units].
+    jaw_width
+        Opening of the jaws [plane units], ≥ 0.
+    jaw_angle_rad
+        Direction in which they close, from the plane's X towards its Y [rad].
+    trail : (N, 2)
+        Where the gripper was before, oldest first [plane units].
+    block : (M, 2) or None
+        Outline of what it carries, or shall carry [plane units].
+    place : (2,) or None
+        Where that shall go [plane units].
+    words
+        What it does.
+    in_views
+        Whether to mark gripper and block in the views too.
+    jaw_length
+        Length of a jaw as drawn [plane units], ≥ 0.
+    """
+
+    gripper: ArrayLike
+    jaw_width: float
+    jaw_angle_rad: float
+    trail: ArrayLike = ()
+    block: ArrayLike | None = None
+    place: ArrayLike | None = None
+    words: str = ""
+    in_views: bool = False
+    jaw_length: float = 0.0
+
+    def jaws(self) -> Points:
+        """(2, 2, 2) ends of both jaws."""
+        along = np.array([math.cos(self.jaw_angle_rad), math.sin(self.jaw_angle_rad)])
+        across = np.array([-along[1], along[0]])
+        middle = finite_array(self.gripper, "gripper", (2,))
+        sides = np.array([[-0.5], [0.5]]) * self.jaw_width * along
+        ends = np.array([[-0.5], [0.5]]) * self.jaw_length * across
+        return np.asarray(middle + sides[:, None] + ends[None])
+
+
 def draw_view(
     observed: Observed,
     plane_views: Sequence[PlaneView],
@@ -123,6 +173,7 @@ def draw_view(
     size_px: tuple[int, int],
     truth: ArrayLike | None = None,
     edges: bool = False,
+    robot: RobotMarks | None = None,
 ) -> Image:
     """Draw one view: figure 2a of the paper, with the ellipse of figure 4.
 
@@ -146,6 +197,8 @@ def draw_view(
         Where the hand truly points [plane units], if known.
     edges
         Whether to mark edges that the tracker found.
+    robot
+        Marked if it is `in_views`.
 
     Returns
     -------
@@ -165,6 +218,8 @@ def draw_view(
     view = plane_views[index]
     sheet = sheet.with_image(observed.frame.image)
     _draw_references(sheet, view.plane_points, view.project)
+    if robot is not None and robot.in_views:
+        _draw_robot(sheet, robot, view.project)
     for k, line in enumerate(fix.constraint_lines):
         if line is not None and k != index:
             sheet.line(view.project(_near_references(line, view.plane_points)), _of_view(k), 1)
@@ -189,6 +244,7 @@ def draw_plan(
     truth: ArrayLike | None = None,
     trail: ArrayLike = (),
     truth_trail: ArrayLike = (),
+    robot: RobotMarks | None = None,
 ) -> Image:
     """Draw the plan of the working plane: figure 2c of the paper.
 
@@ -212,6 +268,8 @@ def draw_plan(
         Points indicated before, oldest first [plane units].
     truth_trail : (N, 2)
         Where the hand truly pointed before; NaN breaks it.
+    robot
+        A robot over the plane.
 
     Returns
     -------
@@ -234,6 +292,9 @@ def draw_plan(
     for k, line in enumerate(fix.constraint_lines):
         if line is not None:
             _draw_constraint_line(window, plan, line, _of_view(k))
+    if robot is not None:
+        window.line(_rows(robot.trail), _mixed(PLANE, ROBOT, 0.6), 1)
+        _draw_robot(window, robot, _as_they_are)
     window.line(_rows(truth_trail), TRUTH, 1)
     _draw_trail(window, _rows(trail))
     _draw_fix(window, fix, truth, _as_they_are)
@@ -279,6 +340,7 @@ class Composition:
         truth: ArrayLike | None = None,
         trail: ArrayLike = (),
         truth_trail: ArrayLike = (),
+        robot: RobotMarks | None = None,
     ) -> Image:
         """Draw one moment.
 
@@ -288,7 +350,7 @@ class Composition:
             One per view, in the rig's order.
         fix
             Where the hand points.
-        truth, trail, truth_trail
+        truth, trail, truth_trail, robot
             As for `draw_plan`.
 
         Returns
@@ -315,9 +377,19 @@ class Composition:
         for k, observed in enumerate(observations):
             _draw_view_title(page, layout, k, observed)
             page.pixels[layout.cell(k)] = draw_view(
-                observed, self._views, k, fix, size_px=size_px, truth=truth, edges=self._edges
+                observed,
+                self._views,
+                k,
+                fix,
+                size_px=size_px,
+                truth=truth,
+                edges=self._edges,
+                robot=robot,
             )
-        page.text("working plane", layout.title(plan), 19, INK, bold=True, room=size_px[0])
+        x, baseline = layout.title(plan)
+        page.text("working plane", (x, baseline), 19, INK, bold=True, room=size_px[0])
+        if robot is not None:
+            _draw_robot_title(page, robot, x + size_px[0], baseline)
         page.pixels[layout.cell(plan)] = draw_plan(
             self._views,
             fix,
@@ -326,6 +398,7 @@ class Composition:
             truth=truth,
             trail=trail,
             truth_trail=truth_trail,
+            robot=robot,
         )
         self._draw_footer(page, fix, with_truth=truth is not None)
         return page.pixels
@@ -359,26 +432,33 @@ class Plan:
     """(2,) largest coordinates in the window [plane units]."""
     window_from_plane: Points
     """(2, 3) plane units → pixels of the window."""
+    across: int
+    """The plane's axis that runs across the picture: 0 is X, 1 is Y."""
 
     @classmethod
     def of(cls, view: PlaneView, size_px: tuple[int, int]) -> Plan:
         """Plan of a view's plane for a picture of a given size.
 
         X points to the right. Y points up, or down where the view sees it so: from the side of
-        the cameras, nothing is mirrored.
+        the cameras, nothing is mirrored. Where the view sees X run up or down rather than across,
+        Y runs across, in the direction in which it is seen, so that both pictures lie alike.
         """
         columns = _inner(size_px[0], before=66, after=18)
         rows = _inner(size_px[1], before=18, after=46)
         window_px = np.array([columns.stop - columns.start, rows.stop - rows.start])
         lower, upper = view.plane_points.min(axis=0), view.plane_points.max(axis=0)
-        scale = float((window_px / ((upper - lower) * (1.0 + 2.0 * _PLAN_BORDER))).min())
-        middle, reach = (lower + upper) / 2, window_px / scale / 2
         turn = transfer_jacobian_by_point(view.image_from_plane, view.plane_points.mean(axis=0))
-        clockwise = np.linalg.det(turn) > 0.0
-        stretch = np.array([scale, scale if clockwise else -scale])
-        offset = (window_px - 1) / 2 - stretch * middle
-        window_from_plane = np.column_stack([np.diag(stretch), offset])
-        return cls(rows, columns, middle - reach, middle + reach, window_from_plane)
+        seen = turn * (upper - lower)  # the plane's sides, in pixels of the view
+        across = int(abs(seen[1, 0]) > abs(seen[0, 0]) and abs(seen[0, 1]) > abs(seen[1, 1]))
+        order = [across, 1 - across]
+        scale = float((window_px[order] / ((upper - lower) * (1.0 + 2.0 * _PLAN_BORDER))).min())
+        middle, reach = (lower + upper) / 2, window_px[order] / scale / 2
+        to_right = np.sign(turn[0, 1]) if across else 1.0
+        downwards = to_right * np.sign(np.linalg.det(turn)) * (-1.0 if across else 1.0)
+        stretch = scale * np.diag([to_right, downwards])[:, order]
+        offset = (window_px - 1) / 2 - stretch @ middle
+        window_from_plane = np.column_stack([stretch, offset])
+        return cls(rows, columns, middle - reach, middle + reach, window_from_plane, across)
 
     def place(self, points: ArrayLike) -> Points:
         """Pixels (..., 2) of the whole picture that show points of the plane."""
@@ -386,13 +466,14 @@ class Plan:
         return np.asarray(affine(self.window_from_plane, np.asarray(points, np.float64)) + corner)
 
     def ticks(self, axis: int) -> list[tuple[float, float]]:
-        """Round numbers along an axis (0 or 1), each with its pixel in the window."""
+        """Round numbers along an axis (0 is X, 1 is Y), each with its pixel in the window."""
         rough = float((self.upper - self.lower).min()) / _TICKS
         power = 10.0 ** math.floor(math.log10(rough))
         steps = [power, 2.0 * power, 5.0 * power, 10.0 * power]
         step = min(steps, key=lambda nice: abs(math.log(nice / rough)))
         first, last = math.ceil(self.lower[axis] / step), math.floor(self.upper[axis] / step)
-        stretch, offset = self.window_from_plane[axis, axis], self.window_from_plane[axis, 2]
+        row = int(axis != self.across)
+        stretch, offset = self.window_from_plane[row, axis], self.window_from_plane[row, 2]
         return [(k * step, float(stretch * k * step + offset)) for k in range(first, last + 1)]
 
 
@@ -442,6 +523,29 @@ def _draw_point(sheet: Sheet, place: Points) -> None:
     sheet.dot(place, 3.0, POINT)
 
 
+def _draw_robot(sheet: Sheet, robot: RobotMarks, project: Callable[[Points], Points]) -> None:
+    """Draw the block, where it shall go, and the gripper's two jaws over it."""
+    if robot.place is not None:
+        place = sheet.place(project(finite_array(robot.place, "place", (2,))))
+        turn = np.linspace(0.0, 2.0 * np.pi, 25)
+        ring = place + 9.0 * np.column_stack([np.cos(turn), np.sin(turn)])
+        sheet.on_pixels().line(ring, BLOCK, 2, dash=(5.0, 4.0))
+    if robot.block is not None:
+        block = project(_rows(robot.block))
+        sheet.area(block, BLOCK, 0.85)
+    jaws = [project(jaw) for jaw in robot.jaws()]
+    for jaw in jaws:
+        sheet.line(jaw, ROBOT, 4, cased=True)
+    sheet.line(np.array([jaw.mean(axis=0) for jaw in jaws]), ROBOT, 1)
+
+
+def _draw_robot_title(page: Sheet, robot: RobotMarks, right: float, baseline: float) -> None:
+    """Say at the right of a title what the robot does, beside its mark."""
+    begin, _ = page.text(robot.words, (right, baseline), 18, ROBOT, anchor=1.0)
+    for x in (begin - 20.0, begin - 10.0):
+        page.line(np.array([[x, baseline - 12.0], [x, baseline - 1.0]]), ROBOT, 3)
+
+
 def _draw_constraint_line(
     window: Sheet, plan: Plan, constraint: ConstraintLine, colour: Colour
 ) -> None:
@@ -482,21 +586,22 @@ def _draw_axes(sheet: Sheet, plan: Plan, unit: str) -> None:
         plan.columns.stop,
         plan.rows.stop,
     )
-    for value, x in plan.ticks(0):
+    across, up = "XY"[plan.across], "YX"[plan.across]
+    for value, x in plan.ticks(plan.across):
         sheet.line(np.array([[left + x, bottom], [left + x, bottom + 5]]), MUTED, 1)
         sheet.text(f"{value:g}", (left + x, bottom + 21), 15, MUTED, anchor=0.5)
-    for value, y in plan.ticks(1):
+    for value, y in plan.ticks(1 - plan.across):
         sheet.line(np.array([[left - 6, top + y], [left - 1, top + y]]), MUTED, 1)
         sheet.text(f"{value:g}", (left - 10, top + y + 5), 15, MUTED, anchor=1.0)
-    sheet.text(f"X / {unit}", (right, bottom + 38), 15, MUTED, anchor=1.0)
-    sheet.text(f"Y / {unit}", (8, top - 2), 15, MUTED)
+    sheet.text(f"{across} / {unit}", (right, bottom + 38), 15, MUTED, anchor=1.0)
+    sheet.text(f"{up} / {unit}", (8, top - 2), 15, MUTED)
 
 
 def _draw_grid(window: Sheet, plan: Plan) -> None:
     (width, height), pixels = window.size_px, window.on_pixels()
-    for _, x in plan.ticks(0):
+    for _, x in plan.ticks(plan.across):
         pixels.line(np.array([[x, 0.0], [x, height]]), GRID, 1)
-    for _, y in plan.ticks(1):
+    for _, y in plan.ticks(1 - plan.across):
         pixels.line(np.array([[0.0, y], [width, y]]), GRID, 1)
 
 

@@ -81,6 +81,11 @@ class SimulatedRobot(Arm):
         """How far the gripper is open: 0 closed … 1 open."""
         return self._opening
 
+    @property
+    def position(self) -> NDArray[np.float64]:
+        """Where the gripper is, homed or not: x, y, z [m], pitch, roll [rad]."""
+        return self._motion.position(self._clock())
+
     def _open(self) -> None:
         self._motion.abort(self._clock())
 
@@ -108,7 +113,7 @@ class SimulatedRobot(Arm):
 
     def _read_pose(self, turn: Turn) -> Pose:
         self._check(turn)
-        x, y, z, pitch, roll = self._position()
+        x, y, z, pitch, roll = (float(value) for value in self.position)
         return Pose(x, y, z, pitch_rad=pitch, roll_rad=math.remainder(roll, 2 * math.pi))
 
     def _send_stop(self) -> None:
@@ -117,7 +122,3 @@ class SimulatedRobot(Arm):
     def _move_gripper(self, opening: float, turn: Turn) -> None:
         self._pause(self._options.gripper_s, turn)
         self._opening = opening
-
-    def _position(self) -> list[float]:
-        position: NDArray[np.float64] = self._motion.position(self._clock())
-        return [float(value) for value in position]

@@ -4,6 +4,9 @@ Bytes in, bytes out, at given times; no port, thread or clock. Words and units f
 Reference Guide for Controller-A (catalogue number 100083); where the guide leaves a text open, an
 `AclStyle` chooses one. The arm is a five-axis arm of the ER-7's build; its link lengths and encoder
 ratios are this emulator's own. Stored programs are not emulated.
+
+The arm is where its motion was commanded to be, unless `encoders` tell where it really is: a
+physics engine's arm, say, which goes after `commanded_rad` as well as it can.
 """
 
 from __future__ import annotations
@@ -92,6 +95,9 @@ def _home_joints() -> Vector:
 
 
 HOME_JOINTS_RAD = _home_joints()
+IMPACT_RAD = 0.2
+"""A joint this far from where it was commanded has hit something [rad]."""
+
 PARKED_JOINTS_RAD = HOME_JOINTS_RAD + np.radians([20.0, -15.0, -10.0, 5.0, 30.0])
 """Where the arm stands when the controller is switched on, unknown to it."""
 
@@ -171,6 +177,8 @@ class AclController:
     ----------
     style : AclStyle
         What the facts leave open.
+    encoders : callable, optional
+        Reads where the joints really are (5,) [rad]; without it they are where they were commanded.
 
     Attributes
     ----------
@@ -186,8 +194,11 @@ class AclController:
         How often Ctrl-A or A came.
     """
 
-    def __init__(self, style: AclStyle | None = None) -> None:
+    def __init__(
+        self, style: AclStyle | None = None, *, encoders: Callable[[], Vector] | None = None
+    ) -> None:
         self.style = style or AclStyle()
+        self._encoders = encoders
         self.homed = False
         self.servos = False
         self.speed_percent = 50
@@ -265,7 +276,11 @@ class AclController:
 
     def units(self, now_s: float) -> Vector:
         """Return where the gripper really is: X, Y, Z [0.1 mm], P, R [0.1°]."""
-        return forward(self._arm.position(now_s))
+        return forward(self._joints(now_s))
+
+    def commanded_rad(self, now_s: float) -> Vector:
+        """Return where the joints are commanded to be (5,) [rad]: what an arm's motors go after."""
+        return self._arm.position(now_s)
 
     def is_moving(self, now_s: float) -> bool:
         """Whether the arm moves."""
@@ -353,6 +368,7 @@ class AclController:
     # Motion.
 
     def _run_events(self, now_s: float) -> None:
+        self._protect(now_s)
         homing = self._homing
         if homing is None or now_s < homing.end_s:
             return
@@ -363,6 +379,14 @@ class AclController:
         self._zero = HOME_JOINTS_RAD
         self.homed = True
         self._say("HOMING COMPLETE (ROBOT)\r\n>")
+
+    def _protect(self, now_s: float) -> None:
+        """Switch off when a joint does not get where it was commanded."""
+        if self._encoders is None or not self.servos:
+            return
+        behind = np.abs(self._encoders() - self._arm.position(now_s))
+        if (behind > IMPACT_RAD).any():
+            self._fail(f"53 IMPACT PROTECTION AXIS {int(np.argmax(behind)) + 1}", now_s)
 
     def _abort(self, now_s: float) -> None:
         self.aborts += 1
@@ -378,6 +402,8 @@ class AclController:
     def _fail(self, text: str, now_s: float) -> None:
         """Stop, switch the motors off and say why, whatever is being typed."""
         self._stand_still(now_s)
+        if self._encoders is not None:
+            self._arm = MotionQueue(self._encoders())  # the motors go on from here, not from there
         self.servos = False
         self._say(f"\r\n*** {text}\r\n>")
 
@@ -561,11 +587,14 @@ class AclController:
 
     def _shown(self, now_s: float) -> Vector:
         """Return the present position as the controller believes it, by its counts."""
-        joints = self._arm.position(now_s)
+        joints = self._joints(now_s)
         counts = np.round((joints - self._zero) * COUNTS_PER_RAD)
         if self.homed:
             return forward(counts / COUNTS_PER_RAD + self._zero)
         return forward(counts / COUNTS_PER_RAD + HOME_JOINTS_RAD)
+
+    def _joints(self, now_s: float) -> Vector:
+        return self._arm.position(now_s) if self._encoders is None else self._encoders()
 
     def _counts_of(self, units: Vector) -> Vector:
         """Return a position's counts; zeros for one that the arm cannot reach, which is kept."""

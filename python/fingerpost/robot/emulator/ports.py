@@ -12,6 +12,7 @@ import threading
 import time
 import tty
 from abc import ABC, abstractmethod
+from collections.abc import Callable, Collection
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -252,8 +253,8 @@ class WireEvent:
     data: bytes
 
 
-class Emulator:
-    """A controller on a port, served by a thread.
+class PluggedController:
+    """A controller on a port, served whenever it is told to: `Emulator` does it from a thread.
 
     Parameters
     ----------
@@ -261,8 +262,8 @@ class Emulator:
         What answers.
     port : Port
         Where it is plugged in.
-    clock : ArmTime, optional
-        The arm's clock; ours by default.
+    clock : callable, optional
+        The arm's time [s]; ours by default.
     rng : numpy.random.Generator, optional
         For the noise of faults; seeded with 0 by default.
     slow_s : float
@@ -279,20 +280,15 @@ class Emulator:
         controller: Controller,
         port: Port,
         *,
-        clock: ArmTime | None = None,
+        clock: Callable[[], float] | None = None,
         rng: np.random.Generator | None = None,
         slow_s: float = 0.3,
     ) -> None:
         self._controller = controller
         self._port = port
-        self._clock = clock or ArmTime()
+        self._arm_time = clock or ArmTime()
         self._faults = LineFaults(rng or np.random.default_rng(0), slow_s)
-        self._orders: list[Fault] = []
         self._late: list[tuple[float, bytes]] = []
-        self._wake_out, self._wake_in = os.pipe()
-        self._changed = threading.Condition()
-        self._closing = False
-        self._thread = threading.Thread(target=self._serve, name="emulator", daemon=True)
         self.wire: list[WireEvent] = []
 
     @property
@@ -303,11 +299,10 @@ class Emulator:
     @property
     def now_s(self) -> float:
         """The arm's own time [s]."""
-        return self._clock()
+        return self._arm_time()
 
     def __enter__(self) -> Self:
         self._port.plug()
-        self._thread.start()
         return self
 
     def __exit__(
@@ -316,15 +311,10 @@ class Emulator:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        self._closing = True
-        os.write(self._wake_in, b"x")
-        self._thread.join()
         self._port.close()
-        os.close(self._wake_out)
-        os.close(self._wake_in)
 
     def inject(self, fault: Fault, *, count: int = 1) -> None:
-        """Have a fault; returns when the controller has it.
+        """Have a fault.
 
         Parameters
         ----------
@@ -332,58 +322,42 @@ class Emulator:
             Which.
         count : int
             How many transfers or commands it spoils, where that means something.
-
-        Raises
-        ------
-        RobotTimeoutError
-            The emulator's thread does not run.
         """
-        with self._changed:
-            self._orders += [fault] * count
-            os.write(self._wake_in, b"x")
-            if not self._changed.wait_for(lambda: not self._orders, timeout=5.0):
-                raise RobotTimeoutError("the emulator is not running")
+        for _ in range(count):
+            if fault is Fault.UNPLUG:
+                self._port.unplug()
+            elif fault is Fault.PLUG:
+                self._port.plug()
+            elif fault in LINE_FAULTS:
+                self._faults.inject(fault, 1)
+            else:
+                self._controller.inject(fault, self.now_s)
 
     def heal(self) -> None:
         """Take the noise off the line."""
         self._faults.clear()
 
-    def _serve(self) -> None:
-        while not self._closing:
-            ready = self._await_something()
-            if self._wake_out in ready:
-                os.read(self._wake_out, READ_SIZE)
-                self._obey()
-            for descriptor in self._port.descriptors():
-                if descriptor in ready and (data := self._port.read(descriptor)):
-                    self.wire.append(WireEvent(time.monotonic(), False, data))
-                    self._controller.receive(self._faults.on_input(data), self.now_s)
-            self._send()
+    def serve(self) -> None:
+        """Take what was sent to the controller, send what it has to say, and wait for nothing."""
+        descriptors = self._port.descriptors()
+        self._answer(select.select(descriptors, [], [], 0.0)[0] if descriptors else [])
 
-    def _await_something(self) -> list[int]:
-        due_s = [late_s - self._clock() for late_s, _ in self._late]
+    def _answer(self, ready: Collection[int]) -> None:
+        for descriptor in self._port.descriptors():
+            if descriptor in ready and (data := self._port.read(descriptor)):
+                self.wire.append(WireEvent(time.monotonic(), False, data))
+                self._controller.receive(self._faults.on_input(data), self.now_s)
+        self._send()
+
+    def _due_s(self) -> float | None:
+        """Return how soon there will be something to send by itself [s of the arm], or None."""
+        due_s = [late_s for late_s, _ in self._late]
         if (next_s := self._controller.next_due_s()) is not None:
-            due_s.append(next_s - self._clock())
-        wait_s = max(0.0, min(due_s)) / self._clock.scale if due_s else None
-        ready, _, _ = select.select([self._wake_out, *self._port.descriptors()], [], [], wait_s)
-        return list(ready)
-
-    def _obey(self) -> None:
-        with self._changed:
-            for fault in self._orders:
-                if fault is Fault.UNPLUG:
-                    self._port.unplug()
-                elif fault is Fault.PLUG:
-                    self._port.plug()
-                elif fault in LINE_FAULTS:
-                    self._faults.inject(fault, 1)
-                else:
-                    self._controller.inject(fault, self.now_s)
-            self._orders.clear()
-            self._changed.notify_all()
+            due_s.append(next_s)
+        return max(0.0, min(due_s) - self.now_s) if due_s else None
 
     def _send(self) -> None:
-        now_s = self._clock()
+        now_s = self.now_s
         for late_s, data in self._late[:]:
             if late_s <= now_s:
                 self._late.remove((late_s, data))
@@ -400,3 +374,87 @@ class Emulator:
         if data:
             self.wire.append(WireEvent(time.monotonic(), True, data))
             self._port.write(data)
+
+
+class Emulator(PluggedController):
+    """A controller on a port, served by a thread.
+
+    Parameters
+    ----------
+    controller, port, rng, slow_s
+        As for `PluggedController`.
+    clock : ArmTime, optional
+        The arm's clock; ours by default.
+    """
+
+    def __init__(
+        self,
+        controller: Controller,
+        port: Port,
+        *,
+        clock: ArmTime | None = None,
+        rng: np.random.Generator | None = None,
+        slow_s: float = 0.3,
+    ) -> None:
+        self._clock = clock or ArmTime()
+        super().__init__(controller, port, clock=self._clock, rng=rng, slow_s=slow_s)
+        self._orders: list[Fault] = []
+        self._wake_out, self._wake_in = os.pipe()
+        self._changed = threading.Condition()
+        self._closing = False
+        self._thread = threading.Thread(target=self._serve, name="emulator", daemon=True)
+
+    def __enter__(self) -> Self:
+        super().__enter__()
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._closing = True
+        os.write(self._wake_in, b"x")
+        self._thread.join()
+        super().__exit__(kind, error, trace)
+        os.close(self._wake_out)
+        os.close(self._wake_in)
+
+    def inject(self, fault: Fault, *, count: int = 1) -> None:
+        """Have a fault; returns when the controller has it.
+
+        Parameters
+        ----------
+        fault, count
+            As for `PluggedController`.
+
+        Raises
+        ------
+        RobotTimeoutError
+            The emulator's thread does not run.
+        """
+        with self._changed:
+            self._orders += [fault] * count
+            os.write(self._wake_in, b"x")
+            if not self._changed.wait_for(lambda: not self._orders, timeout=5.0):
+                raise RobotTimeoutError("the emulator is not running")
+
+    def _serve(self) -> None:
+        while not self._closing:
+            due_s = self._due_s()
+            wait_s = None if due_s is None else due_s / self._clock.scale
+            descriptors = [self._wake_out, *self._port.descriptors()]
+            ready, _, _ = select.select(descriptors, [], [], wait_s)
+            if self._wake_out in ready:
+                os.read(self._wake_out, READ_SIZE)
+                self._obey()
+            self._answer(ready)
+
+    def _obey(self) -> None:
+        with self._changed:
+            for fault in self._orders:
+                super().inject(fault)
+            self._orders.clear()
+            self._changed.notify_all()

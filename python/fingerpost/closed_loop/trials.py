@@ -1,0 +1,401 @@
+r"""The guidance experiment of the paper's section 3.4, repeated, and the accuracy of its plane.
+
+    result = run_guidance(50)
+    print("\n".join(result.table()))
+
+The robot defines the plane by visiting it, once. In each trial a wooden block lies somewhere, and
+an operator points at it and then at where it shall go: first open loop, with the offset that his
+pointing has, then correcting by what he sees the gripper do, until he is content and holds still.
+The robot picks the block up and places it. Every error is measured in the physics, not in what the
+system believes.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import signal
+from collections.abc import Callable
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import asdict, dataclass, field
+from multiprocessing import get_context
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fingerpost.closed_loop.course import (
+    FIX_S,
+    SETTLED_S,
+    Course,
+    Leg,
+    block_and_place_mm,
+    target_mm,
+)
+from fingerpost.closed_loop.engine import require_mujoco
+from fingerpost.closed_loop.layout import Aim, CameraPlacement
+from fingerpost.closed_loop.loop import ClosedLoop, FixAccuracy, LoopOptions
+from fingerpost.closed_loop.operator import Habits, Operator
+from fingerpost.closed_loop.physics import Optics, PhysicalCell
+from fingerpost.closed_loop.setup import (
+    plane_by_card,
+    rig_without_plane,
+    robot_table,
+    scorbot_in,
+    with_start,
+)
+from fingerpost.closed_loop.world import World
+from fingerpost.config import Rig
+from fingerpost.errors import FingerpostError, InvalidInputError
+from fingerpost.guidance import robot_of
+from fingerpost.robot import RobotError
+from fingerpost.simulate import Hand
+
+Array = NDArray[np.float64]
+Progress = Callable[[int, int], None]
+"""Called with the number of trials done and of all."""
+
+WITHIN_MM = 10.0
+"""The paper: the operator positions the gripper "to within 1cm"."""
+
+GOAL_MM = 5.0
+
+WAITING_MM = (425.0, 0.0)
+"""Where the hand points while it waits."""
+
+MOST_TURNED_RAD = 0.25
+"""A block is put down about square to the robot: parallel jaws turn it the rest of the way."""
+
+
+@dataclass(frozen=True)
+class GuidanceOptions:
+    """How the experiment is run."""
+
+    seed: int = 0
+    """Of everything random, ≥ 0."""
+
+    frames_per_s: float = 20.0
+    """Of the cameras; drawing is most of the work."""
+
+    heights_mm: tuple[float, ...] = (0.0, 50.0)
+    """Planes whose accuracy is measured; the first one's guides."""
+
+    points: int = 9
+    """Places that the gripper visits to define a plane."""
+
+    plane_targets: int = 40
+    """Targets pointed at exactly on each plane."""
+
+    habits: Habits = field(default_factory=Habits)
+    optics: Optics = field(default_factory=Optics)
+    cameras: CameraPlacement = field(default_factory=CameraPlacement)
+    loop: LoopOptions = field(default_factory=LoopOptions)
+
+    def __post_init__(self) -> None:
+        if self.seed < 0:
+            raise InvalidInputError(f"seed is {self.seed}; 0 or more is right")
+        if not self.heights_mm:
+            raise InvalidInputError("heights_mm is empty; at least one plane is needed")
+
+
+@dataclass(frozen=True)
+class GuidanceTrial:
+    """One block picked and placed, or why not."""
+
+    index: int
+    legs: tuple[Leg, ...]
+    placed_mm: float | None  # from the block to where it should be; None: not carried
+    table_steps: int  # steps of the physics in which the arm touched the table
+    fix_rms_mm: float | None  # of the indicated point against where the hand pointed
+    frames: int
+    fixes: int
+    problem: str = ""
+
+
+@dataclass(frozen=True)
+class PlaneAccuracy:
+    """How well a plane that the robot defined tells the robot where a hand points exactly."""
+
+    height_mm: float
+    sigma_mm: float  # what `define_plane` says of its worst corner
+    errors_mm: tuple[tuple[float, float], ...]  # robot's X, Y, told minus true
+    missing: int  # targets without a fix
+
+    @property
+    def rms_mm(self) -> float:
+        """Of the distance from told to true; NaN without any."""
+        if not self.errors_mm:
+            return math.nan
+        return float(np.sqrt((np.array(self.errors_mm) ** 2).sum(axis=1).mean()))
+
+
+@dataclass(frozen=True)
+class GuidanceResult:
+    """What the experiment came to."""
+
+    seed: int
+    planes: tuple[PlaneAccuracy, ...]
+    trials: tuple[GuidanceTrial, ...]
+
+    def table(self) -> list[str]:
+        """Return the figures as lines of text."""
+        legs = [leg for trial in self.trials for leg in trial.legs]
+        lines = [f"{'plane by the robot, exact pointing':<36}{'RMS':>8}{'median':>8}{'largest':>9}"]
+        for plane in self.planes:
+            errors = np.hypot(*np.reshape(plane.errors_mm, (-1, 2)).T)
+            name = f"  {plane.height_mm:.0f} mm above the table, {len(errors)} targets"
+            figures = "    none"
+            if len(errors):
+                figures = f"{plane.rms_mm:8.2f}{np.median(errors):8.2f}{errors.max():9.2f} mm"
+            missing = f"   {plane.missing} without a fix" if plane.missing else ""
+            lines.append(f"{name:<36}{figures}{missing}")
+        within = f"within {WITHIN_MM:g} mm"
+        goal = f"{GOAL_MM:g} mm"
+        touched = sum(trial.table_steps > 0 for trial in self.trials)
+        lines += [
+            "",
+            f"guidance, {len(self.trials)} trials".ljust(36)
+            + f"{'median':>8}{'95 %':>8}{'largest':>9}   {within:>12}{goal:>9}",
+            _distances("  open loop", [leg.open_mm for leg in legs], len(legs)),
+            _distances(
+                "  with feedback",
+                [leg.closed_mm for leg in legs if leg.closed_mm is not None],
+                2 * len(self.trials),
+            ),
+            _distances(
+                "  block placed",
+                [trial.placed_mm for trial in self.trials if trial.placed_mm is not None],
+                len(self.trials),
+            ),
+            _times("  open loop", [leg.open_s for leg in legs]),
+            _times("  feedback, dwell included", [leg.closed_s for leg in legs]),
+            "",
+            f"corrections per target {np.mean([leg.corrections for leg in legs] or [0]):.1f}; "
+            f"hand brought back to be found {sum(leg.lost for leg in legs)} times; "
+            f"trials in which the arm touched the table {touched}; "
+            f"frames with a fix {self._availability():.1%}; fix RMS {self._fix_rms():.2f} mm",
+        ]
+        return lines + [f"trial {t.index}: {t.problem}" for t in self.trials if t.problem]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return everything measured as what JSON can hold."""
+        return asdict(self) | {
+            "planes": [asdict(plane) | {"rms_mm": plane.rms_mm} for plane in self.planes]
+        }
+
+    def _availability(self) -> float:
+        return sum(t.fixes for t in self.trials) / max(sum(t.frames for t in self.trials), 1)
+
+    def _fix_rms(self) -> float:
+        known = [(t.fix_rms_mm, t.fixes) for t in self.trials if t.fix_rms_mm is not None]
+        return float(
+            np.sqrt(sum(n * rms**2 for rms, n in known) / max(sum(n for _, n in known), 1))
+        )
+
+
+def _distances(name: str, values: list[float], of: int) -> str:
+    if not values:
+        return f"{name:<36}none of {of}"
+    shares = [
+        f"{100 * sum(value <= limit for value in values) / of:.0f} %"
+        for limit in (WITHIN_MM, GOAL_MM)
+    ]
+    return (
+        f"{name:<36}{np.median(values):8.1f}{np.percentile(values, 95):8.1f}{max(values):9.1f} mm"
+        f"{shares[0]:>12}{shares[1]:>9}"
+    )
+
+
+def _times(name: str, values: list[float]) -> str:
+    if not values:
+        return f"{name:<36}none"
+    return f"{name:<36}{np.median(values):8.1f}{np.percentile(values, 95):8.1f}{max(values):9.1f} s"
+
+
+def run_guidance(
+    trials: int,
+    options: GuidanceOptions | None = None,
+    *,
+    workers: int | None = None,
+    progress: Progress | None = None,
+) -> GuidanceResult:
+    """Define the planes, measure them, and repeat the guidance experiment.
+
+    Parameters
+    ----------
+    trials
+        How often, ≥ 0; 0 measures the planes alone.
+    options
+        How.
+    workers
+        Processes to share the work, ≥ 1; None uses all cores. The result is the same to the last
+        bit. They are started afresh ("spawn"), so a script needs the usual
+        ``if __name__ == "__main__":``.
+    progress
+        Called in this process as trials and planes are done.
+
+    Raises
+    ------
+    MissingExtraError
+        MuJoCo is not installed.
+    InvalidInputError
+        A number out of range.
+    FingerpostError
+        A plane could not be defined, or a worker died.
+    """
+    options = options or GuidanceOptions()
+    require_mujoco()
+    if trials < 0:
+        raise InvalidInputError(f"trials is {trials}; 0 or more is right")
+    if workers is not None and workers < 1:
+        raise InvalidInputError(f"workers is {workers}; 1 or more, or None for all cores, is right")
+    total = trials + len(options.heights_mm)
+    tell = progress or (lambda _done, _of: None)
+    planes: list[PlaneAccuracy] = []
+    done: list[GuidanceTrial] = []
+    with ProcessPoolExecutor(
+        min(workers or os.cpu_count() or 1, total),
+        mp_context=get_context("spawn"),
+        initializer=_start_worker,
+    ) as pool:
+        try:
+            defined: list[Future[Any]] = [
+                pool.submit(measure_plane, height, options) for height in options.heights_mm
+            ]
+            rig, _ = defined[0].result()
+            futures: list[Future[Any]] = [
+                pool.submit(guide, index, rig, options) for index in range(trials)
+            ]
+            for future in as_completed([*defined, *futures]):
+                result = future.result()
+                if isinstance(result, GuidanceTrial):
+                    done.append(result)
+                else:
+                    planes.append(result[1])
+                tell(len(done) + len(planes), total)
+        except BrokenProcessPool as error:
+            raise FingerpostError(
+                "a worker process died, perhaps for want of memory; try fewer workers"
+            ) from error
+        finally:
+            pool.shutdown(wait=False, cancel_futures=True)
+    return GuidanceResult(
+        options.seed,
+        tuple(sorted(planes, key=lambda plane: plane.height_mm)),
+        tuple(sorted(done, key=lambda trial: trial.index)),
+    )
+
+
+def _start_worker() -> None:
+    import cv2
+
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent stops the workers
+    cv2.setNumThreads(1)  # they share the cores among themselves, and so does what draws:
+    os.environ.setdefault("LP_NUM_THREADS", "1")
+
+
+def measure_plane(height_mm: float, options: GuidanceOptions) -> tuple[Rig, PlaneAccuracy]:
+    """Have the robot define a plane, and see where it has a hand point that points exactly.
+
+    Returns
+    -------
+    Rig
+        The plane's, without start poses.
+    PlaneAccuracy
+    """
+    rng = _rng(options, 1, round(10 * height_mm))
+    hand = Hand().body
+    cell = PhysicalCell(options.cameras.cameras(), hand, rng=rng, optics=options.optics)
+    cell.put_block((620.0, 300.0), 0.0)  # out of the way
+    world = World(cell, options.frames_per_s)
+    try:
+        with scorbot_in(cell, world) as line:
+            plane = plane_by_card(cell, world, line.robot, height_mm / 1000, points=options.points)
+            rig = plane.rig(rig_without_plane(cell.cameras), robot_table(height_mm / 1000))
+            aim = Aim(WAITING_MM, plane_mm=height_mm)
+            operator = Operator(Habits.exact(), WAITING_MM, rng, time_s=world.time_s)
+            loop = ClosedLoop(
+                world,
+                line.robot,
+                with_start(rig, cell.cameras, hand, aim.pose(), rng),
+                operator,
+                options.loop,
+                aim=aim,
+            )
+            loop.go_aside()
+            loop.wait_for_fix(FIX_S)
+            errors = []
+            for _ in range(options.plane_targets):
+                goal_mm = target_mm(rng)
+                operator.mean(goal_mm, world.time_s)
+                while operator.is_moving(world.time_s):
+                    world.to_next_frame()
+                world.advance(SETTLED_S)
+                if loop.fix is not None and loop.fix.point is not None:
+                    x, y = 1000 * loop.fix.point - goal_mm
+                    errors.append((float(x), float(y)))
+            loop.close()
+    finally:
+        cell.close()
+    sigma_mm = 1000 * float(plane.sigma_m.max())
+    missing = options.plane_targets - len(errors)
+    return rig, PlaneAccuracy(height_mm, sigma_mm, tuple(errors), missing)
+
+
+def guide(index: int, rig: Rig, options: GuidanceOptions) -> GuidanceTrial:
+    """Run one trial: point at a block and at a place, have it carried there.
+
+    Parameters
+    ----------
+    index
+        Number of the trial; with the seed, it decides everything.
+    rig
+        With the plane that the robot has defined.
+    options
+        Of the experiment.
+    """
+    rng = _rng(options, 0, index)
+    hand = Hand().body
+    cell = PhysicalCell(options.cameras.cameras(), hand, rng=rng, optics=options.optics)
+    block_mm, place_mm = block_and_place_mm(rng)
+    turn_rad = float(rng.uniform(-MOST_TURNED_RAD, MOST_TURNED_RAD))
+    cell.put_block((float(block_mm[0]), float(block_mm[1])), turn_rad)
+    world = World(cell, options.frames_per_s)
+    waiting = Aim(WAITING_MM, plane_mm=1000 * robot_of(rig).height_m)
+    accuracy = FixAccuracy()
+    try:
+        with scorbot_in(cell, world) as line:
+            operator = Operator(options.habits, WAITING_MM, rng, time_s=world.time_s)
+            loop = ClosedLoop(
+                world,
+                line.robot,
+                with_start(rig, cell.cameras, hand, waiting.pose(), rng),
+                operator,
+                options.loop,
+                aim=waiting,
+                on_moment=accuracy.add,
+            )
+            course = Course(world, loop, operator, looking=False)
+            placed_mm = None
+            try:
+                placed_mm = course.carry(block_mm, place_mm)
+            except RobotError as error:
+                course.problem = f"{type(error).__name__}: {error}"
+            loop.close()
+    finally:
+        cell.close()
+    return GuidanceTrial(
+        index,
+        tuple(course.legs),
+        placed_mm,
+        cell.contacts.table_steps,
+        accuracy.rms_mm,
+        accuracy.moments,
+        accuracy.fixes,
+        course.problem,
+    )
+
+
+def _rng(options: GuidanceOptions, *key: int) -> np.random.Generator:
+    return np.random.default_rng([options.seed, *key])

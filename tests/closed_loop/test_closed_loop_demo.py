@@ -1,0 +1,84 @@
+"""The robot demo, with physics and without, and what it says when something is missing."""
+
+import json
+import sys
+
+import cv2
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from fingerpost.cli import main
+from fingerpost.closed_loop import run_robot_demo
+from fingerpost.config import Rig
+from fingerpost.errors import InvalidInputError
+
+FILES = {"rig.toml", "points.csv", "tracks.csv", "overlay.mp4", "summary.png"}
+
+
+@pytest.fixture
+def no_mujoco(monkeypatch):
+    """A machine without the extra."""
+    monkeypatch.setitem(sys.modules, "mujoco", None)
+
+
+def test_with_physics_the_robot_defines_the_plane(tmp_path):
+    words = []
+    summary = run_robot_demo(tmp_path, max_frames=20, tell=words.append)
+    assert "MuJoCo" in summary.cell
+    assert summary.note == ""
+    assert summary.line_bytes > 10_000
+    assert summary.table_steps == 0
+    assert summary.plane[0].startswith("plane at Z = 0.0000 m by 9 of 9 places")
+    assert sum(word.startswith("the gripper visits") for word in words) == 9
+    rig = Rig.load(tmp_path / "rig.toml")
+    assert rig.robot is not None
+    assert all(view.reference_covariances_px2 is not None for view in rig.views)
+    assert_written(tmp_path, 20)
+
+
+def test_without_it_a_simulated_robot_goes_there(tmp_path, no_mujoco):
+    summary = run_robot_demo(tmp_path, max_frames=60)
+    assert "without physics" in summary.cell
+    assert summary.note.startswith("no physics: ")
+    assert summary.note.endswith("pip install 'fingerpost[mujoco]'")
+    assert summary.line_bytes is None
+    assert summary.problem == "stopped after 60 frames"
+    assert summary.fixes > 0
+    assert summary.fix_rms_mm < 5.0
+    assert_written(tmp_path, 60)
+
+
+def assert_written(folder, frames):
+    assert {path.name for path in folder.iterdir()} == FILES
+    video = cv2.VideoCapture(str(folder / "overlay.mp4"))
+    assert video.get(cv2.CAP_PROP_FRAME_COUNT) == frames
+    picture = cv2.imread(str(folder / "summary.png"))
+    assert picture.shape[1] > 2 * picture.shape[0]
+    assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 1000
+
+
+def test_the_command_says_in_one_line_what_is_missing(tmp_path, no_mujoco):
+    runner = CliRunner()
+    demo = ["demo", "--robot", "--max-frames", "2", "--output", str(tmp_path)]
+    played = runner.invoke(main, demo)
+    assert played.exit_code == 0
+    assert played.stdout.splitlines()[-1].startswith("no physics: MuJoCo is not installed")
+    assert json.loads(runner.invoke(main, [*demo, "--json"]).stdout)["note"]
+    refused = runner.invoke(main, ["experiment", "--guidance", "1"])
+    assert refused.exit_code == 1
+    assert refused.stderr.count("\n") == 1
+    assert "pip install 'fingerpost[mujoco]'" in refused.stderr
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"), [({"seed": -1}, "seed"), ({"max_frames": 0}, "max_frames")]
+)
+def test_arguments_out_of_range_are_refused(tmp_path, wrong, message):
+    with pytest.raises(InvalidInputError, match=message):
+        run_robot_demo(tmp_path, **wrong)
+
+
+def test_robot_and_simulate_do_not_go_together(tmp_path):
+    result = CliRunner().invoke(main, ["demo", "--robot", "--simulate", "--output", str(tmp_path)])
+    assert result.exit_code == 2
