@@ -126,7 +126,7 @@ class DrawnViews:
 
     def __call__(self):
         self.clock.sleep(self.step_s)
-        position = np.array(self.robot._position()[:3])
+        position = np.array(self.robot.position[:3])
         self.count += 1
         return [
             Frame(self.count, self.clock(), image) for image in self.draw(position, rng=self.rng)

@@ -33,7 +33,7 @@ def test_the_arm_follows_the_hand_and_every_command_has_its_fix(rig, tmp_path):
         assert not arm.is_moving()
     np.testing.assert_allclose(there.position_m, [*robot_xy(SECOND_MM), HEIGHT_M + 0.05], atol=0.01)
     assert "lag      smoothing makes the target late by" in guided.out
-    assert "118 ok" in guided.out
+    assert "119 ok" in guided.out
     rows = commands(log)
     assert [row["command"] for row in rows][:2] == ["arm", "enter"]
     assert rows[-1]["command"] == "halt"
@@ -53,7 +53,7 @@ def test_json_lines_tell_lag_and_goal(rig):
         with Guided("follow", rig, "--url", arm.url, *options) as guided:
             assert guided.end() == 0, guided.said()
     *reports, summary = map(json.loads, guided.out.splitlines())
-    assert summary["fixes"]["ok"] == 58
+    assert summary["fixes"]["ok"] == 59
     assert summary["lag_ms"]["largest"] <= 160.0
     moving = [report for report in reports if report["state"] == "moving"]
     assert moving

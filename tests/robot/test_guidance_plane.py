@@ -79,7 +79,7 @@ class Rigged:
         self.stood = []
 
     def here(self):
-        return np.array(self.robot._position()[:3])
+        return np.array(self.robot.position[:3])
 
     def given(self, *, seed=0, sigma_px=0.3, wrong=lambda *_: None):
         """Finders that know where the gripper is, but for some noise and what is `wrong`."""

@@ -89,7 +89,7 @@ class Watched(NotedRobot):
             end_s = clock() + span_s
             for part in (4, 3, 2, 1):
                 sleep((end_s - clock()) / part)
-                self.been.append(np.array(self._position()[:3]))
+                self.been.append(np.array(self.position[:3]))
 
         clock.sleep = noting
         self._sleep_for = noting

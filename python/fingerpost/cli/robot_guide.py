@@ -45,7 +45,12 @@ def _guiding_options(command: Command) -> Command:
             click.option("--above", "above_m", type=float, help="Height over the plane, m."),
             click.option("--speed", "speed_m_s", type=float, help="Of the arm, m/s."),
             click.option(
-                "--tolerance", "tolerance_m", type=float, help="Largest ellipse to move on, m."
+                "--tolerance",
+                "tolerance_m",
+                type=float,
+                default=0.02,
+                show_default=True,
+                help="Largest semi-axis of the 95 % ellipse to move on, m.",
             ),
             click.option("--max-age", "max_fix_age_s", type=float, help="Of a fix to move on, s."),
             click.option("--min-cutoff", "min_cutoff_hz", type=float, help="Of the smoothing, Hz."),
