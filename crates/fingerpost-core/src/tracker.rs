@@ -195,6 +195,8 @@ struct Hand {
     moulded: Vec<TemplateSample>,
     /// What it looks like, once it was seen.
     looks: Option<Looks>,
+    /// Frames in a row in which its thumb was not seen.
+    thumb_missed: usize,
 }
 
 /// What the contour in the image is made from.
@@ -373,6 +375,10 @@ const HELD_TAPER_SIGMA: f64 = 0.03;
 const HELD_THUMB_SIGMA: f64 = 0.1;
 /// Part of a change of these that is taken over per accepted frame.
 const HELD_RATE: f64 = 0.05;
+/// A thumb has grown or shrunk by no more than this factor since the hand was acquired, and this part of
+/// it is explained.
+const THUMB_CHANGE: f64 = 1.7;
+const THUMB_SEEN: f64 = 0.4;
 /// While the thumb is fitted, the finger stays within this of where it is \[px, rad, 1\].
 const PINNED_SIGMA: f64 = 1e-4;
 
@@ -438,6 +444,7 @@ impl ContourTracker {
             kind: waiting.kind(&options),
             moulded: Vec::with_capacity(samples.len()),
             looks: None,
+            thumb_missed: 0,
         };
         Ok(Self {
             convergence: Convergence::new(&options)?,
@@ -893,7 +900,10 @@ impl ContourTracker {
             held.information[(i, i)] = PINNED_SIGMA.powi(-2);
         }
         let whole = self.run_ribbon(frame, &finger.x, Limb::Thumb, look, Some(&held))?;
-        let Some(with_thumb) = whole.fit else { return Ok(*finger) };
+        let Some(with_thumb) = whole.fit.filter(|f| self.is_thumb(&whole.x, f)) else {
+            return Ok(self.without_thumb(finger, fit));
+        };
+        self.hand.thumb_missed = 0;
         let mut shape = with_thumb.shape;
         for i in 0..5 {
             shape.vector[i] = finger.x[i];
@@ -908,6 +918,30 @@ impl ContourTracker {
             fit: Some(Fit { shape, rank: with_thumb.rank, seen: with_thumb.seen, ..*fit }),
             iterations,
         })
+    }
+
+    /// Whether what was fitted is still a thumb: about as long and as wide as it was when the hand
+    /// was acquired, and seen. A thumb that has gone astray would hide the finger.
+    fn is_thumb(&self, x: &RibbonVector, fit: &Fit) -> bool {
+        let spine = |x: &RibbonVector| x.fixed_rows::<2>(6).norm();
+        let acquired = &self.hand.acquired;
+        let within = |ratio: f64| (1.0 / THUMB_CHANGE..=THUMB_CHANGE).contains(&ratio);
+        within(spine(x) / spine(acquired))
+            && within(x[8] / acquired[8])
+            && fit.support.of(Part::Thumb) >= THUMB_SEEN
+    }
+
+    /// A finger whose thumb is not seen: it stays where it was, and after a while it is left out.
+    fn without_thumb(
+        &mut self,
+        finger: &Converged<RIBBON_DOF>,
+        fit: &Fit,
+    ) -> Converged<RIBBON_DOF> {
+        self.hand.thumb_missed += 1;
+        if self.hand.thumb_missed >= self.options.track.lose_after_frames {
+            self.hand.kind.has_thumb = false;
+        }
+        Converged { fit: Some(*fit), ..*finger }
     }
 
     /// One prefix of the band template's shape vector, by the samples of the finger or of all of
