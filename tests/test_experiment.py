@@ -26,6 +26,7 @@ from fingerpost.experiment.trial import line_error, paper_ellipse
 from fingerpost.lines import constraint_line, line_at_angle
 from fingerpost.pipeline import Observation
 from fingerpost.pointing import FingerLine, PlaneView, PointingOptions, Status
+from fingerpost.recording.picture import SearchMarks
 from fingerpost.simulate import (
     DevicePose,
     Lighting,
@@ -308,7 +309,7 @@ def test_the_recipe_of_1994_takes_sigmas_from_residual_offsets():
         )
         frame = Frame(0, 0.0, np.zeros((2, 2), np.uint8))
         nothing = np.empty((0, 2))
-        observations.append(Observation(camera.name, frame, track, nothing, nothing))
+        observations.append(Observation(camera.name, frame, track, nothing, SearchMarks.none()))
     ellipse = paper_ellipse(observations, views)
     # Offsets of standard deviation r spread evenly over the finger.
     places = np.linspace(-half_length_px, half_length_px, 100_001)
@@ -327,7 +328,7 @@ def test_the_recipe_needs_a_line_in_every_view():
         for px in rig.reference_points_px
     ]
     nothing = np.empty((0, 2))
-    unseen = Observation("left", None, None, nothing, nothing)
+    unseen = Observation("left", None, None, nothing, SearchMarks.none())
     assert paper_ellipse([unseen, unseen], views) is None
 
 

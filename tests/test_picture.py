@@ -21,14 +21,17 @@ from fingerpost.recording.picture import (
     BLOCK,
     INK,
     MAX_WIDTH_PX,
+    NORMAL,
     PANEL,
     POINT,
+    REJECTED,
     ROBOT,
     STATUSES,
     VIEWS,
     Composition,
     Plan,
     RobotMarks,
+    SearchMarks,
     draw_plan,
     draw_view,
 )
@@ -65,7 +68,8 @@ class Seen:
     view: str = "left"
     frame: Frame | None = None
     contour_px: np.ndarray = dataclasses.field(default_factory=lambda: np.empty((0, 2)))
-    edges_px: np.ndarray = dataclasses.field(default_factory=lambda: np.empty((0, 2)))
+    search: SearchMarks = dataclasses.field(default_factory=SearchMarks.none)
+    reasons: tuple[str, ...] = ()
     finger: object = Status.ACQUIRING
 
 
@@ -77,6 +81,13 @@ def frame(width=SIZE[0], height=SIZE[1], level=128, *, colour=False):
 def seen(index=0, **changes):
     given = {"view": ("left", "right")[index], "frame": frame(), "finger": LINES[index]}
     return Seen(**{**given, **changes})
+
+
+def searched(edges_px, agrees=True, half_length_px=10.0):
+    """Upright search lines about edges."""
+    edges_px = np.asarray(edges_px, np.float64)
+    ends = edges_px[:, None] + np.array([[0.0, -half_length_px], [0.0, half_length_px]])
+    return SearchMarks(ends, edges_px, np.broadcast_to(agrees, len(edges_px)))
 
 
 def view_picture(index=0, fix=FIX, **options):
@@ -228,16 +239,59 @@ def test_the_ellipse_is_projected_back():
     assert np.allclose(tinted, 0.4 * np.array(POINT) + 0.6 * ground, atol=2.0)
 
 
-def test_edges_are_marked_when_asked_for():
-    places = np.array([[400.0, 430.0], [410.0, 430.0]])
-    observed = seen(edges_px=places)
-    assert not shows(view_picture(fix=NO_FIX, observed=observed), places, INK).any()
-    assert shows(view_picture(fix=NO_FIX, observed=observed, edges=True), places, INK).all()
+def test_a_search_is_marked_when_asked_for():
+    # Wide enough to need no magnifier: a chosen edge, a rejected one, and a line without.
+    x = np.array([60.0, 330.0, 600.0])
+    marks = dataclasses.replace(
+        searched(np.column_stack([x, np.full(3, 440.0)]), [True, False, False]),
+        edges_px=np.array([[60.0, 444.0], [330.0, 444.0], [np.nan, np.nan]]),
+    )
+    observed = seen(search=marks)
+    picture = view_picture(fix=NO_FIX, observed=observed, edges=True)
+    without = view_picture(fix=NO_FIX, observed=observed)
+    edges = marks.edges_px[:2]
+    assert list(shows(picture, edges, INK)) == [True, False]
+    assert list(shows(picture, edges, REJECTED)) == [False, True]
+    ends = marks.lines_px[:, 0] + [0.0, 2.0]
+    assert shows(picture, ends, NORMAL, SHARED_OUT).all()
+    changed = (picture != without).any(axis=-1)
+    # Shape tells them apart, not only colour: a bare line, a dot, a cross that reaches further.
+    spans = [int(changed[434:455, int(c) - 12 : int(c) + 13].any(axis=0).sum()) for c in x]
+    assert spans[2] < spans[0] < spans[1]
+    changed[425:460] = False
+    assert not changed.any()
+
+
+@pytest.mark.parametrize("scale", [1, 3])
+def test_a_small_search_is_magnified_away_from_hand_and_point(scale):
+    # The same small part of the picture in a VGA frame and in a larger one.
+    size = (scale * SIZE[0], scale * SIZE[1])
+    edges = scale * np.array([[600.0, 440.0], [610.0, 450.0], [620.0, 440.0]])
+    observed = seen(frame=frame(*size), search=searched(edges, [True, False, True], scale * 5.0))
+    view = PLANE_VIEWS[0]
+    if scale != 1:
+        image = scale * CAMERAS[0].project(on_plane(CORNERS))
+        view = PlaneView.from_reference_points(CORNERS, image, np.eye(2))
+    given = {"size_px": SIZE, "edges": True}
+    picture = draw_view(observed, [view], 0, NO_FIX, **given).astype(int)
+    red = (np.abs(picture - REJECTED).max(axis=-1) <= 2 * SAME_COLOUR).nonzero()
+    assert len(red[0]) > 5
+    # The hand is at the lower right, so the magnifier is at the upper left.
+    assert red[0].max() < SIZE[1] / 2
+    assert red[1].max() < SIZE[0] / 2
+    # The point may drive it elsewhere.
+    x, y, w = np.linalg.solve(view.image_from_plane, [60.0 * scale, 60.0 * scale, 1.0])
+    at_upper_left = dataclasses.replace(
+        FIX, point=np.array([x / w, y / w]), covariance=np.eye(2), constraint_lines=(None,)
+    )
+    picture = draw_view(observed, [view], 0, at_upper_left, **given).astype(int)
+    red = (np.abs(picture - REJECTED).max(axis=-1) <= 2 * SAME_COLOUR).nonzero()
+    assert red[0].max() >= SIZE[1] / 2 or red[1].max() >= SIZE[0] / 2
 
 
 def test_marks_of_edges_leave_the_outline_to_be_seen():
     outline = np.column_stack([np.arange(300.0, 620.0), np.full(320, 20.0)])
-    observed = seen(edges_px=outline, contour_px=outline)
+    observed = seen(search=searched(outline), contour_px=outline)
     picture = view_picture(fix=NO_FIX, observed=observed, edges=True)
     assert shows(picture, outline, INK).mean() > 0.1
     assert shows(picture, outline, STATUSES["tracking"]).mean() > 0.2
@@ -487,6 +541,24 @@ def test_every_panel_and_the_numbers_are_there():
     assert (whole[-48:] != footer).any()
 
 
+def test_why_stands_under_each_view_only_where_the_search_is_shown():
+    why = ("refused: 31 % agree", "100 lines")
+    plain = composition().draw(observations(reasons=why), FIX)
+    assert (plain == composition().draw(observations(), FIX)).all()
+    told = composition(edges=True).draw(observations(reasons=why), FIX)
+    untold = composition(edges=True).draw(observations(), FIX)
+    changed = (told != untold).any(axis=-1)
+    below = 38 + 414
+    assert told.shape[0] > plain.shape[0]
+    assert (told[:below] == plain[:below]).all()
+    assert (told[-48:] == plain[-48:]).all()
+    assert changed[below:-48, :572].any()
+    assert changed[below:-48, 588:1140].any()
+    # Under the plan stands what the marks mean.
+    legend = untold[below:-48, 1156:1708].astype(int)
+    assert (np.abs(legend - REJECTED).max(axis=-1) <= 2 * SAME_COLOUR).any()
+
+
 def far_point(x, y):
     return dataclasses.replace(FIX, point=np.array([x, y]))
 
@@ -509,7 +581,7 @@ def far_point(x, y):
 def test_any_fix_can_be_drawn(fix, size):
     nowhere = np.full(2, np.nan)
     outline = np.array([[10.0, 10.0], [np.nan, 3.0], [1e12, 1e12], [20.0, 30.0], [np.inf, 0.0]])
-    changes = {"frame": frame(*size), "contour_px": outline, "edges_px": outline}
+    changes = {"frame": frame(*size), "contour_px": outline, "search": searched(outline)}
     picture = composition(edges=True).draw(
         observations(**changes),
         fix,

@@ -1,7 +1,9 @@
 """The main loop on recordings whose truth is known: files in, fixes out."""
 
 import csv
+import dataclasses
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,8 +12,9 @@ import fingerpost as fp
 from fingerpost.capture import Frame
 from fingerpost.config import Rig
 from fingerpost.errors import InvalidInputError
-from fingerpost.pipeline import Pointer, steps
+from fingerpost.pipeline import Observation, Pointer, steps
 from fingerpost.pointing import PointingOptions, Status
+from fingerpost.recording.picture import SearchMarks
 from fingerpost.simulate import (
     DevicePose,
     Placement,
@@ -173,6 +176,76 @@ def test_a_frame_that_cannot_be_read_is_a_lost_frame_of_that_view():
     # The view without a frame has neighbours in time, so nothing is lost but one frame of delay.
     assert [step.index for step in gap + after] == [8, 9]
     assert all(step.fix.status is Status.OK for step in gap + after)
+
+
+def test_an_observation_tells_what_the_search_found_and_why_the_frame_counts():
+    motion = pointing_path()
+    rig = SimulatedRig()
+    pointer = Pointer(as_configured(rig, motion))
+    rng = np.random.default_rng(SEED)
+    told = []
+    for k in range(10):
+        images = rig.render(motion, time_s=0.0, rng=rng).images
+        gone = np.full_like(images[1], 70)
+        frames = [Frame(k, k / FPS, image) for image in (images[0], gone if k > 7 else images[1])]
+        told += [step.observations for step in pointer.update(frames)]
+    tracked, lost = told[7][1], told[9][1]
+    search, diagnostics = tracked.search, tracked.track.diagnostics
+    assert search.agrees.sum() == diagnostics.inliers > 50
+    assert np.isfinite(search.edges_px).all(axis=1).sum() == diagnostics.hits
+    # Every edge lies on its line, and the middle of the line on the contour or close by.
+    begins, ends = search.lines_px[:, 0], search.lines_px[:, 1]
+    chosen = search.agrees
+    detour = np.linalg.norm(search.edges_px - begins, axis=1)
+    detour += np.linalg.norm(ends - search.edges_px, axis=1)
+    lengths = np.linalg.norm(ends - begins, axis=1)
+    assert detour[chosen] == pytest.approx(lengths[chosen])
+    away = np.linalg.norm(search.edges_px[chosen, None] - tracked.contour_px, axis=-1).min(axis=1)
+    assert np.median(away) < 1.0
+    verdict, details = tracked.reasons
+    assert verdict.startswith("accepted: ")
+    assert f"finger agreement {100 * diagnostics.agreement:.0f} % (min 50)" in verdict
+    assert f"residual {diagnostics.residual_rms_px:.2f} px" in verdict
+    assert f"{diagnostics.inliers} agree" in details
+    assert f"innovation {diagnostics.innovation:.1f}" in details
+    assert f"line from {tracked.track.finger_line.source}" in details
+    assert any(views[1].reasons[0].startswith("settling: ") for views in told)
+    assert not lost.search.agrees.any()
+    assert lost.reasons[0].startswith("refused: ")
+    assert "0 agree" in lost.reasons[1]
+    unread = dataclasses.replace(lost, frame=None, track=None)
+    assert unread.reasons == ("the frame could not be read",)
+    assert dataclasses.replace(lost, track=None).reasons == (
+        "no hand is followed: looked for everywhere",
+    )
+
+
+@pytest.mark.parametrize(
+    ("agreement", "residual_px", "verdict"),
+    [
+        (0.31, 0.5, "refused: finger agreement 31 % (min 50)"),
+        (0.62, 2.51, "refused: residual 2.51 px (max 2.00)"),
+        (
+            0.31,
+            2.51,
+            "refused: finger agreement 31 % (min 50), residual 2.51 px (max 2.00)",
+        ),
+    ],
+)
+def test_a_refusal_names_what_was_asked(agreement, residual_px, verdict):
+    told = SimpleNamespace(
+        visible=100,
+        accepted=False,
+        agreement=agreement,
+        min_agreement=0.5,
+        residual_rms_px=residual_px,
+        max_residual_px=2.0,
+        innovation=None,
+    )
+    track = SimpleNamespace(diagnostics=told, finger_line=None)
+    frame = Frame(0, 0.0, np.zeros((4, 4), np.uint8))
+    observed = Observation("left", frame, track, np.empty((0, 2)), SearchMarks.none())
+    assert observed.reasons[0] == verdict
 
 
 def test_a_rig_that_cannot_point_is_refused(recording):

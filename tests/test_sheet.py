@@ -189,6 +189,18 @@ def test_an_image_is_as_large_as_fits_and_in_the_middle():
     assert (sheet.pixels[20:60] == COLOUR).all()
 
 
+def test_a_part_of_an_image_is_drawn_on_in_pixels_of_the_whole():
+    image = np.zeros((90, 120), np.uint8)
+    image[50, 70] = 255
+    sheet = Sheet.blank((80, 80), GROUND).with_image(image[40:60, 60:80], (60, 40))
+    column, row = sheet.place(np.array([70.0, 50.0]))
+    rows, columns = np.nonzero(sheet.pixels[..., 0])
+    weights = sheet.pixels[rows, columns, 0].astype(float)
+    assert [column, row] == pytest.approx(
+        [np.average(columns, weights=weights), np.average(rows, weights=weights)], abs=0.05
+    )
+
+
 @pytest.mark.parametrize(
     "image",
     [

@@ -212,6 +212,9 @@ def test_the_contour_and_the_search_lie_on_the_hand():
     assert np.array_equal(hits, np.isfinite(lines.offset_px))
     assert np.median(lines.contrast_grey[hits]) == pytest.approx(80, rel=0.01)
     assert (lines.separation[hits] > 0).all()
+    assert lines.agrees.dtype == bool
+    assert not lines.agrees[~hits].any()
+    assert lines.agrees.mean() > 0.9
     assert np.linalg.norm(lines.normal, axis=1) == pytest.approx(1)
 
 

@@ -1082,6 +1082,13 @@ class SearchLines:
         """Mean vote inside minus mean vote outside, (N,); NaN without an appearance."""
 
     @property
+    def agrees(self) -> NDArray[np.bool_] | None:
+        """Whether the edge agrees with the tracker's fit, (N,); False for a miss.
+
+        None for lines of an `EdgeSearch`, to which nothing was fitted.
+        """
+
+    @property
     def miss(self) -> NDArray[np.str_]:
         """Why there is no edge, (N,); empty where there is one.
 
@@ -1765,8 +1772,23 @@ class Diagnostics:
         """Edges that agree with the fit."""
 
     @property
+    def agreement(self) -> float:
+        """Part of the finger's visible samples whose edges agree with the fit, 0-1.
+
+        Of the contour's for the paper's model. A thumb, which bends, does not count.
+        """
+
+    @property
+    def min_agreement(self) -> float:
+        """The least agreement with which the frame's fit counted."""
+
+    @property
     def residual_rms_px(self) -> float:
         """Root mean square of the residual offsets of those [px]."""
+
+    @property
+    def max_residual_px(self) -> float:
+        """The largest with which the frame's fit counted [px]."""
 
     @property
     def rank(self) -> int:

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fingerpost._core import ContourTracker, StartPose, Template, Track
+from fingerpost._core import ContourTracker, SearchLines, StartPose, Template, Track
 from fingerpost.capture import Frame, open_source, read_views
 from fingerpost.config import Rig, View
 from fingerpost.errors import InvalidInputError
@@ -38,6 +38,7 @@ from fingerpost.pointing import (
     indicated_point,
 )
 from fingerpost.recording import PointRow, TrackRow
+from fingerpost.recording.picture import SearchMarks
 
 DEFAULT_REFERENCE_SIGMA_PX = 0.5
 """Standard deviation of a reference point that a person clicked or a line fit gave [px]."""
@@ -57,8 +58,8 @@ class Observation:
         What the tracker made of it; None without a frame, and while no hand has been found.
     contour_px
         The template's outline after the frame, (N, 2) [px].
-    edges_px
-        The edges that the last search found, (M, 2) [px].
+    search
+        Where the last search looked, and which edges it chose and rejected.
     missing
         What a view without a track is: it looks for its first hand, or for one that it has lost.
     """
@@ -67,7 +68,7 @@ class Observation:
     frame: Frame | None
     track: Track | None
     contour_px: NDArray[np.float64]
-    edges_px: NDArray[np.float64]
+    search: SearchMarks
     missing: Status = Status.LOST
 
     @property
@@ -87,6 +88,15 @@ class Observation:
                 self.frame.time_s,
             )
         return Status.ACQUIRING if self.track.status == "acquiring" else Status.LOST
+
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        """Why the frame went the way it did, for people: the verdict, then details."""
+        if self.frame is None:
+            return ("the frame could not be read",)
+        if self.track is None:
+            return ("no hand is followed: looked for everywhere",)
+        return _verdict(self.track), _details(self.track, self.search)
 
     def track_row(self) -> TrackRow | None:
         """Return the row of `tracks.csv`; None for a frame that could not be read."""
@@ -111,6 +121,37 @@ class Observation:
             status=status,
             **cells,
         )
+
+
+def _verdict(track: Track) -> str:
+    """Say whether the fit of a frame counts, and by what."""
+    told = track.diagnostics
+    if told.visible == 0:
+        return "refused: no fit that could be a finger"
+    percent, least = 100 * told.agreement, 100 * told.min_agreement
+    agreement = f"finger agreement {percent:.0f} % (min {least:.0f})"
+    residual = f"residual {told.residual_rms_px:.2f} px (max {told.max_residual_px:.2f})"
+    if told.accepted:
+        verdict = "settling" if track.finger_line is None else "accepted"
+        return f"{verdict}: {agreement}, {residual}"
+    failed = []
+    if told.agreement < told.min_agreement:
+        failed.append(agreement)
+    if told.residual_rms_px > told.max_residual_px:
+        failed.append(residual)
+    return f"refused: {', '.join(failed)}"
+
+
+def _details(track: Track, search: SearchMarks) -> str:
+    """Say what the lines of the last search found, and what else is known of the fit."""
+    lines, agree = len(search.agrees), int(search.agrees.sum())
+    hits = int(np.isfinite(search.edges_px).all(axis=1).sum())
+    details = [f"{lines} lines: {agree} agree, {hits - agree} rejected, {lines - hits} no edge"]
+    if track.diagnostics.innovation is not None:
+        details.append(f"innovation {track.diagnostics.innovation:.1f}")
+    if track.finger_line is not None:
+        details.append(f"line from {track.finger_line.source}")
+    return "   ".join(details)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -242,12 +283,19 @@ class HandView:
         found = self.search.found
         tracker, track = (found.tracker, found.track) if found else (self._tracker, self._track)
         if frame is None or tracker is None:
-            nothing = np.empty((0, 2))
-            return Observation(self.name, frame, None, nothing, nothing, self._missing)
-        lines = tracker.search_lines()
-        hit = np.isfinite(lines.offset_px)
-        edges = (lines.position_px + lines.normal * lines.offset_px[:, None])[hit]
-        return Observation(self.name, frame, track, tracker.contour(), edges)
+            nowhere, unsearched = np.empty((0, 2)), SearchMarks.none()
+            return Observation(self.name, frame, None, nowhere, unsearched, self._missing)
+        search = _marks(tracker.search_lines())
+        return Observation(self.name, frame, track, tracker.contour(), search)
+
+
+def _marks(lines: SearchLines) -> SearchMarks:
+    """Return where a tracker looked for edges, and what it found there."""
+    sides = np.array([-1.0, 1.0])[:, None] * lines.half_length_px[:, None, None]
+    ends_px = lines.position_px[:, None] + sides * lines.normal[:, None]
+    edges_px = lines.position_px + lines.normal * lines.offset_px[:, None]
+    agrees = np.zeros(len(lines), np.bool_) if lines.agrees is None else lines.agrees
+    return SearchMarks(ends_px, edges_px, agrees)
 
 
 @dataclass(slots=True)

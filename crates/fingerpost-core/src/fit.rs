@@ -69,6 +69,8 @@ impl Default for FitOptions {
     }
 }
 
+/// An equation with a robust weight beyond this agrees with the solution.
+const INLIER_WEIGHT: f64 = 0.1;
 /// The first weighting has no solution to trust yet, so its cutoff is this much wider.
 const FIRST_CUTOFF_FACTOR: f64 = 3.0;
 /// Turns the median absolute deviation of a normal distribution into its standard deviation.
@@ -319,6 +321,12 @@ impl Fitter {
         &self.weights.as_flattened()[..self.count]
     }
 
+    /// Whether each equation agrees with the last solution, in their order: the inliers.
+    #[must_use]
+    pub fn agreeing(&self) -> impl ExactSizeIterator<Item = bool> {
+        self.weights().iter().map(|&weight| weight > INLIER_WEIGHT)
+    }
+
     /// The step that the equations, and the prior if there is one, agree on.
     ///
     /// The variances of the equations are those of their measurements; what the residual offsets
@@ -493,7 +501,7 @@ impl Fitter {
         {
             s.weight += weight;
             s.chi_squared += weight * residual * residual / (variance + self.misfit_px2);
-            if *weight > 0.1 {
+            if *weight > INLIER_WEIGHT {
                 s.inliers += 1;
                 s.rms_px += residual * residual;
             }

@@ -41,7 +41,7 @@ use crate::shape_space::{
 };
 use crate::template::{HALF_LENGTH, Limb, Part, Template, TemplateSample};
 use crate::{Error, Result};
-use convergence::{Attempt, Converged, Convergence, Fit, Seen, Window};
+use convergence::{Attempt, Converged, Convergence, Fit, Seen, Window, max_residual_px};
 use looks::{Lead, Looks, Sight, Silhouette};
 use mould::{Kind, Mould, finger_samples};
 use nalgebra::{Matrix2, Matrix3, Point2, Rotation2, SMatrix, SVector, Vector2, Vector3};
@@ -126,8 +126,15 @@ pub struct Diagnostics {
     pub hits: usize,
     /// Edges that agree with the fit.
     pub inliers: usize,
+    /// The part of the finger's visible samples (of the contour's, for the paper's model) whose
+    /// edges agree with the fit, 0–1: a thumb, which bends, does not count.
+    pub agreement: f64,
+    /// The least agreement with which the frame's fit counted.
+    pub min_agreement: f64,
     /// Root mean square of the residual offsets of those \[px\].
     pub residual_rms_px: f64,
+    /// The largest with which the frame's fit counted \[px\].
+    pub max_residual_px: f64,
     /// Directions of the shape space that the measurements determine.
     pub rank: usize,
     /// Searches along the normals in the last shape space.
@@ -138,6 +145,17 @@ pub struct Diagnostics {
     /// units of its covariance: 3 on average for a hand that moves as [`TrackOptions::dynamics`]
     /// says. None where nothing foretold them.
     pub innovation: Option<f64>,
+}
+
+/// A line of the last search, and what became of it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SearchedLine<'a> {
+    /// Where was looked.
+    pub line: &'a SearchLine,
+    /// The edge, or why there is none.
+    pub found: &'a EdgeMeasurement,
+    /// Whether the edge agrees with the fit, that is, counts among [`Diagnostics::inliers`].
+    pub agrees: bool,
 }
 
 /// What one frame told.
@@ -517,9 +535,9 @@ impl ContourTracker {
         contour
     }
 
-    /// The last search: lines, and what each one found.
+    /// The last search: lines, what each one found, and whether that agrees with the fit.
     #[must_use]
-    pub fn search_lines(&self) -> impl ExactSizeIterator<Item = (&SearchLine, &EdgeMeasurement)> {
+    pub fn search_lines(&self) -> impl ExactSizeIterator<Item = SearchedLine<'_>> {
         self.convergence.search_lines()
     }
 
@@ -535,10 +553,11 @@ impl ContourTracker {
         let settling = std::mem::replace(&mut self.hand.kind, kind);
         let reach_px = LOST_REACH * self.options.track.half_length_px;
         let found = self.find(frame, shape, reach_px, None)?;
-        if found.is_accepted(&self.options.acquire.accept) {
+        let accept = self.options.acquire.accept;
+        if found.is_accepted(&accept) {
             self.hand.shape = found.shape;
             self.start(time_s, &found.shape)?;
-            return self.tracked(frame, time_s, &found);
+            return self.tracked(frame, time_s, &found, &accept);
         }
         self.hand.kind = settling;
         self.acquire(frame, time_s, settled, Some(last))
@@ -572,15 +591,16 @@ impl ContourTracker {
         if settled >= settle_frames
             && let Some(acquired) = self.freeze(frame)?
         {
+            let accept = self.options.track.accept;
             self.start(time_s, &acquired.shape)?;
-            return self.tracked(frame, time_s, &acquired);
+            return self.tracked(frame, time_s, &acquired, &accept);
         }
         let (phase, status) = lost
             .map_or((Phase::Acquiring { settled }, Status::Acquiring), |last| {
                 (Phase::Lost { last, settled }, Status::Lost)
             });
         self.phase = phase;
-        Ok(track(time_s, status, &found, accepted))
+        Ok(track(time_s, status, &found, &accept, accepted))
     }
 
     /// The hand at the waiting template, or where an earlier frame has found it.
@@ -721,7 +741,7 @@ impl ContourTracker {
             self.learn_looks(frame)?;
             self.dynamics = Some(dynamics);
             self.phase = Phase::Tracking { missed: 0 };
-            let mut track = self.tracked(frame, time_s, &found)?;
+            let mut track = self.tracked(frame, time_s, &found, &accept)?;
             track.diagnostics.innovation = innovation.map(|i| i.normalised_square());
             return Ok(track);
         }
@@ -733,7 +753,7 @@ impl ContourTracker {
             self.phase = Phase::Tracking { missed };
             Status::Tracking
         };
-        Ok(track(time_s, status, &found, false))
+        Ok(track(time_s, status, &found, &accept, false))
     }
 
     /// The hand about a predicted shape. Its edges are usually near and sharp; when they explain
@@ -1010,7 +1030,13 @@ impl ContourTracker {
     }
 
     /// The story of a frame whose fit was accepted, with the finger line.
-    fn tracked(&mut self, frame: &Frame<'_>, time_s: f64, found: &Found) -> Result<Track> {
+    fn tracked(
+        &mut self,
+        frame: &Frame<'_>,
+        time_s: f64,
+        found: &Found,
+        accept: &AcceptOptions,
+    ) -> Result<Track> {
         let refined = match self.hand.shape {
             Shape::Ribbon(x) if self.options.refine => self.refine(frame, &x)?,
             _ => None,
@@ -1022,7 +1048,7 @@ impl ContourTracker {
         });
         Ok(Track {
             finger_line: refined.or(fitted),
-            ..track(time_s, Status::Tracking, found, true)
+            ..track(time_s, Status::Tracking, found, accept, true)
         })
     }
 
@@ -1067,8 +1093,14 @@ impl ContourTracker {
     }
 }
 
-/// The story of one frame, but for the finger line.
-fn track(time_s: f64, status: Status, found: &Found, accepted: bool) -> Track {
+/// The story of one frame whose fit was judged by `accept`, but for the finger line.
+fn track(
+    time_s: f64,
+    status: Status,
+    found: &Found,
+    accept: &AcceptOptions,
+    accepted: bool,
+) -> Track {
     let seen = found.fit.map_or(Seen::default(), |f| f.seen);
     Track {
         time_s,
@@ -1081,6 +1113,9 @@ fn track(time_s: f64, status: Status, found: &Found, accepted: bool) -> Track {
             accepted,
             visible: seen.visible,
             inliers: seen.inliers,
+            agreement: found.fit.map_or(0.0, |f| f.agreement),
+            min_agreement: accept.min_inliers,
+            max_residual_px: max_residual_px(accept, found.shape.width()),
             residual_rms_px: found.fit.map_or(0.0, |f| f.residual_rms_px),
             rank: found.fit.map_or(0, |f| f.rank),
             innovation: None,

@@ -661,7 +661,11 @@ fn a_track_tells_its_story() {
         assert!(told.visible <= tracker.options().samples && told.inliers > told.visible / 2);
         assert!(told.residual_rms_px > 0.0 && told.residual_rms_px < 0.5);
         assert_eq!(tracker.search_lines().len(), told.visible);
-        assert_eq!(tracker.search_lines().filter(|(_, found)| found.is_ok()).count(), told.hits);
+        assert_eq!(tracker.search_lines().filter(|s| s.found.is_ok()).count(), told.hits);
+        assert_eq!(tracker.search_lines().filter(|s| s.agrees).count(), told.inliers);
+        assert!(tracker.search_lines().all(|s| s.found.is_ok() || !s.agrees));
+        assert!(told.agreement >= told.min_agreement && told.min_agreement > 0.0);
+        assert!(told.residual_rms_px <= told.max_residual_px);
         // The contour lies on the hand's edge.
         let contour = tracker.contour();
         assert_eq!(contour.len(), told.visible);

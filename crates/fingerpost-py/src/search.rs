@@ -82,7 +82,7 @@ impl PyEdgeSearch {
         let mut found = Vec::with_capacity(lines.len());
         py.detach(|| search.search(&frame, cue, scale, &lines, &mut found))
             .map_err(invalid_input)?;
-        PySearchLines::new(py, lines.iter().zip(&found))
+        PySearchLines::new(py, lines.iter().zip(&found), None)
     }
 
     fn __repr__(&self, py: Python<'_>) -> PyResult<String> {
@@ -134,6 +134,8 @@ pub struct PySearchLines {
     variance_px2: Py<PyArray1<f64>>,
     /// How differently the pixels on either side vote; NaN for a miss or without an appearance.
     separation: Py<PyArray1<f64>>,
+    /// Whether the edge agrees with the tracker's fit; None for lines that nothing was fitted to.
+    agrees: Option<Py<PyArray1<bool>>>,
     /// Why there is no edge; empty where there is one.
     miss: Py<PyArray1<MissWord>>,
 }
@@ -146,6 +148,7 @@ impl PySearchLines {
     pub fn new<'a>(
         py: Python<'_>,
         searched: impl Iterator<Item = (&'a SearchLine, &'a EdgeMeasurement)> + Clone,
+        agrees: Option<Vec<bool>>,
     ) -> PyResult<Self> {
         let lines = searched.clone().map(|(line, _)| line);
         let found = searched.map(|(_, found)| found);
@@ -160,6 +163,7 @@ impl PySearchLines {
             contrast_grey: of_edge(|e| e.contrast_grey),
             variance_px2: of_edge(|e| e.variance_px2),
             separation: of_edge(|e| e.separation.unwrap_or(f64::NAN)),
+            agrees: agrees.map(|agrees| column(py, agrees)),
             miss: column(py, found.map(|f| fixed_unicode(f.err().map_or("", Word::word)))),
         })
     }

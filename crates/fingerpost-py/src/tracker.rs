@@ -197,7 +197,8 @@ impl PyContourTracker {
     fn search_lines(slf: &Bound<'_, Self>, py: Python<'_>) -> PyResult<PySearchLines> {
         let this = Self::at_rest(slf)?;
         let searched: Vec<_> = this.0.search_lines().collect();
-        PySearchLines::new(py, searched.into_iter())
+        let agrees = searched.iter().map(|s| s.agrees).collect();
+        PySearchLines::new(py, searched.iter().map(|s| (s.line, s.found)), Some(agrees))
     }
 
     fn __repr__(slf: &Bound<'_, Self>) -> PyResult<String> {
@@ -349,10 +350,28 @@ impl PyDiagnostics {
         self.0.inliers
     }
 
+    /// The part of the finger's visible samples whose edges agree with the fit.
+    #[getter]
+    fn agreement(&self) -> f64 {
+        self.0.agreement
+    }
+
+    /// The least agreement with which the fit counted.
+    #[getter]
+    fn min_agreement(&self) -> f64 {
+        self.0.min_agreement
+    }
+
     /// Root mean square of their residual offsets.
     #[getter]
     fn residual_rms_px(&self) -> f64 {
         self.0.residual_rms_px
+    }
+
+    /// The largest with which the fit counted.
+    #[getter]
+    fn max_residual_px(&self) -> f64 {
+        self.0.max_residual_px
     }
 
     /// Directions of the shape space that the measurements determine.

@@ -8,7 +8,8 @@ plan are seen to be one thing. Under all of it stands one line with the numbers.
 
 Colour-blind people can tell the colours apart, and no meaning rests on colour alone: an outline is
 solid while it tracks, dashed while it waits and dotted when it has lost the hand, and the status
-stands above it in words.
+stands above it in words. Where the search is shown too, a dot is an edge that agrees with the fit
+and a cross one that was rejected; under each view stands why the frame went the way it did.
 
 What cannot be drawn (no fix, no bound on it, points beyond the horizon or far outside the picture)
 is left out.
@@ -48,6 +49,10 @@ TRUTH = INK
 """Where the hand truly points, where that is known."""
 VIEWS = (_colour(0x56B4E9), _colour(0xF2A33A), _colour(0xF0E442), _colour(0x9A4DFF))
 """One per view, from the first again when there are more views."""
+NORMAL = _colour(0xB9C4CE)
+"""A line along which edges were looked for."""
+REJECTED = _colour(0xFF6B52)
+"""An edge that does not agree with the fit."""
 ROBOT = _colour(0xA8E05F)
 """The robot's gripper and where it went."""
 BLOCK = _colour(0xDEBC8C)
@@ -66,8 +71,18 @@ _DASHES = {"acquiring": (7.0, 5.0), "lost": (0.5, 6.5)}
 # Points of an outline further apart than so many of its usual steps belong to different fingers.
 _OUTLINE_GAP = 5.0
 
-# Edges are marked about so far apart, to leave the outline's colour to be seen.
-_EDGE_SPACING_PX = 7.0
+# Search lines are marked about so far apart, to leave the outline's colour to be seen, and a
+# rejected edge by a cross that reaches so far.
+_EDGE_SPACING_PX = 9.0
+_CROSS_PX = 2.6
+
+# A search is magnified if it grows by this factor at least: the part of the frame around it, by a
+# factor and a length wider than the search, to this share of the picture's shorter side.
+_MAGNIFIED = 1.5
+_CLOSEUP_BORDER = 1.15
+_CLOSEUP_LEAST_PX = 16
+_CLOSEUP_SHARE = 0.48
+_CLOSEUP_MARGIN_PX = 8
 
 MAX_WIDTH_PX = 1728
 """Widest composition: it fits a screen, and its words stay legible where it is shown smaller."""
@@ -76,6 +91,9 @@ _MARGIN_PX = 20
 _GAP_PX = 16
 _TITLE_PX = 38
 _FOOTER_PX = 48
+_CAPTION_PX = 52
+_CAPTION_LINE_PX = 20
+_CAPTION_TYPE_PX = 15
 _KEY_PX = 460
 _CELL_PX = (16, 640)
 _ASPECTS = (1.0, 16.0 / 9.0)
@@ -110,12 +128,40 @@ class Observed(Protocol):
         """(N, 2) outline of the template [px]."""
 
     @property
-    def edges_px(self) -> Points:
-        """(M, 2) edges found around it [px]."""
+    def search(self) -> SearchMarks:
+        """The last search for edges around it."""
+
+    @property
+    def reasons(self) -> Sequence[str]:
+        """Why the frame went the way it did: the verdict, then details."""
 
     @property
     def finger(self) -> FingerLine | Status:
         """The finger line, or why there is none."""
+
+
+@dataclass(frozen=True, eq=False)
+class SearchMarks:
+    """A search for edges along the normals of a contour, in the order along it.
+
+    Parameters
+    ----------
+    lines_px : (N, 2, 2)
+        Both ends of each search line [px].
+    edges_px : (N, 2)
+        The edge that each line found [px]; NaN where there is none.
+    agrees : (N,) of bool
+        Whether that edge agrees with the fit; the others are rejected.
+    """
+
+    lines_px: Points
+    edges_px: Points
+    agrees: NDArray[np.bool_]
+
+    @classmethod
+    def none(cls) -> SearchMarks:
+        """Return the marks of a frame that was not searched."""
+        return cls(np.empty((0, 2, 2)), np.empty((0, 2)), np.empty(0, np.bool_))
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,7 +242,8 @@ def draw_view(
     truth : (2,)
         Where the hand truly points [plane units], if known.
     edges
-        Whether to mark edges that the tracker found.
+        Whether to mark where the tracker looked for edges, those that it chose and those that it
+        rejected; magnified in a corner where the hand is small.
     robot
         Marked if it is `in_views`.
 
@@ -216,7 +263,8 @@ def draw_view(
         sheet.text("no frame", np.array(size_px) / 2, 18, MUTED, anchor=0.5)
         return sheet.pixels
     view = plane_views[index]
-    sheet = sheet.with_image(observed.frame.image)
+    image = observed.frame.image
+    sheet = sheet.with_image(image)
     _draw_references(sheet, view.plane_points, view.project)
     if robot is not None and robot.in_views:
         _draw_robot(sheet, robot, view.project)
@@ -226,12 +274,15 @@ def draw_view(
     status = _status(observed)
     outline = _with_gaps(observed.contour_px)
     sheet.line(outline, STATUSES[status], 2, dash=_DASHES.get(status), cased=True)
-    if edges:
-        for edge in _thinned(sheet.place(observed.edges_px)):
-            sheet.dot(edge, 1.5, INK)
+    closeup = _closeup(sheet, image, observed.search) if edges else None
+    if edges and closeup is None:
+        _draw_search(sheet, observed.search)
     if isinstance(observed.finger, FingerLine):
         sheet.line(_ahead(observed.finger, sheet.corners()), _of_view(index), 2, cased=True)
     _draw_fix(sheet, fix, truth, view.project)
+    if closeup is not None:
+        point = [] if fix.point is None else [view.project(fix.point)]
+        _draw_closeup(sheet, image, closeup, observed, point)
     return sheet.pixels
 
 
@@ -316,7 +367,8 @@ class Composition:
     unit
         Name of the plane's unit.
     edges
-        Whether to mark edges that the tracker found.
+        Whether to mark where the tracker looked for edges, those that it chose and those that it
+        rejected, and to say under each view why its frame went the way it did.
 
     Raises
     ------
@@ -370,7 +422,7 @@ class Composition:
                 "is needed"
             )
         if self._layout is None:
-            self._layout = _Layout.of(observations)
+            self._layout = _Layout.of(observations, _CAPTION_PX if self._edges else 0)
         layout, plan = self._layout, len(observations)
         size_px = layout.cell_px
         page = Sheet.blank(layout.page_px, PAGE)
@@ -386,6 +438,10 @@ class Composition:
                 edges=self._edges,
                 robot=robot,
             )
+            if self._edges:
+                _draw_caption(page, layout, k, observed)
+        if self._edges:
+            _draw_search_key(page, layout, plan)
         x, baseline = layout.title(plan)
         page.text("working plane", (x, baseline), 19, INK, bold=True, room=size_px[0])
         if robot is not None:
@@ -502,6 +558,77 @@ def _draw_references(
         sheet.text(str(number), label + to_baseline, 14, INK, anchor=0.5)
 
 
+def _draw_search(sheet: Sheet, search: SearchMarks) -> None:
+    """Draw search lines, edges that agree with the fit and edges that were rejected."""
+    lines = sheet.place(search.lines_px)
+    marked = _spaced(lines.mean(axis=1))
+    lines, edges = lines[marked], sheet.place(search.edges_px[marked])
+    pixels = sheet.on_pixels()
+    pixels.line(_broken(lines), NORMAL, 1)
+    for edge, agrees in zip(edges, search.agrees[marked], strict=True):
+        (_draw_chosen if agrees else _draw_rejected)(pixels, edge)
+
+
+def _closeup(sheet: Sheet, image: Image, search: SearchMarks) -> tuple[slice, slice] | None:
+    """Give the rows and columns of an image that show a search; None if it needs no magnifier."""
+    size = np.array(image.shape[1::-1])
+    places = np.concatenate([search.lines_px.mean(axis=1), search.edges_px])
+    places = places[((places >= 0.0) & (places < size)).all(axis=1)]  # false for NaN
+    if not len(places):
+        return None
+    lower, upper = places.min(axis=0), places.max(axis=0)
+    side = round(_CLOSEUP_BORDER * float((upper - lower).max())) + _CLOSEUP_LEAST_PX
+    ends = sheet.place(np.array([[0.0, 0.0], [side, 0.0]]))
+    if _MAGNIFIED * (ends[1, 0] - ends[0, 0]) > _closeup_px(sheet) or side > size.min():
+        return None
+    x, y = np.clip(np.rint((lower + upper - side) / 2).astype(int), 0, size - side).tolist()
+    return slice(y, y + side), slice(x, x + side)
+
+
+def _draw_closeup(
+    sheet: Sheet,
+    image: Image,
+    part: tuple[slice, slice],
+    observed: Observed,
+    points: Sequence[Points],
+) -> None:
+    """Draw a search magnified, in the corner furthest from it and from other points."""
+    rows, columns = part
+    side_px, status = _closeup_px(sheet), _status(observed)
+    origin = np.array([columns.start, rows.start])
+    blank = Sheet.blank((side_px, side_px), PANEL)
+    inset = blank.with_image(image[part], origin)
+    outline = _with_gaps(observed.contour_px)
+    inset.line(outline, STATUSES[status], 1, dash=_DASHES.get(status))
+    _draw_search(inset, observed.search)
+    corners = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
+    around = corners[[0, 1, 2, 3, 0]]
+    blank.line(around * (side_px - 1), INK, 1)
+    length = columns.stop - columns.start
+    sheet.line(origin - 0.5 + around * length, INK, 1, cased=True)
+
+    room = np.array(sheet.size_px) - side_px - 2 * _CLOSEUP_MARGIN_PX
+    begins = _CLOSEUP_MARGIN_PX + corners * room
+    kept_clear = sheet.place(np.array([origin + length / 2.0, *points]))
+    away = np.linalg.norm(begins[:, None] + side_px / 2.0 - kept_clear, axis=-1)
+    x, y = begins[np.nanmin(away, axis=1).argmax()].astype(int).tolist()
+    sheet.pixels[y : y + side_px, x : x + side_px] = inset.pixels
+
+
+def _closeup_px(sheet: Sheet) -> int:
+    return int(_CLOSEUP_SHARE * min(sheet.size_px))
+
+
+def _draw_chosen(sheet: Sheet, place: Points) -> None:
+    sheet.dot(place, 2.6, CASING)
+    sheet.dot(place, 1.8, INK)
+
+
+def _draw_rejected(sheet: Sheet, place: Points) -> None:
+    diagonals = _CROSS_PX * np.array([[[-1.0, -1.0], [1.0, 1.0]], [[-1.0, 1.0], [1.0, -1.0]]])
+    sheet.on_pixels().line(_broken(place + diagonals), REJECTED, 1, cased=True)
+
+
 def _draw_fix(
     sheet: Sheet, fix: Fix, truth: ArrayLike | None, project: Callable[[Points], Points]
 ) -> None:
@@ -616,6 +743,35 @@ def _draw_view_title(page: Sheet, layout: _Layout, index: int, observed: Observe
     page.text(observed.view, (x + 16, baseline), 19, INK, bold=True, room=begin - 40 - x)
 
 
+def _draw_caption(page: Sheet, layout: _Layout, index: int, observed: Observed) -> None:
+    """Say under a view why its frame went the way it did."""
+    x, baseline = layout.caption(index)
+    colours = [STATUSES[_status(observed)], MUTED]
+    for k, (words, colour) in enumerate(zip(observed.reasons, colours, strict=False)):
+        place = (x, baseline + k * _CAPTION_LINE_PX)
+        page.text(words, place, _CAPTION_TYPE_PX, colour, room=layout.cell_px[0])
+
+
+def _draw_search_key(page: Sheet, layout: _Layout, index: int) -> None:
+    """Say under the plan what the marks of a search mean."""
+    x, baseline = layout.caption(index)
+    right = x + layout.cell_px[0]
+    keys: list[tuple[str, Callable[[Sheet, Points], None] | None]] = [
+        ("edge agrees", _draw_chosen),
+        ("edge rejected", _draw_rejected),
+        ("no edge found", None),
+    ]
+    left = float(x)
+    for words, draw_mark in keys:
+        middle = np.array([left + 8.0, baseline - 5.0])
+        page.line(middle + np.array([[-8.0, 0.0], [8.0, 0.0]]), NORMAL, 1)
+        if draw_mark is not None:
+            draw_mark(page, middle + np.array([3.0, 0.0]))
+        begin = left + 24.0
+        _, end = page.text(words, (begin, baseline), _CAPTION_TYPE_PX, MUTED, room=right - begin)
+        left = end + 24.0
+
+
 def _draw_key(page: Sheet, right: float, baseline: float, *, with_truth: bool) -> None:
     """Say what the marks of a fix mean."""
     middle = baseline - 6
@@ -657,22 +813,24 @@ class _Layout:
     columns: int
     rows: int
     cell_px: tuple[int, int]
+    caption_px: int
+    """Height of what stands below each cell."""
 
     @classmethod
-    def of(cls, observations: Sequence[Observed]) -> _Layout:
+    def of(cls, observations: Sequence[Observed], caption_px: int) -> _Layout:
         cells = len(observations) + 1
         columns = cells if cells <= 3 else math.ceil(math.sqrt(cells))
         space = MAX_WIDTH_PX - 2 * _MARGIN_PX - (columns - 1) * _GAP_PX
         least, largest = _CELL_PX
         width = max(least, min(space // columns, largest))
         aspect = _middle_aspect(observed.frame for observed in observations)
-        return cls(columns, math.ceil(cells / columns), (width, round(width / aspect)))
+        return cls(columns, math.ceil(cells / columns), (width, round(width / aspect)), caption_px)
 
     @property
     def page_px(self) -> tuple[int, int]:
         """Width and height of the whole, even as videos want them."""
         width = 2 * _MARGIN_PX + self.columns * (self.cell_px[0] + _GAP_PX) - _GAP_PX
-        height = self.rows * (_TITLE_PX + self.cell_px[1]) + _FOOTER_PX
+        height = self.rows * self._row_px + _FOOTER_PX
         return width + width % 2, height + height % 2
 
     def title(self, index: int) -> tuple[int, int]:
@@ -685,10 +843,19 @@ class _Layout:
         x, y = self._corner(index)
         return slice(y, y + self.cell_px[1]), slice(x, x + self.cell_px[0])
 
+    def caption(self, index: int) -> tuple[int, int]:
+        """Where the baseline of a cell's caption starts."""
+        x, y = self._corner(index)
+        return x, y + self.cell_px[1] + _CAPTION_LINE_PX
+
+    @property
+    def _row_px(self) -> int:
+        return _TITLE_PX + self.cell_px[1] + self.caption_px
+
     def _corner(self, index: int) -> tuple[int, int]:
         row, column = divmod(index, self.columns)
         x = _MARGIN_PX + column * (self.cell_px[0] + _GAP_PX)
-        return x, row * (_TITLE_PX + self.cell_px[1]) + _TITLE_PX
+        return x, row * self._row_px + _TITLE_PX
 
 
 def _middle_aspect(frames: Iterable[Pictured | None]) -> float:
@@ -740,13 +907,18 @@ def _with_gaps(outline: Points) -> Points:
     return np.insert(outline, jumps, np.nan, axis=0)
 
 
-def _thinned(edges: Points) -> Points:
-    """Leave out edges that cannot be seen, or stand too close together along the outline."""
-    edges = edges[np.isfinite(edges).all(axis=1)]
-    if len(edges) < 2:
-        return edges
-    spacing = float(np.median(np.hypot(*np.diff(edges, axis=0).T)))
-    return edges[:: max(1, round(_EDGE_SPACING_PX / max(spacing, 0.5)))]
+def _spaced(places: Points) -> slice:
+    """Leave out places that stand too close together along the outline."""
+    steps = np.hypot(*np.diff(places, axis=0).T)
+    steps = steps[np.isfinite(steps)]
+    spacing = float(np.median(steps)) if len(steps) else _EDGE_SPACING_PX
+    return slice(None, None, max(1, round(_EDGE_SPACING_PX / max(spacing, 0.5))))
+
+
+def _broken(lines: Points) -> Points:
+    """Put (N, K, 2) lines into one, with NaN between them."""
+    gaps = np.full((len(lines), 1, 2), np.nan)
+    return np.concatenate([lines, gaps], axis=1).reshape(-1, 2)
 
 
 def _hull(points: Points) -> NDArray[np.intp]:

@@ -77,8 +77,10 @@ class Sheet:
         """Return the same sheet with its scene in pixels."""
         return Sheet(self.pixels, np.eye(2, 3))
 
-    def with_image(self, image: Image) -> Sheet:
+    def with_image(self, image: Image, origin: ArrayLike = (0.0, 0.0)) -> Sheet:
         """Lay an image over the sheet, as large as fits, and return one to draw in its pixels.
+
+        Of a part of an image, `origin` (2,) is the pixel of the whole that it begins with.
 
         Raises
         ------
@@ -104,6 +106,7 @@ class Sheet:
             image, shown.tolist(), interpolation=way
         )
         offset = np.array([x, y]) + (scale - 1.0) / 2.0  # pixel (0, 0) is a pixel's centre
+        offset -= scale * np.asarray(origin, np.float64)
         return Sheet(self.pixels, np.column_stack([np.diag(scale), offset]))
 
     def place(self, points: Points) -> Points:

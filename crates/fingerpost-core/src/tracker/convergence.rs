@@ -2,7 +2,7 @@
 
 use super::looks::{Looks, Sight, Silhouette};
 use super::options::{AcceptOptions, TrackerOptions};
-use super::{MAX_DOF, ShapeEstimate};
+use super::{MAX_DOF, SearchedLine, ShapeEstimate};
 use crate::Result;
 use crate::discriminant::{DiscriminantImage, Mixture};
 use crate::dynamics::{Expectation, Gate};
@@ -141,9 +141,14 @@ impl Support {
 
 impl Fit {
     pub fn is_accepted(&self, accept: &AcceptOptions, half_width_px: f64) -> bool {
-        let max_residual_px = accept.max_residual_px.max(RESIDUAL_SHARE * half_width_px);
-        self.agreement >= accept.min_inliers && self.residual_rms_px <= max_residual_px
+        self.agreement >= accept.min_inliers
+            && self.residual_rms_px <= max_residual_px(accept, half_width_px)
     }
+}
+
+/// How large the residual offsets of a finger of this half-width may be \[px\].
+pub(super) fn max_residual_px(accept: &AcceptOptions, half_width_px: f64) -> f64 {
+    accept.max_residual_px.max(RESIDUAL_SHARE * half_width_px)
 }
 
 /// The stages of one view and the buffers between them.
@@ -157,6 +162,8 @@ pub(super) struct Convergence {
     visible: Vec<usize>,
     lines: Vec<SearchLine>,
     measurements: Vec<EdgeMeasurement>,
+    /// Whether the edge of each line agrees with the fit to them; none does without a fit.
+    agrees: Vec<bool>,
     equations: EquationBuffer,
     /// Where edges agree with the fit.
     agreeing: Vec<PlacedSample>,
@@ -174,6 +181,7 @@ impl Convergence {
             visible: Vec::with_capacity(options.samples),
             lines: Vec::with_capacity(options.samples),
             measurements: Vec::with_capacity(options.samples),
+            agrees: Vec::with_capacity(options.samples),
             equations: EquationBuffer::with_capacity(options.samples, MAX_DOF),
             agreeing: Vec::with_capacity(options.samples),
             image: DiscriminantImage::default(),
@@ -185,9 +193,10 @@ impl Convergence {
         self.image.clear();
     }
 
-    /// The last search, and what each line found.
-    pub fn search_lines(&self) -> impl ExactSizeIterator<Item = (&SearchLine, &EdgeMeasurement)> {
-        self.lines.iter().zip(&self.measurements)
+    /// The last search, what each line found, and whether that agrees with the fit.
+    pub fn search_lines(&self) -> impl ExactSizeIterator<Item = SearchedLine<'_>> {
+        let found = self.lines.iter().zip(&self.measurements).zip(&self.agrees);
+        found.map(|((line, found), &agrees)| SearchedLine { line, found, agrees })
     }
 
     /// Shows the finger's samples of the last search whose edges agree with the fit, each moved to
@@ -279,6 +288,7 @@ impl Convergence {
                 return Ok(Converged { fit: None, ..at });
             }
             let moved_px = equations.largest_motion(&fit.step);
+            self.mark_agreeing();
             at.x += fit.step;
             let support = self.support(attempt.samples);
             at.fit = Some(self.summarise(space, &at.x, &fit, support));
@@ -330,6 +340,8 @@ impl Convergence {
                 });
             }
         }
+        self.agrees.clear();
+        self.agrees.resize(self.lines.len(), false);
         let shown = match attempt.sight.mixture {
             Some(mixture) => self.image.of(frame, mixture, region(&self.lines))?,
             None => *frame,
@@ -341,6 +353,14 @@ impl Convergence {
             &self.lines,
             &mut self.measurements,
         )
+    }
+
+    /// Notes whose edges agree with the last solution.
+    fn mark_agreeing(&mut self) {
+        let hits = self.agrees.iter_mut().zip(&self.measurements).filter(|(_, m)| m.is_ok());
+        for ((agrees, _), is_inlier) in hits.zip(self.fitter.agreeing()) {
+            *agrees = is_inlier;
+        }
     }
 
     /// Which samples the last solution explains: those whose edge it leaves close by.
