@@ -20,7 +20,14 @@ from fingerpost.robot.errors import (
     RefusedError,
     StoppedError,
 )
-from fingerpost.robot.follow import DwellSelector, Follower, FollowOptions, FollowState, Selection
+from fingerpost.robot.follow import (
+    DwellSelector,
+    Follower,
+    FollowOptions,
+    FollowReport,
+    FollowState,
+    Selection,
+)
 from fingerpost.robot.guard import Presence
 from fingerpost.robot.pick_place import STEPS, PickPlace, PickPlaceOptions, Step
 from fingerpost.robot.smoothing import OneEuroFilter
@@ -216,12 +223,17 @@ def test_following_needs_arming():
 # Selecting.
 
 
-def dwell(rig, selector, target, span_s, **fields):
-    """Point at a target for a while; return what was selected."""
+def standing(target):
+    """What the follower reports of an arm that stands at a place."""
+    return FollowReport(FollowState.THERE, target=np.array(target, dtype=float))
+
+
+def dwell(rig, selector, target, span_s, *, arm=None, **fields):
+    """Point at a target for a while, the arm there or as it reports; return what was selected."""
     selected = []
     for _ in range(round(span_s / STEP_S)):
         rig.clock.sleep(STEP_S)
-        if selection := selector.update(rig.fix(target, **fields)):
+        if selection := selector.update(rig.fix(target, **fields), arm or standing(target)):
             selected.append(selection)
     return selected
 
@@ -245,7 +257,9 @@ def test_the_selected_point_is_the_mean_of_the_stay():
         selection = None
         while selection is None:
             rig.clock.sleep(STEP_S)
-            selection = selector.update(rig.fix(np.array([100.0, 100.0]) + rng.normal(size=2)))
+            selection = selector.update(
+                rig.fix(np.array([100.0, 100.0]) + rng.normal(size=2)), standing([100.0, 100.0])
+            )
         assert np.linalg.norm(selection.point - [100.0, 100.0]) < 0.5
 
 
@@ -254,7 +268,8 @@ def test_a_hand_that_moves_selects_nothing():
         selector = DwellSelector(rig.guard, dwell_s=0.5, radius_m=0.01)
         for k in range(90):
             rig.clock.sleep(STEP_S)
-            assert selector.update(rig.fix([100.0 + k, 100.0])) is None
+            at = [100.0 + k, 100.0]
+            assert selector.update(rig.fix(at), standing(at)) is None
 
 
 def test_a_hand_that_is_lost_begins_anew():
@@ -264,6 +279,38 @@ def test_a_hand_that_is_lost_begins_anew():
         dwell(rig, selector, [100.0, 100.0], 0.1, status=Status.LOST)
         assert selector.progress == 0.0
         assert dwell(rig, selector, [100.0, 100.0], 0.9) == []
+
+
+@pytest.mark.parametrize(
+    "arm",
+    [
+        FollowReport(FollowState.MOVING, target=np.array([100.0, 100.0])),
+        FollowReport(FollowState.UNDER_WAY, target=np.array([100.0, 100.0])),
+        FollowReport(FollowState.HOLDING),
+        standing([111.0, 100.0]),  # where the hand pointed before
+    ],
+)
+def test_a_stay_counts_from_when_the_arm_stands_where_the_hand_points(arm):
+    with guard_rig() as rig:
+        selector = DwellSelector(rig.guard, dwell_s=1.0, radius_m=0.01)
+        assert dwell(rig, selector, [100.0, 100.0], 3.0, arm=arm) == []
+        assert selector.progress == 0.0
+        assert dwell(rig, selector, [100.0, 100.0], 0.9) == []
+        assert len(dwell(rig, selector, [100.0, 100.0], 0.2)) == 1
+
+
+def test_there_means_that_the_arm_stands():
+    with guard_rig() as rig:
+        follower = Follower(rig.guard)
+        for k in range(390):
+            target = [250.0, 350.0] if k < 180 else [60.0, 60.0]
+            rig.clock.sleep(STEP_S)
+            report = follower.update(rig.fix(target))
+            if report.state is FollowState.THERE:
+                at, _ = rig.guard.where()
+                assert np.linalg.norm(at - report.target) <= 6.0 + 1e-6  # two dead bands
+                assert not rig.is_moving() or np.linalg.norm(at - target) <= 6.0
+        assert report.state is FollowState.THERE
 
 
 def test_a_key_selects_at_once_if_the_fix_will_do():

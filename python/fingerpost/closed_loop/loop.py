@@ -29,12 +29,10 @@ from fingerpost.robot import (
     Follower,
     FollowOptions,
     FollowReport,
-    FollowState,
     Guard,
     GuardOptions,
     PickPlace,
     PickPlaceOptions,
-    RefusedError,
     Robot,
     Selection,
 )
@@ -68,9 +66,6 @@ class LoopOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     """
 
     guard: GuardOptions = GuardOptions(
-        # A reading of the pose takes three exchanges at 9600 baud, 0.3 s: what a stride is decided
-        # on is that much older when the stride is sent.
-        max_fix_age_s=1.0,
         # The open gripper takes a block that stands within 20 mm of its middle; feedback does the
         # rest.
         tolerance_m=0.02,
@@ -279,7 +274,7 @@ class ClosedLoop:
             before_s = self._world.time_s
             fix = self.fix
             if fix is not None:
-                report = self._decision(follower, fix)
+                report = follower.update(fix)
                 if until(fix, report):
                     return True
             if self._world.time_s - before_s < self._world.frame_s:
@@ -289,21 +284,18 @@ class ClosedLoop:
     def select(self, timeout_s: float) -> Selection | None:
         """Follow until the hand has selected a point by staying; None if not in time, or if lost.
 
-        Only what the operator sees the robot do can he mean: a stay counts from when the arm is
-        where the hand points, and a point outside the safe region is none.
+        A point outside the safe region is none.
         """
         selection: Selection | None = None
-        selector = self._selector()
+        selector = DwellSelector(
+            self.guard, dwell_s=self.options.dwell_s, radius_m=self.options.dwell_m
+        )
 
-        def selected(_: Fix, report: FollowReport) -> bool:
-            nonlocal selection, selector
-            if report.state is not FollowState.THERE:
-                selector = self._selector()
-                return False
-            if self.fix is not None:
-                selection = selector.update(self.fix)
+        def selected(fix: Fix, report: FollowReport) -> bool:
+            nonlocal selection
+            selection = selector.update(self.fix or fix, report)
             if selection is not None and not self._within_reach(selection):
-                selection, selector = None, self._selector()
+                selection = None
             return selection is not None
 
         self.follow(selected, timeout_s)
@@ -342,17 +334,6 @@ class ClosedLoop:
         low_m = self.options.pick_place.grip_m
         allowed, allowed_m = self.guard.clamp(selection.point, low_m)
         return bool((allowed == selection.point).all()) and allowed_m == low_m
-
-    def _selector(self) -> DwellSelector:
-        return DwellSelector(
-            self.guard, dwell_s=self.options.dwell_s, radius_m=self.options.dwell_m
-        )
-
-    def _decision(self, follower: Follower, fix: Fix) -> FollowReport:
-        try:
-            return follower.update(fix)
-        except RefusedError as error:  # it was good when it was taken, and is not when it is sent
-            return FollowReport(FollowState.HOLDING, str(error))
 
     def _on_frame(self, time_s: float) -> None:
         """Do what happens on every beat: hand, picture, fix, guard, eyes."""

@@ -22,7 +22,7 @@ import numpy as np
 from fingerpost.capture import Frame
 from fingerpost.errors import InvalidInputError
 from fingerpost.pipeline import Step
-from fingerpost.pointing import FingerLine, Fix
+from fingerpost.pointing import FingerLine, Fix, Status
 from fingerpost.robot import (
     DwellSelector,
     Follower,
@@ -41,8 +41,14 @@ from fingerpost.robot import (
 STOP_KEYS = "x\x1b"
 SELECT_KEYS = "s\r\n"
 CONTINUE_KEY, UNDO_KEY, QUIT_KEY = "c", "u", "q"
+AWAY_KEY = "w"
 
-KEY_HELP = "s select   x or Esc stop   c arm again and continue   u undo   q quit"
+KEY_HELP = (
+    "s select   x or Esc stop   c arm again and continue   u undo   w (held) make way   q quit"
+)
+
+HIDDEN_S = 2.0
+"""A hand without a fix for so long may be hidden: the operator is told of the key [s]."""
 
 
 class Attendance(StrEnum):
@@ -235,7 +241,10 @@ class Session:
         self._paused = False
         self._quit = False
         self._told_disarmed = False
-        self._last_state: FollowState | None = None
+        self._last: FollowReport | None = None
+        self._making_way = False
+        self._aside = False
+        self._seen_s: float | None = None
 
     @property
     def done(self) -> bool:
@@ -260,7 +269,7 @@ class Session:
 
     def press(self, key: str) -> None:
         """Take a key, from any thread; the key that stops does so at once."""
-        if self._attendance is Attendance.KEY:
+        if self._attendance is Attendance.KEY or key == AWAY_KEY:
             self._guard.heartbeat()
         if key in STOP_KEYS:
             self._guard.halt("stopped by key")
@@ -285,7 +294,8 @@ class Session:
         fix = step.fix
         self.report.fixes[fix.status.value] += 1
         self._guard.observe(fix)
-        if self._attendance is Attendance.HAND and (_hand_seen(step) or not self._guard.busy):
+        moving = self._guard.busy or self._making_way
+        if self._attendance is Attendance.HAND and (_hand_seen(step) or not moving):
             self._guard.heartbeat()
         self._worker.check()
         self._obey(fix)
@@ -293,10 +303,11 @@ class Session:
             self._wait_for_arming()
         elif self._machine is not None:
             self._go_on_carrying(self._machine)
-        else:
+        elif not self._making_way:
             self._worker.offer(lambda: self._follow(fix))
+            self._tell_of_hidden_hand(fix)
             if self._dwell is not None and self._carry is not None:
-                self._selected(self._dwell.update(fix))
+                self._selected(self._dwell.update(fix, self._last))
 
     # What the operator wants.
 
@@ -307,6 +318,8 @@ class Session:
                 self._quit = True
             elif key in SELECT_KEYS:
                 self._select_now(fix)
+            elif key == AWAY_KEY:
+                self._start_making_way()
             elif key in (CONTINUE_KEY, UNDO_KEY):
                 self._continue(undo=key == UNDO_KEY)
 
@@ -357,7 +370,23 @@ class Session:
             self._paused = self._step_by_step
             self._worker.offer(lambda: self._advance(machine))
 
+    def _start_making_way(self) -> None:
+        """Take it that the key is held: it repeats, and one retreat answers all of it."""
+        idle = self._machine is None and not self._making_way and not self._aside
+        if idle and self._guard.armed:
+            self._making_way = True
+            self._worker.offer(self._make_way)
+
+    def _tell_of_hidden_hand(self, fix: Fix) -> None:
+        """Tell once that a hand without a fix for long may be hidden."""
+        if fix.status is Status.OK:
+            self._seen_s = fix.time_s
+        elif self._keys and self._seen_s is not None and fix.time_s - self._seen_s > HIDDEN_S:
+            self._seen_s = None
+            self._say(f"no fix for {HIDDEN_S:g} s: hold {AWAY_KEY} down to have the arm make way")
+
     def _wait_for_arming(self) -> None:
+        self._last = None
         if self._quit:
             return
         why = _why_disarmed(self._guard)
@@ -371,21 +400,41 @@ class Session:
     # What the worker does.
 
     def _follow(self, fix: Fix) -> None:
+        before = self._last
         try:
-            report = self._follower.update(fix)
+            self._last = report = self._follower.update(fix)
         except (NotArmedError, StoppedError):
-            return  # halted meanwhile; the next step says so
+            self._last = None  # halted meanwhile; the next step says so
+            return
         self.report.add(report)
-        if report.state is FollowState.HOLDING and self._last_state is not FollowState.HOLDING:
+        held = before is not None and before.state is FollowState.HOLDING
+        if report.state is FollowState.HOLDING and not held:
             self._say(f"holding: {report.reason}")
-        self._last_state = report.state
-        self._on_report(fix, report)
+        self._aside = self._aside and report.state is not FollowState.MOVING
+        self._on_report(report.fix or fix, report)
+
+    def _make_way(self) -> None:
+        self._say("making way ...")
+        self._last = None
+        try:
+            self._guard.make_way()
+        except (NotArmedError, StoppedError):
+            pass  # halted meanwhile; the next step says so
+        except RefusedError as error:
+            self._say(f"not out of the way: {error}")
+        else:
+            self._aside = True
+            self._say("out of the way")
+        finally:
+            self._follower.reset()
+            self._making_way = False
 
     def _go_on_carrying(self, machine: PickPlace) -> None:
         if not self._worker.idle:
             return
         if machine.done:
             self._machine = None
+            self._last, self._aside = None, False
             self._follower.reset()
             self.report.blocks += 1
             self._say("placed")

@@ -24,6 +24,9 @@ from fingerpost.robot.guard import Guard, Presence
 from fingerpost.robot.protocol import Pose
 from fingerpost.robot.smoothing import OneEuroFilter
 
+ARRIVED_M = 0.002
+"""An arm this near its goal stands there, unless the dead band is wider [m]."""
+
 OVERDUE, OVERDUE_S = 3.0, 2.0
 """A stride is overdue after so many times its own time, and so long [s]."""
 
@@ -62,9 +65,9 @@ class FollowState(StrEnum):
     UNDER_WAY = "under_way"
     """The last stride is not done yet."""
     THERE = "there"
-    """The arm is where the hand points."""
+    """The arm stands where the hand points."""
     HOLDING = "holding"
-    """The fix will not do; the arm stands."""
+    """The guard lets nothing pass, as when the fix will not do; the arm stands."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,6 +86,8 @@ class FollowReport:
         How late the smoothing makes it [s].
     goal : Pose or None
         The stride that was sent.
+    fix : Fix or None
+        The fix it decided on.
     """
 
     state: FollowState
@@ -90,13 +95,16 @@ class FollowReport:
     target: NDArray[np.float64] | None = None
     lag_s: float = 0.0
     goal: Pose | None = None
+    fix: Fix | None = None
 
 
 class Follower:
     """Follow mode.
 
-    `update` reads the arm's pose, which takes a slow controller a while: run it on the newest fix
-    in a thread of its own, and hand every fix to `Guard.observe` as it comes.
+    `update` reads the arm's pose, which takes a slow controller a while, a third of a second of a
+    moving arm at 9600 baud. So run it on the newest fix in a thread of its own, and hand every fix
+    to `Guard.observe` as it comes: what is decided after the reading is decided on the newest fix
+    of then. Without that, a fix may be stale by the time it counts, and the arm holds.
 
     Parameters
     ----------
@@ -112,6 +120,7 @@ class Follower:
         self._filter = OneEuroFilter(
             options.min_cutoff_hz, options.slope_hz_m, options.speed_cutoff_hz
         )
+        self._near_m = max(options.dead_band_m, ARRIVED_M)
         self._goal: Pose | None = None
         self._smooth_m: NDArray[np.float64] | None = None
         self._smooth_s = 0.0
@@ -124,42 +133,54 @@ class Follower:
         Raises
         ------
         NotArmedError, RobotError
-            As for `Guard.move`; a fix that will not do is no error.
+            As for `Guard.move`; what the guard refuses or holds is no error: the arm stands, and
+            the report says why.
         """
         self._guard.observe(fix)
         if self._goal is not None and self._guard.interruptions != self._interruptions:
             self.reset()  # somebody else has stopped the arm on its way
         try:
-            point = self._guard.accept(fix)
+            self._guard.accept(fix)
+            return self._go_after(fix)
         except RefusedError as error:
-            return self._hold(str(error))
+            return self._hold(str(error), fix)
+        except StoppedError:
+            if not self._guard.armed:
+                raise
+            return self._hold(self._guard.why_stopped, fix)
+
+    def _go_after(self, fix: Fix) -> FollowReport:
+        here, here_above_m = self._guard.where()
+        fix = self._guard.newest_fix or fix  # reading takes its time
+        point = self._guard.accept(fix)
         target, above_m = self._guard.clamp(self._smooth(point, fix.time_s), self._options.above_m)
         lag_s = self._filter.lag_s
-        here, here_above_m = self._guard.where()
         at = self._guard.plane.pose(here, here_above_m)
         stride_m = self._options.speed_m_s * self._options.stride_s
         if self._goal is not None and at.distance_m(self._goal) > stride_m / 2:
-            self._need_progress(at)
-            return FollowReport(FollowState.UNDER_WAY, "", target, lag_s)
+            return self._under_way(at, target, fix)
         start = self._goal or at
         way_m = start.distance_m(self._guard.plane.pose(target, above_m))
         if way_m <= self._options.dead_band_m:
-            return FollowReport(FollowState.THERE, "", target, lag_s)
+            if self._goal is not None and at.distance_m(self._goal) > self._near_m:
+                return self._under_way(at, target, fix)
+            return FollowReport(FollowState.THERE, "", target, lag_s, None, fix)
         goal_point, goal_above_m = self._stride(start, target, above_m, min(1.0, stride_m / way_m))
         self._interruptions = self._guard.interruptions
         self._sent_s = self._guard.time_s
-        try:
-            self._goal = self._guard.move(
-                goal_point,
-                goal_above_m,
-                fix=fix,
-                needs=Presence.FIX,
-                speed_m_s=self._options.speed_m_s,
-                wait=False,
-            )
-        except StoppedError as error:
-            return self._hold(str(error))
-        return FollowReport(FollowState.MOVING, "", target, lag_s, self._goal)
+        self._goal = self._guard.move(
+            goal_point,
+            goal_above_m,
+            fix=fix,
+            needs=Presence.FIX,
+            speed_m_s=self._options.speed_m_s,
+            wait=False,
+        )
+        return FollowReport(FollowState.MOVING, "", target, lag_s, self._goal, fix)
+
+    def _under_way(self, at: Pose, target: NDArray[np.float64], fix: Fix) -> FollowReport:
+        self._need_progress(at)
+        return FollowReport(FollowState.UNDER_WAY, "", target, self._filter.lag_s, None, fix)
 
     def _smooth(self, point: NDArray[np.float64], time_s: float) -> NDArray[np.float64]:
         """Return the smoothed point; a fix that comes twice is smoothed once."""
@@ -178,12 +199,12 @@ class Follower:
         step = Pose(*(float(value) for value in position))
         return plane.point(position[:2]), plane.above_m(step)
 
-    def _hold(self, reason: str) -> FollowReport:
+    def _hold(self, reason: str, fix: Fix) -> FollowReport:
         """Stand still until the fix is back, and start smoothing anew then."""
-        if self._goal is not None:
+        if self._goal is not None and self._guard.interruptions == self._interruptions:
             self._guard.hold(reason)
         self.reset()
-        return FollowReport(FollowState.HOLDING, reason)
+        return FollowReport(FollowState.HOLDING, reason, fix=fix)
 
     def reset(self) -> None:
         """Forget where the arm was sent and what was smoothed, as after something else moved it."""
@@ -209,8 +230,10 @@ class Selection:
 
 
 class DwellSelector:
-    """Selects the point at which the hand stays.
+    """Selects the point at which the hand stays, while the arm stands there too.
 
+    Only what the operator sees the robot do can he mean: a stay counts from when the arm stands
+    within the radius of where the hand points; a point that it cannot go to is never selected.
     After a selection the hand must leave the place before it can select again.
 
     Parameters
@@ -241,10 +264,17 @@ class DwellSelector:
         """How much of the dwell time has passed, 0 … 1."""
         return 0.0 if self._stay is None else min(1.0, self._stay.span_s / self._dwell_s)
 
-    def update(self, fix: Fix) -> Selection | None:
+    def update(self, fix: Fix, arm: FollowReport | None) -> Selection | None:
         """Take the next fix; return the selection when the hand has stayed long enough.
 
         The selected point is the mean of the points during the stay.
+
+        Parameters
+        ----------
+        fix : Fix
+            The next.
+        arm : FollowReport or None
+            The follower's last report; None when the arm has been moved or stopped since.
         """
         try:
             point = self._guard.accept(fix)
@@ -255,6 +285,9 @@ class DwellSelector:
             if self._distance_m(self._selected, point) <= self._radius_m:
                 return None
             self._selected = None
+        if not self._stands_at(point, arm):
+            self._stay = None
+            return None
         if self._stay is None or self._distance_m(self._stay.first, point) > self._radius_m:
             self._stay = _Stay(point, fix.time_s)
         self._stay.add(point, fix.time_s)
@@ -272,6 +305,11 @@ class DwellSelector:
             The fix is not good enough; the message says why.
         """
         return Selection(self._guard.accept(fix), fix)
+
+    def _stands_at(self, point: NDArray[np.float64], arm: FollowReport | None) -> bool:
+        if arm is None or arm.state is not FollowState.THERE or arm.target is None:
+            return False
+        return self._distance_m(arm.target, point) <= self._radius_m
 
     def _distance_m(self, first: NDArray[np.float64], second: NDArray[np.float64]) -> float:
         positions = self._guard.plane.position_m(np.array([first, second]))

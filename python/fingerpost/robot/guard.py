@@ -53,6 +53,9 @@ logger = logging.getLogger(__name__)
 WATCH_S = 0.02
 """How often `Guard.watching` looks [s]."""
 
+AWAY_M_S = 0.05
+"""Speed at which the arm makes way [m/s]: whoever is near it may not be seen."""
+
 ROUNDING_M = 1e-6
 """A place to visit may be outside the region by this much, and is moved into it [m]."""
 
@@ -71,7 +74,8 @@ class GuardOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     confidence : float
         Of that ellipse.
     max_fix_age_s : float
-        A fix older than this is stale [s].
+        A fix older than this is stale [s]: no motion starts on it, and a motion that needs one is
+        stopped at most `WATCH_S` later.
     operator_timeout_s : float
         An operator not heard of for this long is gone [s].
     clearance_m : float
@@ -182,6 +186,7 @@ class Guard:
         self._armed = False
         self._inside = False
         self._interruptions = 0
+        self._why_stopped = ""
         self._needs: Presence | None = None
         self._fix: Fix | None = None
         self._heard_s = -np.inf
@@ -207,6 +212,11 @@ class Guard:
     def interruptions(self) -> int:
         """How often the guard has stopped the arm: whoever gave a command can see it is void."""
         return self._interruptions
+
+    @property
+    def why_stopped(self) -> str:
+        """Why the guard has stopped the arm the last time; empty if it has not yet."""
+        return self._why_stopped
 
     def check_limits(self) -> None:
         """See that the robot has limits and that they hold the whole safe region.
@@ -263,8 +273,14 @@ class Guard:
         self._heard_s = self._clock()
 
     def observe(self, fix: Fix) -> None:
-        """Tell the newest fix, whatever its status; never waits."""
-        self._fix = fix
+        """Tell the newest fix, whatever its status; never waits. One that comes late is no news."""
+        if self._fix is None or fix.time_s >= self._fix.time_s:
+            self._fix = fix
+
+    @property
+    def newest_fix(self) -> Fix | None:
+        """The newest fix that was told."""
+        return self._fix
 
     # The way to the robot.
 
@@ -375,6 +391,39 @@ class Guard:
         self._finish()
         return pose
 
+    def make_way(self, aside: ArrayLike | None = None, *, speed_m_s: float = AWAY_M_S) -> Pose:
+        """Move the gripper up and aside, inside the safe region, so that the cameras see the hand.
+
+        Straight up to the top of the region first, then level. Nothing shows where the hand is:
+        call it on an explicit request only, and keep up the heartbeat only while that lasts.
+
+        Parameters
+        ----------
+        aside : (2,), optional
+            Plane coordinates of where it is out of the way; the nearest permitted place is taken.
+            By default the robot's own axis, X = Y = 0: the arm draws back towards its base.
+        speed_m_s : float
+            Speed [m/s]; `max_speed_m_s` at most.
+
+        Returns
+        -------
+        Pose
+            Where the arm stands now.
+
+        Raises
+        ------
+        NotArmedError, RefusedError, StoppedError, RobotError
+            As for `visit`.
+        """
+        self._need_armed("visit", None)
+        if self.busy:
+            self.hold("making way")
+        here, _ = self.where()
+        top_m = self._allowed.highest_m
+        self.visit(self.clamp(here, top_m)[0], top_m, speed_m_s=speed_m_s)
+        away = self.plane.point([0.0, 0.0]) if aside is None else aside
+        return self.visit(self.clamp(away, top_m)[0], top_m, speed_m_s=speed_m_s)
+
     def move(
         self,
         point: ArrayLike,
@@ -419,13 +468,13 @@ class Guard:
             The robot's own; the guard has been disarmed.
         """
         interruptions = self._interruptions
-        if needs is Presence.FIX and (doubt := self._doubt(fix)):
-            self._record("move", "", fix=fix, outcome=doubt)
-            raise RefusedError(doubt)
         if self._fix is None or fix.time_s > self._fix.time_s:
             self.observe(fix)
         self._need_armed("move", fix)
         self._need_inside(fix)
+        if needs is Presence.FIX and (doubt := self._doubt(fix)):
+            self._record("move", "", fix=fix, outcome=doubt)
+            raise RefusedError(doubt)
         goal = self.plane.pose(*self.clamp(point, above_m))
         pose = self._send("move", goal, fix, needs, speed_m_s, interruptions)
         if wait:
@@ -594,6 +643,7 @@ class Guard:
             raise
 
     def _interrupt(self, command: str, reason: str) -> None:
+        self._why_stopped = reason
         self._interruptions += 1
         self._needs = None
         outcome = "sent"

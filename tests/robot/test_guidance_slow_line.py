@@ -1,0 +1,260 @@
+"""Following over a line of 9600 baud, every byte of which takes its time; and making way.
+
+One reading of a moving arm takes as long there as a fix may be old. Time passes only where the
+driver waits for bytes, so nothing here depends on the machine.
+"""
+
+import threading
+import time
+from contextlib import contextmanager
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from robot_rig import pose_of
+from test_robot_guard import fix_at, scorbot_guard
+
+from fingerpost.closed_loop.line import LineToScorbot
+from fingerpost.guidance import Attendance, Session
+from fingerpost.pointing import Status
+from fingerpost.robot import (
+    TOOL_DOWN_RAD,
+    Follower,
+    FollowState,
+    Guard,
+    GuardOptions,
+    RobotPlane,
+    SafeRegion,
+)
+from fingerpost.robot.emulator.acl import AclController, AclStyle
+from fingerpost.robot.guard import WATCH_S
+from fingerpost.robot.scorbot import ScorbotOptions
+
+FRAME_S = 1 / 30
+START, GOAL = (60.0, 200.0), (60.0, 350.0)
+STOPPED_S = 0.05
+"""From the guard's decision to a standing arm: the line is free for ABORT at once."""
+
+
+class SlowCell:
+    """A Scorbot at 9600 baud, its guard and its watch, and a hand that is seen in every frame."""
+
+    def __init__(self, **options):
+        self.now_s = 0.0
+        self.target, self.status, self.looking = START, Status.OK, True
+        self.guard = None
+        self._frame_s = self._watch_s = 0.0
+        self.controller = AclController(AclStyle(homing_s=1.0))
+        self.line = LineToScorbot(self.controller, lambda: self.now_s, self._pass, ScorbotOptions())
+        self._options = GuardOptions(operator_timeout_s=1e6, **options)
+
+    @property
+    def fix(self):
+        return fix_at(self.target, self.now_s, status=self.status)
+
+    @property
+    def point(self):
+        pose = pose_of(self.controller.units(self.now_s))
+        return self.guard.plane.point(pose.position_m[:2])
+
+    @property
+    def moving(self):
+        return self.controller.is_moving(self.now_s)
+
+    def _pass(self, span_s):
+        end_s = self.now_s + span_s
+        while self.guard is not None and min(self._frame_s, self._watch_s) <= end_s:
+            self.now_s = max(self.now_s, min(self._frame_s, self._watch_s))
+            if self._frame_s <= self.now_s:
+                self._frame_s += FRAME_S
+                if self.looking:
+                    self.guard.observe(self.fix)
+            if self._watch_s <= self.now_s:
+                self._watch_s += WATCH_S
+                self.guard.check()
+        self.now_s = max(self.now_s, end_s)
+
+    def wait(self, span_s):
+        self.line._plugged.serve()
+        self._pass(span_s)
+        self.line._plugged.serve()
+
+    def follow(self, follower, span_s):
+        end_s, reports = self.now_s + span_s, []
+        while self.now_s < end_s:
+            self.wait(FRAME_S)
+            reports.append(follower.update(self.fix))
+        return reports
+
+    @contextmanager
+    def ready(self):
+        tie = np.array([[1e-3, 0, 0.36], [0, 1e-3, -0.2], [0, 0, 1.0]])
+        plane = RobotPlane(tie, 0.02, pitch_rad=TOOL_DOWN_RAD, roll_rad=0.0)
+        region = SafeRegion([[0, 0], [120, 0], [120, 400], [0, 400]], 0.01, 0.2)
+        with self.line:
+            guard = Guard(self.line.robot, plane, region, self._options, clock=lambda: self.now_s)
+            guard.arm()
+            guard.enter()
+            self.guard, self._frame_s, self._watch_s = guard, self.now_s, self.now_s
+            yield self
+
+
+def states(reports):
+    return {report.state for report in reports}
+
+
+def test_the_defaults_follow_over_9600_baud_without_a_hold():
+    with SlowCell().ready() as cell:
+        follower = Follower(cell.guard)
+        cell.follow(follower, 4.0)
+        cell.target = GOAL
+        reports = cell.follow(follower, 6.0)
+        assert reports[-1].state is FollowState.THERE
+        assert FollowState.HOLDING not in states(reports)
+        np.testing.assert_allclose(cell.point, GOAL, atol=3.5)
+        # The dialogue is as slow as a real one: a moving arm takes three exchanges to read.
+        cell.target = START
+        begin_s = cell.now_s
+        cell.follow(follower, 1e-3)
+        cell.guard.where()
+        assert cell.now_s - begin_s > 0.5
+
+
+def test_a_fix_that_gets_stale_while_the_arm_is_read_is_a_hold_that_says_why():
+    with SlowCell(max_fix_age_s=0.2).ready() as cell:
+        follower = Follower(cell.guard)
+        cell.follow(follower, 4.0)
+        cell.target = GOAL
+        cell.follow(follower, 0.5)
+        assert cell.moving
+        cell.looking = False  # from here on, only the fixes the follower is given
+        reports = cell.follow(follower, 2.0)
+        held = [report for report in reports if report.state is FollowState.HOLDING]
+        assert held
+        assert all("old; at most 0.2 s" in report.reason for report in held)
+        assert cell.guard.armed
+        cell.looking = True
+        assert cell.follow(follower, 8.0)[-1].state is FollowState.THERE
+
+
+@pytest.mark.parametrize("gone", ["lost", "no more frames"])
+def test_what_is_lost_during_an_exchange_stops_the_arm_in_time(gone):
+    with SlowCell().ready() as cell:
+        follower = Follower(cell.guard)
+        cell.follow(follower, 4.0)
+        cell.target = GOAL
+        while not cell.moving:
+            cell.follow(follower, 1e-3)
+        aborts, gone_s = cell.controller.aborts, cell.now_s
+        limit_s = FRAME_S
+        if gone == "lost":
+            cell.status = Status.LOST
+        else:
+            cell.looking = False
+            limit_s = cell.guard.options.max_fix_age_s
+        while cell.controller.aborts == aborts:
+            cell.wait(0.005)
+            assert cell.now_s - gone_s <= limit_s + WATCH_S + STOPPED_S
+        cell.wait(STOPPED_S)
+        assert not cell.moving
+        assert cell.guard.armed
+        cell.status, cell.looking = Status.LOST, True
+        (report,) = cell.follow(follower, 1e-3)
+        assert (report.state, report.reason) == (FollowState.HOLDING, "fix is lost")
+
+
+def test_the_arm_makes_way_up_first_then_towards_its_base():
+    with SlowCell().ready() as cell:
+        cell.follow(Follower(cell.guard), 4.0)
+        moves = len(cell.controller.moves)
+        low = cell.point
+        cell.guard.make_way()
+        up, away = (np.array(move.goal_units[:3]) * 1e-4 for move in cell.controller.moves[moves:])
+        np.testing.assert_allclose(cell.guard.plane.point(up[:2]), low, atol=0.2)
+        assert up[2] == pytest.approx(away[2]) == pytest.approx(0.22, abs=0.0015)
+        # The region spans X 0.36 … 0.48 and Y -0.2 … 0.2; nearest to X = Y = 0, less the rim:
+        np.testing.assert_allclose(away[:2], [0.361, 0.0], atol=2e-4)
+
+
+# In a session, where threads do this side by side.
+
+
+def step(fix):
+    return SimpleNamespace(fix=fix, observations=())
+
+
+@contextmanager
+def hidden_hand(**fields):
+    """A session in which the arm, standing low, hides the hand; and what the session says."""
+    with scorbot_guard() as (rig, guard):
+        fix = fix_at([100, 60], rig.clock())
+        guard.move([100, 60], 0.05, fix=fix, needs="operator")
+        guard.options = GuardOptions(operator_timeout_s=25.0, max_fix_age_s=15.0)
+        said = []
+        with (
+            guard.watching(),
+            Session(guard, Follower(guard), keys=True, say=said.append, **fields) as session,
+        ):
+            yield rig, guard, session, said
+
+
+def takes(rig, session, until, *, press="", within_s=5.0):
+    """Frames without a hand, and keys that repeat, until something is true."""
+    end_s = time.monotonic() + within_s
+    while not until():
+        assert time.monotonic() < end_s
+        for key in press:
+            session.press(key)
+        session.take(step(fix_at(None, rig.clock(), status=Status.LOST)))
+        time.sleep(0.005)
+
+
+def above_m(rig, guard):
+    return guard.plane.above_m(rig.true_pose())
+
+
+def test_nothing_makes_way_by_itself_but_the_operator_is_told_how():
+    with hidden_hand() as (rig, guard, session, said):
+        session.take(step(fix_at([100, 60], rig.clock())))
+        moves = len(rig.controller.moves)
+        takes(rig, session, lambda: any("hold w" in line for line in said))
+        end_s = time.monotonic() + 0.3
+        takes(rig, session, lambda: time.monotonic() > end_s)
+        assert sum("hold w" in line for line in said) == 1
+        assert above_m(rig, guard) == pytest.approx(0.05, abs=0.004)
+        assert len(rig.controller.moves) - moves <= 1  # what the fix at the beginning asked for
+
+
+@pytest.mark.parametrize("attendance", list(Attendance))
+def test_the_arm_makes_way_while_the_key_is_held(attendance):
+    with hidden_hand(attendance=attendance) as (rig, guard, session, said):
+        moves = len(rig.controller.moves)
+        takes(rig, session, lambda: "out of the way" in said, press="w")
+        assert guard.armed
+        assert above_m(rig, guard) == pytest.approx(0.199, abs=0.001)
+        end_s = time.monotonic() + 0.2
+        takes(rig, session, lambda: time.monotonic() > end_s, press="w")
+        assert len(rig.controller.moves) - moves == 2  # a key held on does not move it again
+
+
+def test_letting_the_key_go_stops_it():
+    with hidden_hand() as (rig, guard, session, said):
+        guard.options = GuardOptions(operator_timeout_s=5.0, max_fix_age_s=15.0)
+        takes(rig, session, rig.is_moving, press="w")
+        session.press("w")
+        let_go_s = rig.clock()
+        takes(rig, session, lambda: not guard.armed)
+        assert rig.clock() - let_go_s < 5.0 + 0.3 * 50
+        takes(rig, session, lambda: not rig.is_moving())
+        assert above_m(rig, guard) < 0.19 or "out of the way" not in said
+        takes(rig, session, lambda: "stopped: the operator is gone" in " ".join(said))
+
+
+def test_the_stop_key_stops_it_at_once():
+    with hidden_hand() as (rig, guard, session, _):
+        takes(rig, session, rig.is_moving, press="w")
+        stopper = threading.Thread(target=lambda: session.press("x"))
+        stopper.start()
+        stopper.join()
+        assert not guard.armed
+        takes(rig, session, lambda: not rig.is_moving())
