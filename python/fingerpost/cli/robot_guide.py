@@ -44,6 +44,7 @@ def _guiding_options(command: Command) -> Command:
             click.option("--url", help="The arm, if another than the rig's [robot] names."),
             click.option("--above", "above_m", type=float, help="Height over the plane, m."),
             click.option("--speed", "speed_m_s", type=float, help="Of the arm, m/s."),
+            click.option("--stride", "stride_s", type=float, help="Time of one at that speed, s."),
             click.option(
                 "--tolerance",
                 "tolerance_m",
@@ -80,7 +81,8 @@ def follow(**given: Any) -> None:
 
     RIG.TOML is one that `fingerpost robot plane` has written. The arm homes, goes to the middle of
     the safe region, then follows, within the region and only on fixes that are sure enough. On a
-    terminal: x or Esc stops, c arms again, q quits.
+    terminal: x or Esc stops, c arms again, w held down has the arm make way for a hand that it
+    hides, q quits.
     """
     _guide(given, None, None)
 
@@ -112,9 +114,9 @@ def pick(
 ) -> None:
     """Pick blocks up and place them where the hand points.
 
-    The arm follows the hand; point at a block and stay there (or press s), then at its new place.
-    On a terminal: x or Esc stops at once, c arms again and continues, u undoes the last step, q
-    quits.
+    The arm follows the hand; point at a block and stay there once the arm is there (or press s),
+    then at its new place. On a terminal: x or Esc stops at once, c arms again and continues, u
+    undoes the last step, w held down has the arm make way for a hand that it hides, q quits.
     """
     from fingerpost.robot import PickPlaceOptions
 
@@ -152,7 +154,7 @@ def _guide(
         },
         "of the guard",
     )
-    names = ("above_m", "speed_m_s", "min_cutoff_hz", "slope_hz_m")
+    names = ("above_m", "speed_m_s", "stride_s", "min_cutoff_hz", "slope_hz_m")
     follow_options = _laid_over(
         FollowOptions, {name: given[name] for name in names}, "of following"
     )

@@ -234,8 +234,7 @@ class ClosedLoop:
         if not self._entered:
             self.guard.enter()
             self._entered = True
-        aside, _ = self.guard.clamp(ASIDE_M, 0.0)
-        self.guard.visit(aside, self.guard.allowed.highest_m)
+        self.guard.make_way(ASIDE_M, speed_m_s=self.options.guard.max_speed_m_s)
         self.fix = None  # the hand may have been hidden
 
     def wait_for_fix(self, timeout_s: float) -> bool:
