@@ -79,6 +79,9 @@ BACKGROUND_PART = 0.1
 BACKGROUND_FRAMES = 8
 """A finger of which less than this has been foreground for so many frames is none."""
 
+OTHER_TIP = 1e-3
+"""Two views whose tips are as unlikely to be one point follow different fingers [0 to 1]."""
+
 DOUBTED_FRAMES = 20
 """Views that have given no point for so many frames follow different things."""
 
@@ -867,6 +870,19 @@ def _followed(view: SearchingView) -> list[Sighting]:
 def can_be_one(views: tuple[SearchingView, SearchingView]) -> bool:
     """Tell whether what two views follow may be one finger; so it is while one follows nothing."""
     return _gives_point([v.viewpoint.plane_view for v in views], [v.track for v in views])
+
+
+def are_two(views: tuple[SearchingView, SearchingView]) -> bool:
+    """Tell whether two views follow different fingers: their tips cannot be one point."""
+    followed = [_followed(view) for view in views]
+    if not all(followed):
+        return False
+    first, second = (
+        _OnPlane.of(view.viewpoint, fingers).along(axis)
+        for view, fingers, axis in zip(views, followed, (1, 0), strict=True)
+    )
+    same = _same_tip(first, second, views[0].viewpoint.plane_view.plane_size)
+    return bool(same[0, 0] < OTHER_TIP)
 
 
 def _best_first(scores: Array) -> Iterator[tuple[int, int]]:

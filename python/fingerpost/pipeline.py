@@ -25,7 +25,7 @@ from fingerpost._core import ContourTracker, SearchLines, StartPose, Template, T
 from fingerpost.capture import Frame, open_source, read_views
 from fingerpost.config import Rig, View
 from fingerpost.errors import InvalidInputError
-from fingerpost.finding import DOUBTED_FRAMES, HandSearch, Viewpoint, can_be_one, find_hand
+from fingerpost.finding import DOUBTED_FRAMES, HandSearch, Viewpoint, are_two, can_be_one, find_hand
 from fingerpost.pointing import (
     BARE_HAND,
     AlignmentState,
@@ -266,9 +266,17 @@ class HandView:
             self._missing = Status.LOST
             self.search.rest()
 
-    def doubt(self, is_alone: bool) -> None:
-        """Count frames in which no other view shows what this one has found; let go after some."""
-        self._doubts = self._doubts + 1 if is_alone and self._finds_by_itself else 0
+    def doubt(self, others: Sequence[HandView]) -> None:
+        """Count frames in which no other view shows what this one follows; let go after some.
+
+        A hand that the view has found by itself must point at the plane with another view; of one
+        that was held up to it, the other views must follow the same finger.
+        """
+        if self._finds_by_itself:
+            is_alone = not any(can_be_one((self, other)) for other in others)
+        else:
+            is_alone = all(are_two((self, other)) for other in others)
+        self._doubts = self._doubts + 1 if is_alone else 0
         if self._doubts >= DOUBTED_FRAMES:
             self._let_go()
 
@@ -410,8 +418,7 @@ class Pointer:
         find_hand(self.views, frames)
         for view in self.views:
             view.settle()
-            others = (other for other in self.views if other is not view)
-            view.doubt(not any(can_be_one((view, other)) for other in others))
+            view.doubt([other for other in self.views if other is not view])
         observations = tuple(
             view.observation(frame) for view, frame in zip(self.views, frames, strict=True)
         )
