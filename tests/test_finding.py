@@ -4,6 +4,7 @@ import csv
 from contextlib import ExitStack
 from itertools import islice
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,11 +16,12 @@ from fingerpost._core import HandFinder
 from fingerpost.capture import Frame, open_source, read_views
 from fingerpost.config import Plane, Rig, View
 from fingerpost.errors import InvalidInputError
-from fingerpost.finding import Sighting, Viewpoint, flatness, pair_scores
+from fingerpost.finding import HandSearch, Sighting, Viewpoint, are_two, flatness, pair_scores
 from fingerpost.pipeline import Pointer
 from fingerpost.pointing import PlaneView, Status
 from fingerpost.simulate import (
     Background,
+    Camera,
     DevicePose,
     LightChange,
     Lighting,
@@ -333,3 +335,60 @@ def test_a_hand_is_found_on_a_desk(is_mirrored: bool):
         truth = [(float(row["x"]), float(row["y"])) for row in csv.DictReader(file)]
     errors_mm = [np.hypot(*np.subtract(fixes[k].point, truth[k])) for k in found]
     assert max(errors_mm) < DESK_GROSS_MM
+
+
+# --- fingers that two views cannot share -------------------------------------------------------
+
+
+TIP_MM = (200.0, 150.0, 120.0)
+ANOTHER_MM = (200.0, 150.0, 200.0)  # off the first one's epipolar lines: along them nothing tells
+
+
+class Following:
+    """A view that follows a finger from a place of the world towards the table's middle [mm]."""
+
+    def __init__(
+        self, camera: Camera, rig: SimulatedRig, tip_mm: tuple | None, turn: float
+    ) -> None:
+        self.viewpoint = Viewpoint.of(
+            PlaneView.from_reference_points(
+                rig.plane_points, camera.project(on_table(rig.plane_points)), 0.01 * np.eye(2)
+            ),
+            (640, 480),
+        )
+        self.search = HandSearch()
+        self.is_searching = False
+        self.track = None
+        if tip_mm is not None:
+            tip, aim = camera.project(np.array([tip_mm, (200.0, 260.0, 0.0)]))
+            angle_rad = float(np.arctan2(*(aim - tip)[::-1])) + turn
+            back = 30.0 * np.array([np.cos(angle_rad), np.sin(angle_rad)])
+            line = SimpleNamespace(
+                anchor_px=tuple(tip - back),
+                tip_px=tuple(tip),
+                angle_rad=angle_rad,
+                covariance=np.diag([1e-4, 1e-7]),
+            )
+            self.track = SimpleNamespace(finger_line=line)
+
+
+def on_table(points: np.ndarray) -> np.ndarray:
+    return np.column_stack([points, np.zeros(len(points))])
+
+
+@pytest.mark.parametrize(
+    ("other_tip_mm", "turn", "expected"),
+    [
+        (TIP_MM, 0.0, False),
+        (TIP_MM, np.pi, False),  # one finger that points nowhere
+        (ANOTHER_MM, 0.0, False),  # both point at one place
+        (ANOTHER_MM, np.pi, True),
+        (None, 0.0, False),
+    ],
+)
+def test_views_that_follow_different_fingers_are_told(other_tip_mm, turn, expected):
+    rig = SimulatedRig()
+    one = Following(rig.cameras[0], rig, TIP_MM, 0.0)
+    other = Following(rig.cameras[1], rig, other_tip_mm, turn)
+    assert are_two((one, other)) is expected
+    assert are_two((other, one)) is expected

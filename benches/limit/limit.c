@@ -8,7 +8,7 @@
  *   fixed   lane = normal, scalar 16-bit pair loads + int16 vector bilinear
  *   nn      lane = normal, nearest pixel, one byte load per sample (lower bound)
  *
- *   python gen.py DATA_DIR
+ *   cargo bench --bench ratios   writes DATA_DIR and does the rest
  *   gcc -O3 -ffast-math -DLB=16 -march=native limit.c -o limit -lm
  *   taskset -c 1 ./limit DATA_DIR NAME [rounds]     NAME is finger_vga or finger_hd
  *

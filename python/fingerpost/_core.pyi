@@ -1747,12 +1747,11 @@ class FingerLine:
         """
 
     @property
-    def source(self) -> Literal["contour", "edges", "pixels"]:
+    def source(self) -> Literal["contour", "pixels"]:
         """What it was measured on.
 
-        The contour is the axis of the fitted template, edges are the bisector of both flanks,
-        pixels the line of maximum likelihood given what the camera recorded near the flanks. The
-        latter two come from the refinement; where the flanks cannot be believed there is neither.
+        The contour is the axis of the fitted template, pixels the line of maximum likelihood given
+        what the camera recorded near the flanks, where that can be believed.
         """
 
 @final

@@ -79,8 +79,9 @@ BACKGROUND_PART = 0.1
 BACKGROUND_FRAMES = 8
 """A finger of which less than this has been foreground for so many frames is none."""
 
-OTHER_TIP = 1e-3
-"""Two views whose tips are as unlikely to be one point follow different fingers [0 to 1]."""
+OTHER_TIP = 0.8
+"""Two tips that are one point with less than this, by `MISS`, may be those of two fingers [0 to 1].
+Rays that pass so far apart are no proof alone: the lines must contradict each other besides."""
 
 DOUBTED_FRAMES = 20
 """Views that have given no point for so many frames follow different things."""
@@ -873,9 +874,13 @@ def can_be_one(views: tuple[SearchingView, SearchingView]) -> bool:
 
 
 def are_two(views: tuple[SearchingView, SearchingView]) -> bool:
-    """Tell whether two views follow different fingers: their tips cannot be one point."""
+    """Tell whether two views follow different fingers.
+
+    Then their lines give no point, and their tips are hardly one; a hand that points nowhere has
+    one tip.
+    """
     followed = [_followed(view) for view in views]
-    if not all(followed):
+    if not all(followed) or can_be_one(views):
         return False
     first, second = (
         _OnPlane.of(view.viewpoint, fingers).along(axis)

@@ -12,7 +12,7 @@
 use crate::Result;
 use crate::frame::Frame;
 use crate::image::GrayView;
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::{Matrix3, Point2, Vector3};
 
 /// Variance that noise and rounding leave in every channel of any image \[grey levels²\].
 const LEAST_VARIANCE: f64 = 1.0;
@@ -209,6 +209,19 @@ impl DiscriminantImage {
         }
         Frame::coloured(GrayView::new(&self.pixels, width, height, width)?, *colour)
     }
+}
+
+/// Columns and rows, from and to, of all that lies within reach of some points \[px\].
+pub(crate) fn region_about(points: impl Iterator<Item = (Point2<f64>, f64)>) -> [f64; 4] {
+    let nothing = [f64::INFINITY, f64::NEG_INFINITY, f64::INFINITY, f64::NEG_INFINITY];
+    points.fold(nothing, |[left, right, top, bottom], (p, reach)| {
+        [
+            left.min(p.x - reach),
+            right.max(p.x + reach),
+            top.min(p.y - reach),
+            bottom.max(p.y + reach),
+        ]
+    })
 }
 
 fn covers(made: &[usize; 4], wanted: &[usize; 4]) -> bool {

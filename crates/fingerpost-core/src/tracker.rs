@@ -5,10 +5,14 @@
 //! of the template that waits; otherwise the template goes back to its start. It has *settled*
 //! when, over [`AcquireOptions::settle_frames`] accepted frames in a row, no frame changed the
 //! finger's half-width by more than [`AcquireOptions::settle_change`] of it: the hand may move
-//! meanwhile. [`Model::Paper`] then deforms affinely once more and freezes the size.
+//! meanwhile. Then it is looked at anew in its own colours, and [`Model::Paper`] deforms affinely
+//! once more and freezes the size.
 //!
 //! **Tracking.** Of the band model everything stays free, but what a hand cannot change is held
-//! near its acquired value by a prior. The paper's model keeps the settled size; rigid motion and
+//! near its acquired value by a prior, which follows slowly. The finger comes first: its thumb is
+//! fitted afterwards and does not turn it, and is left out once it has not been seen for a while.
+//! The finger line comes from the pixels about the flanks where they can be believed
+//! ([`crate::refine`]), else from the contour. The paper's model keeps the settled size; rigid motion and
 //! one shear remain (rigid motion alone where the template has no thumb: nothing but the thumb
 //! shows the shear). A Kalman filter with constant velocity ([`DynamicsOptions`]) foretells place
 //! and angle, what both models share, and how far along each normal the edge may be. Where the
@@ -88,19 +92,8 @@ pub struct FingerLine {
 pub enum LineSource {
     /// The contour: the axis of the fitted template.
     Contour,
-    /// The edges of both flanks: their bisector ([`Source::Bisector`]).
-    Edges,
     /// The pixels about both flanks ([`Source::Photometric`]).
     Pixels,
-}
-
-impl From<Source> for LineSource {
-    fn from(source: Source) -> Self {
-        match source {
-            Source::Bisector => Self::Edges,
-            Source::Photometric => Self::Pixels,
-        }
-    }
 }
 
 /// Components of the largest shape space.
@@ -205,7 +198,7 @@ struct Waiting {
 #[derive(Debug, Clone)]
 struct Hand {
     shape: Shape,
-    /// The band template when the hand was acquired.
+    /// The band template when the hand was acquired; its widths and taper follow slowly.
     acquired: RibbonVector,
     /// What the acquired hand shows.
     kind: Kind,
@@ -290,6 +283,15 @@ impl Hand {
             for k in [3, 4, 8] {
                 self.acquired[k] += HELD_RATE * (x[k] - self.acquired[k]);
             }
+        }
+    }
+
+    /// Leaves out a thumb that was not seen for so many frames: it would hide the finger.
+    fn count_thumb(&mut self, found: &Found, most_missed: usize) {
+        let seen = found.fit.is_some_and(|f| f.shape.names.len() == RIBBON_DOF);
+        self.thumb_missed = if seen { 0 } else { self.thumb_missed + 1 };
+        if self.thumb_missed >= most_missed && matches!(self.shape, Shape::Ribbon(_)) {
+            self.kind.has_thumb = false;
         }
     }
 
@@ -393,8 +395,8 @@ const HELD_TAPER_SIGMA: f64 = 0.03;
 const HELD_THUMB_SIGMA: f64 = 0.1;
 /// Part of a change of these that is taken over per accepted frame.
 const HELD_RATE: f64 = 0.05;
-/// A thumb has grown or shrunk by no more than this factor since the hand was acquired, and this part of
-/// it is explained.
+/// A thumb has grown or shrunk by no more than this factor since the hand was acquired, and this
+/// part of it is explained.
 const THUMB_CHANGE: f64 = 1.7;
 const THUMB_SEEN: f64 = 0.4;
 /// While the thumb is fitted, the finger stays within this of where it is \[px, rad, 1\].
@@ -405,12 +407,13 @@ const PINNED_SIGMA: f64 = 1e-4;
 const BED_IN_ROUNDS: usize = 3;
 const BED_IN_SLACK: f64 = 4.0;
 
-/// Flanks are refined from so far beyond where another limb hides them \[px\], and round the tip to
-/// this part of the half-width beyond the middle of its round end.
+/// Flanks are refined from so far beyond where another limb hides them \[px\].
 const CROTCH_PX: f64 = 2.0;
-/// A flank that nothing hides is refined from so much before the outline's beginning, in units of the
-/// finger's length: what is no finger there is found out, and a longer flank gives a surer angle.
+/// A flank that nothing hides is refined from so much before the outline's beginning, in units of
+/// the finger's length: what is no finger there is found out, and a longer flank gives a surer
+/// angle.
 const BEYOND_OUTLINE: f64 = 0.07;
+/// Both go round the tip to this part of the half-width beyond the middle of its round end.
 const CAP: f64 = 0.7;
 
 /// What a fit's covariance does not know of: how far the template slides on a hand that is not
@@ -704,6 +707,7 @@ impl ContourTracker {
         let (components, gap_s) = (options.components(), options.longest_gap_s);
         let at = shape.placement();
         self.dynamics = Some(Dynamics::start(components, gap_s, time_s, &at, &misfit())?);
+        self.hand.thumb_missed = 0;
         self.phase = Phase::Tracking { missed: 0 };
         Ok(())
     }
@@ -738,6 +742,7 @@ impl ContourTracker {
         {
             self.hand.shape = found.shape;
             self.hand.grow();
+            self.hand.count_thumb(&found, lose_after_frames);
             self.learn_looks(frame)?;
             self.dynamics = Some(dynamics);
             self.phase = Phase::Tracking { missed: 0 };
@@ -920,10 +925,11 @@ impl ContourTracker {
             held.information[(i, i)] = PINNED_SIGMA.powi(-2);
         }
         let whole = self.run_ribbon(frame, &finger.x, Limb::Thumb, look, Some(&held))?;
-        let Some(with_thumb) = whole.fit.filter(|f| self.is_thumb(&whole.x, f)) else {
-            return Ok(self.without_thumb(finger, fit));
-        };
-        self.hand.thumb_missed = 0;
+        let Some(with_thumb) = whole.fit else { return Ok(*finger) };
+        if !self.is_thumb(&whole.x, &with_thumb) {
+            // It stays where it was.
+            return Ok(Converged { fit: Some(Fit { seen: with_thumb.seen, ..*fit }), ..*finger });
+        }
         let mut shape = with_thumb.shape;
         for i in 0..5 {
             shape.vector[i] = finger.x[i];
@@ -949,19 +955,6 @@ impl ContourTracker {
         within(spine(x) / spine(acquired))
             && within(x[8] / acquired[8])
             && fit.support.of(Part::Thumb) >= THUMB_SEEN
-    }
-
-    /// A finger whose thumb is not seen: it stays where it was, and after a while it is left out.
-    fn without_thumb(
-        &mut self,
-        finger: &Converged<RIBBON_DOF>,
-        fit: &Fit,
-    ) -> Converged<RIBBON_DOF> {
-        self.hand.thumb_missed += 1;
-        if self.hand.thumb_missed >= self.options.track.lose_after_frames {
-            self.hand.kind.has_thumb = false;
-        }
-        Converged { fit: Some(*fit), ..*finger }
     }
 
     /// One prefix of the band template's shape vector, by the samples of the finger or of all of
@@ -1064,7 +1057,7 @@ impl ContourTracker {
         Ok(refined.filter(|r| r.source == Source::Photometric).map(|r| FingerLine {
             axis: r.axis,
             covariance: r.covariance,
-            source: r.source.into(),
+            source: LineSource::Pixels,
         }))
     }
 

@@ -428,6 +428,27 @@ fn a_hand_that_hides_its_thumb_is_followed_by_its_finger() {
 }
 
 #[test]
+fn a_thumb_that_is_folded_in_is_left_out_after_a_while() {
+    let (mut tracker, mut noise) = (tracker(Model::Ribbon, Thumb::Left), Noise::new(0x666f_6c64));
+    let mut time_s = acquire(&mut tracker, &held_up(Thumb::Left), &mut noise);
+    let track = update(&mut tracker, &picture(&held_up(Thumb::Left), &mut noise), time_s);
+    assert_eq!(track.shape.unwrap().names.len(), 9);
+    let with_thumb = tracker.contour().len();
+    let folded = held_up(Thumb::None);
+    let patience = tracker.options().track.lose_after_frames;
+    for k in 0..patience + 3 {
+        time_s += FRAME_S;
+        let track = update(&mut tracker, &picture(&folded, &mut noise), time_s);
+        let error = LineError::of(&track.finger_line.expect("the finger is there"), &folded);
+        assert!(error.offset_px.abs() < 0.15 && error.angle_rad.abs() < 0.01, "{k}: {error:?}");
+        assert_eq!(track.shape.unwrap().names.len(), 5, "{k}");
+        // It may come back at once, but is not waited for for ever.
+        let out = k + 1 >= patience;
+        assert_eq!(tracker.contour().len() < with_thumb, out, "{k}");
+    }
+}
+
+#[test]
 fn a_hand_that_hides_for_a_moment_is_tracked_on() {
     for model in MODELS {
         let (mut tracker, mut noise) = (tracker(model, Thumb::Left), Noise::new(0x6869_6465));
@@ -644,7 +665,7 @@ fn a_track_tells_its_story() {
         // less than the contour's own error.
         let (near_px, near_rad) = match line.source {
             LineSource::Contour => (1e-9, 1e-9),
-            LineSource::Edges | LineSource::Pixels => (0.2, 0.01),
+            LineSource::Pixels => (0.2, 0.01),
         };
         assert_eq!(line.source == LineSource::Pixels, model == Model::Ribbon, "{thumb:?}");
         let centre = Point2::new(shape.vector[0], shape.vector[1]);

@@ -8,7 +8,9 @@ use crate::options::{Overlay, options, overlay_fields, overlay_words};
 use crate::search::PySearchLines;
 use crate::template::PyTemplate;
 use crate::words::Word;
+use fingerpost_core::Result;
 use fingerpost_core::shape_space::{AffineMap, Axis};
+use fingerpost_core::template::Template;
 use fingerpost_core::tracker::{
     AcceptOptions, AcquireOptions, ContourTracker, Diagnostics, DynamicsOptions, FingerLine, Model,
     ShapeEstimate, StartPose, Track, TrackOptions, TrackerOptions,
@@ -125,6 +127,23 @@ impl PyStartPose {
 #[pyclass(name = "ContourTracker", module = "fingerpost")]
 pub struct PyContourTracker(ContourTracker);
 
+/// A constructor of the tracker's.
+type Make = fn(Template, &StartPose, TrackerOptions) -> Result<ContourTracker>;
+
+impl PyContourTracker {
+    fn made(
+        py: Python<'_>,
+        make: Make,
+        template: &PyTemplate,
+        start: &PyStartPose,
+        options: Option<&Bound<'_, PyAny>>,
+    ) -> PyResult<Self> {
+        let options: TrackerOptions = self::options(options)?;
+        let template = template.0.clone();
+        py.detach(|| make(template, &start.start, options)).map(Self).map_err(invalid_input)
+    }
+}
+
 #[pymethods]
 impl PyContourTracker {
     #[new]
@@ -135,11 +154,7 @@ impl PyContourTracker {
         start: &PyStartPose,
         options: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<Self> {
-        let options: TrackerOptions = self::options(options)?;
-        let template = template.0.clone();
-        py.detach(|| ContourTracker::new(template, &start.start, options))
-            .map(Self)
-            .map_err(invalid_input)
+        Self::made(py, ContourTracker::new, template, start, options)
     }
 
     /// A tracker whose hand is believed to be there already.
@@ -151,11 +166,7 @@ impl PyContourTracker {
         start: &PyStartPose,
         options: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<Self> {
-        let options: TrackerOptions = self::options(options)?;
-        let template = template.0.clone();
-        py.detach(|| ContourTracker::at_hand(template, &start.start, options))
-            .map(Self)
-            .map_err(invalid_input)
+        Self::made(py, ContourTracker::at_hand, template, start, options)
     }
 
     /// Takes one frame and tells where the hand is.

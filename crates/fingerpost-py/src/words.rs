@@ -75,7 +75,7 @@ words! {
         TooFewEquations = "too-few-equations",
         Undetermined = "undetermined",
     }
-    LineSource { Contour = "contour", Edges = "edges", Pixels = "pixels" }
+    LineSource { Contour = "contour", Pixels = "pixels" }
     Model { Ribbon = "ribbon", Paper = "paper" }
     CueKind { Edges = "edges", HandEdges = "hand-edges", Votes = "votes" }
     Side { Hand = "hand", Background = "background" }

@@ -4,7 +4,7 @@ use super::looks::{Looks, Sight, Silhouette};
 use super::options::{AcceptOptions, TrackerOptions};
 use super::{MAX_DOF, SearchedLine, ShapeEstimate};
 use crate::Result;
-use crate::discriminant::{DiscriminantImage, Mixture};
+use crate::discriminant::{DiscriminantImage, Mixture, region_about};
 use crate::dynamics::{Expectation, Gate};
 use crate::fit::{EquationBuffer, Equations, FitReport, Fitter, Outcome, Prior};
 use crate::frame::Frame;
@@ -241,7 +241,7 @@ impl Convergence {
         let (axis, reach) = (finger.axis, 2.0 * finger.half_width_px + KERNEL_REACH_PX);
         let from = finger.flanks[0].from_px.min(finger.flanks[1].from_px);
         let ends = [axis.tip, axis.anchor + axis.direction() * from];
-        self.image.of(frame, mixture, hull(ends.iter().map(|end| (*end, reach))))
+        self.image.of(frame, mixture, region_about(ends.iter().map(|end| (*end, reach))))
     }
 
     /// The frame about some pixels, as a mixture shows it.
@@ -253,7 +253,9 @@ impl Convergence {
         reach_px: f64,
     ) -> Result<Frame<'a>> {
         match mixture {
-            Some(mixture) => self.image.of(frame, mixture, hull(pixels.map(|p| (p, reach_px)))),
+            Some(mixture) => {
+                self.image.of(frame, mixture, region_about(pixels.map(|p| (p, reach_px))))
+            }
             None => Ok(*frame),
         }
     }
@@ -429,18 +431,5 @@ const KERNEL_REACH_PX: f64 = 32.0;
 
 /// The part of the image that search lines read: columns and rows, from and to \[px\].
 fn region(lines: &[SearchLine]) -> [f64; 4] {
-    hull(lines.iter().map(|l| (l.sample.position, l.half_length_px + KERNEL_REACH_PX)))
-}
-
-/// Columns and rows, from and to, of all that lies within reach of some points \[px\].
-fn hull(points: impl Iterator<Item = (Point2<f64>, f64)>) -> [f64; 4] {
-    let nothing = [f64::INFINITY, f64::NEG_INFINITY, f64::INFINITY, f64::NEG_INFINITY];
-    points.fold(nothing, |[left, right, top, bottom], (p, reach)| {
-        [
-            left.min(p.x - reach),
-            right.max(p.x + reach),
-            top.min(p.y - reach),
-            bottom.max(p.y + reach),
-        ]
-    })
+    region_about(lines.iter().map(|l| (l.sample.position, l.half_length_px + KERNEL_REACH_PX)))
 }

@@ -2,7 +2,7 @@
 
 use crate::Result;
 use crate::appearance::Appearance;
-use crate::discriminant::{Discriminant, DiscriminantImage, Mixture};
+use crate::discriminant::{Discriminant, DiscriminantImage, Mixture, region_about};
 use crate::frame::Frame;
 use crate::search::{Cue, Polarity};
 use crate::shape_space::PlacedSample;
@@ -60,6 +60,8 @@ pub(super) struct Looks {
     /// Of grey levels in the discriminant's image: what its fine shades tell is lost among the
     /// coarse bins of three channels.
     mixed: Appearance,
+    /// Whether that tells hand and background apart better than `plain`.
+    finer: bool,
     /// The pixels of one frame, and whether they are the hand.
     pixels: Vec<(Point2<f64>, bool)>,
 }
@@ -70,6 +72,7 @@ impl Looks {
             plain: Appearance::new(coloured),
             discriminant: Discriminant::default(),
             mixed: Appearance::new(false),
+            finer: false,
             pixels: Vec::new(),
         }
     }
@@ -108,13 +111,18 @@ impl Looks {
         let searched = self.discriminant.mixture().copied();
         self.discriminant.learn();
         if let Some(mixture) = searched.as_ref().or(self.discriminant.mixture()) {
-            let shown = image.of(frame, mixture, region(&self.pixels))?;
+            let shown = image.of(
+                frame,
+                mixture,
+                region_about(self.pixels.iter().map(|&(p, _)| (p, 0.0))),
+            )?;
             self.mixed.fade(keep as f32);
             for &(p, is_hand) in &self.pixels {
                 self.mixed.observe(&shown, p.x, p.y, is_hand);
             }
             self.mixed.learn();
         }
+        self.finer = self.mixed.separation() > self.plain.separation();
         Ok(())
     }
 
@@ -130,7 +138,7 @@ impl Looks {
             return None;
         }
         let mixture = self.discriminant.mixture().filter(|_| coloured);
-        let finer = mixture.is_some() && self.mixed.separation() > self.plain.separation();
+        let finer = mixture.is_some() && self.finer;
         let known = if finer { &self.mixed } else { &self.plain };
         // In the discriminant's image the hand is the brighter side.
         let polarity = if mixture.is_some() { Polarity::Bright } else { polarity };
@@ -162,11 +170,4 @@ impl Looks {
             }
         }
     }
-}
-
-fn region(pixels: &[(Point2<f64>, bool)]) -> [f64; 4] {
-    let nothing = [f64::INFINITY, f64::NEG_INFINITY, f64::INFINITY, f64::NEG_INFINITY];
-    pixels.iter().fold(nothing, |[left, right, top, bottom], (p, _)| {
-        [left.min(p.x), right.max(p.x), top.min(p.y), bottom.max(p.y)]
-    })
 }
