@@ -40,6 +40,7 @@ PYTHON_GROUPS = {
     "advise": "application",
     "demo": "application",
     "doctor": "application",
+    "workers": "application",
     "cli": "cli",
     "__main__": "cli",
     "_core": "core",

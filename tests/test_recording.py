@@ -320,6 +320,27 @@ for path in sys.argv[1:]:
     assert not any(map(os.path.exists, paths))
 
 
+def test_ctrl_c_while_a_frame_is_written_leaves_a_whole_video(tmp_path, monkeypatch):
+    class Interrupted:
+        def __init__(self, writer):
+            self.writer, self.release = writer, writer.release
+
+        def write(self, image):
+            self.writer.write(image)
+            signal.raise_signal(signal.SIGINT)
+
+    def write():
+        image = np.zeros((48, 64), np.uint8)
+        with VideoWriter(tmp_path / "o.mp4", fps=25) as video:
+            video.write(image)
+            monkeypatch.setattr(video, "_writer", Interrupted(video._writer))
+            video.write(image)
+
+    with pytest.raises(KeyboardInterrupt):
+        write()
+    assert len(frames_of(tmp_path / "o.mp4")) == 2
+
+
 def test_a_video_that_cannot_be_made_is_refused_at_once(tmp_path):
     for name, said in [
         ("none/o.mp4", "the folder .*none does not exist"),

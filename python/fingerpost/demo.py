@@ -21,9 +21,9 @@ from numpy.typing import NDArray
 
 from fingerpost.capture import Frame, open_source, read_views
 from fingerpost.config import Plane, Rig, Start, View
-from fingerpost.errors import InvalidInputError, RecordingError
+from fingerpost.errors import InvalidInputError
 from fingerpost.pipeline import DEFAULT_REFERENCE_SIGMA_PX, Pointer, Step, steps
-from fingerpost.recording import VideoWriter, write_points, write_tracks
+from fingerpost.recording import VideoWriter, write_picture, write_points, write_tracks
 from fingerpost.recording.picture import Composition
 from fingerpost.simulate import (
     Background,
@@ -415,7 +415,7 @@ def _write_all(
             trail=outcome.points,
             truth_trail=_unbroken(footage.truth, count),
         )
-        _write_png(files[3], image)
+        write_picture(files[3], image)
     return files
 
 
@@ -441,13 +441,3 @@ def _made(folder: Path) -> Path:
             f"{folder}: cannot be made: {reason}; name a folder that may be written into"
         ) from error
     return folder
-
-
-def _write_png(path: Path, image: NDArray[np.uint8]) -> None:
-    import cv2
-
-    _, data = cv2.imencode(".png", image)
-    try:
-        path.write_bytes(data.tobytes())
-    except OSError as error:
-        raise RecordingError(f"{path}: cannot be written: {error.strerror}") from error

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fingerpost.advise.moves import Bearings
-from fingerpost.errors import InvalidInputError
 from fingerpost.experiment.table import number
+from fingerpost.recording import write_picture
 from fingerpost.recording.picture import GRID, INK, MUTED, PAGE, PANEL, PLANE, STATUSES, VIEWS
 from fingerpost.recording.sheet import Colour, Sheet
 
@@ -83,7 +83,7 @@ def draw_advice(advice: Advice, path: Path) -> None:
     _draw_rose_key(page)
     for row, (line, colour) in enumerate(notes):
         page.text(line, (_MARGIN_PX, _TEXT_TOP_PX + _LINE_PX * row), 19, colour)
-    _save(page, path)
+    write_picture(path, page.pixels)
 
 
 class _Scale:
@@ -342,22 +342,3 @@ def _round_below(value: float) -> float:
     """Largest of 1, 2 and 5 times a power of ten that is not above a value."""
     decade = float(10.0 ** math.floor(math.log10(value)))
     return max(tick * decade for tick in _TICKS if tick * decade <= value * (1.0 + 1e-9))
-
-
-def _save(page: Sheet, path: Path) -> None:
-    import cv2
-
-    try:
-        encoded, data = cv2.imencode(path.suffix, page.pixels)
-    except cv2.error:
-        encoded = False
-    if not encoded:
-        raise InvalidInputError(
-            f"{path}: OpenCV cannot write such images; a name that ends in .png is right"
-        )
-    try:
-        path.write_bytes(data.tobytes())
-    except OSError as error:
-        raise InvalidInputError(
-            f"{path}: cannot be written: {error.strerror}; name a file in an existing folder"
-        ) from error

@@ -260,15 +260,12 @@ def _asking(name: str, pictures: Path | None) -> Callable[[int, Frame], tuple[fl
     """Return what asks for a pixel on the terminal, having saved the picture to look at."""
 
     def ask(place: int, frame: Frame) -> tuple[float, float] | None:
-        import cv2
-
-        from fingerpost.errors import RecordingError
+        from fingerpost.recording import write_picture
 
         folder = pictures or Path()
         path = folder / f"place-{place + 1:02d}-{name}.png"
         folder.mkdir(parents=True, exist_ok=True)
-        if not cv2.imwrite(str(path), frame.image):
-            raise RecordingError(f"{path}: cannot be written")
+        write_picture(path, frame.image)
         while True:
             answer = click.prompt(
                 f"{path}: pixel 'u v' of the gripper, or nothing",

@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -35,8 +34,8 @@ from fingerpost.closed_loop.setup import (
 )
 from fingerpost.closed_loop.world import Cell, World
 from fingerpost.config import Rig
-from fingerpost.errors import InvalidInputError, MissingExtraError, RecordingError
-from fingerpost.recording import VideoWriter, write_points, write_tracks
+from fingerpost.errors import InvalidInputError, MissingExtraError
+from fingerpost.recording import VideoWriter, write_picture, write_points, write_tracks
 from fingerpost.recording.picture import Composition, RobotMarks
 from fingerpost.robot import Robot, RobotError, SimulatedRobot
 from fingerpost.robot.simulated import SimulatedOptions
@@ -386,11 +385,7 @@ class _Film:
         """Write the last moment with feedback as the picture of the summary."""
         if self._best is None:
             return
-        _, data = cv2.imencode(".png", self._best)
-        try:
-            self._summary.write_bytes(data.tobytes())
-        except OSError as error:
-            raise RecordingError(f"{self._summary}: cannot be written: {error.strerror}") from error
+        write_picture(self._summary, self._best)
 
     def _marks(self, moment: Moment) -> RobotMarks:
         x, y = moment.gripper_m[:2]

@@ -13,13 +13,9 @@ system believes.
 from __future__ import annotations
 
 import math
-import os
-import signal
 from collections.abc import Callable
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
+from concurrent.futures import Future, as_completed
 from dataclasses import asdict, dataclass, field
-from multiprocessing import get_context
 from typing import Any
 
 import numpy as np
@@ -47,10 +43,11 @@ from fingerpost.closed_loop.setup import (
 )
 from fingerpost.closed_loop.world import World
 from fingerpost.config import Rig
-from fingerpost.errors import FingerpostError, InvalidInputError
+from fingerpost.errors import InvalidInputError
 from fingerpost.guidance import robot_of
 from fingerpost.robot import RobotError
 from fingerpost.simulate import Hand
+from fingerpost.workers import sharing, worker_count
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]
@@ -248,51 +245,30 @@ def run_guidance(
     require_mujoco()
     if trials < 0:
         raise InvalidInputError(f"trials is {trials}; 0 or more is right")
-    if workers is not None and workers < 1:
-        raise InvalidInputError(f"workers is {workers}; 1 or more, or None for all cores, is right")
     total = trials + len(options.heights_mm)
     tell = progress or (lambda _done, _of: None)
     planes: list[PlaneAccuracy] = []
     done: list[GuidanceTrial] = []
-    with ProcessPoolExecutor(
-        min(workers or os.cpu_count() or 1, total),
-        mp_context=get_context("spawn"),
-        initializer=_start_worker,
-    ) as pool:
-        try:
-            defined: list[Future[Any]] = [
-                pool.submit(measure_plane, height, options) for height in options.heights_mm
-            ]
-            rig, _ = defined[0].result()
-            futures: list[Future[Any]] = [
-                pool.submit(guide, index, rig, options) for index in range(trials)
-            ]
-            for future in as_completed([*defined, *futures]):
-                result = future.result()
-                if isinstance(result, GuidanceTrial):
-                    done.append(result)
-                else:
-                    planes.append(result[1])
-                tell(len(done) + len(planes), total)
-        except BrokenProcessPool as error:
-            raise FingerpostError(
-                "a worker process died, perhaps for want of memory; try fewer workers"
-            ) from error
-        finally:
-            pool.shutdown(wait=False, cancel_futures=True)
+    with sharing(min(worker_count(workers), total)) as pool:
+        defined: list[Future[Any]] = [
+            pool.submit(measure_plane, height, options) for height in options.heights_mm
+        ]
+        rig, _ = defined[0].result()
+        futures: list[Future[Any]] = [
+            pool.submit(guide, index, rig, options) for index in range(trials)
+        ]
+        for future in as_completed([*defined, *futures]):
+            result = future.result()
+            if isinstance(result, GuidanceTrial):
+                done.append(result)
+            else:
+                planes.append(result[1])
+            tell(len(done) + len(planes), total)
     return GuidanceResult(
         options.seed,
         tuple(sorted(planes, key=lambda plane: plane.height_mm)),
         tuple(sorted(done, key=lambda trial: trial.index)),
     )
-
-
-def _start_worker() -> None:
-    import cv2
-
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent stops the workers
-    cv2.setNumThreads(1)  # they share the cores among themselves, and so does what draws:
-    os.environ.setdefault("LP_NUM_THREADS", "1")
 
 
 def measure_plane(height_mm: float, options: GuidanceOptions) -> tuple[Rig, PlaneAccuracy]:

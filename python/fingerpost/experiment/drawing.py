@@ -11,7 +11,6 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fingerpost.errors import InvalidInputError
 from fingerpost.experiment.summary import (
     GROSS_SHARE,
     Summary,
@@ -21,6 +20,7 @@ from fingerpost.experiment.summary import (
 )
 from fingerpost.experiment.table import number
 from fingerpost.experiment.trial import Trial
+from fingerpost.recording import write_picture
 from fingerpost.uncertainty import confidence_ellipse
 
 if TYPE_CHECKING:
@@ -68,7 +68,7 @@ def draw_result(result: ExperimentResult, path: Path) -> None:
         _draw_coverage(canvas, result.trials, summary)
     for row, line in enumerate(_figures(summary, result.unit, result.plane_size)):
         canvas.text((_COVERAGE[0], _FIGURES_TOP + 28 * row), line, 0.56)
-    canvas.save(path)
+    write_picture(path, canvas.image)
 
 
 class _Canvas:
@@ -134,23 +134,6 @@ class _Canvas:
         """Places as OpenCV takes them, (N, 1, 2)."""
         shifted = np.asarray(places, dtype=np.float64).reshape(-1, 1, 2) - self._corner
         return np.asarray(np.round(shifted * 2**_SHIFT), dtype=np.int32)
-
-    def save(self, path: Path) -> None:
-        """Write the sheet into a file."""
-        try:
-            encoded, data = cv2.imencode(path.suffix, self.image)
-        except cv2.error:
-            encoded = False
-        if not encoded:
-            raise InvalidInputError(
-                f"{path}: OpenCV cannot write such images; a name that ends in .png is right"
-            )
-        try:
-            path.write_bytes(data.tobytes())
-        except OSError as error:
-            raise InvalidInputError(
-                f"{path}: cannot be written: {error.strerror}; name a file in an existing folder"
-            ) from error
 
 
 class _Axes:

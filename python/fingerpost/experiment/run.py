@@ -1,18 +1,14 @@
 """Run an experiment on all cores."""
 
-import os
-import signal
 from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
+from concurrent.futures import as_completed
 from dataclasses import fields
-from multiprocessing import get_context
 
-from fingerpost.errors import FingerpostError, InvalidInputError
 from fingerpost.experiment.bench import Bench
 from fingerpost.experiment.options import ExperimentOptions
 from fingerpost.experiment.result import ExperimentResult
 from fingerpost.experiment.trial import Trial
+from fingerpost.workers import sharing, worker_count
 
 Progress = Callable[[int, int], None]
 """Called with the number of targets done and of all."""
@@ -53,9 +49,7 @@ def run_experiment(
         A worker died.
     """
     options = options or ExperimentOptions()
-    if workers is not None and workers < 1:
-        raise InvalidInputError(f"workers is {workers}; 1 or more, or None for all cores, is right")
-    workers = workers or os.cpu_count() or 1
+    workers = worker_count(workers)
     bench = Bench(options)  # refuses what cannot be before any process is started
     trials: list[Trial] = []
     chunks = _inline(bench, options) if workers == 1 else _shared_out(options, workers)
@@ -81,25 +75,13 @@ def _inline(bench: Bench, options: ExperimentOptions) -> Iterator[list[Trial]]:
 
 def _shared_out(options: ExperimentOptions, workers: int) -> Iterator[list[Trial]]:
     starts = range(0, options.targets, _CHUNK)
-    with ProcessPoolExecutor(
-        min(workers, len(starts)),
-        mp_context=get_context("spawn"),
-        initializer=_start_worker,
-        initargs=(options,),
-    ) as pool:
-        try:
-            futures = [
-                pool.submit(_work, range(start, min(start + _CHUNK, options.targets)))
-                for start in starts
-            ]
-            for future in as_completed(futures):
-                yield future.result()
-        except BrokenProcessPool as error:
-            raise FingerpostError(
-                "a worker process died, perhaps for want of memory; try fewer workers"
-            ) from error
-        finally:
-            pool.shutdown(wait=False, cancel_futures=True)
+    with sharing(min(workers, len(starts)), _start_worker, options) as pool:
+        futures = [
+            pool.submit(_work, range(start, min(start + _CHUNK, options.targets)))
+            for start in starts
+        ]
+        for future in as_completed(futures):
+            yield future.result()
 
 
 # The worker's own bench: the table of a cluttered scene takes longer to paint than many trials.
@@ -107,11 +89,7 @@ _bench: Bench | None = None
 
 
 def _start_worker(options: ExperimentOptions) -> None:
-    import cv2
-
     global _bench
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent stops the workers
-    cv2.setNumThreads(1)  # the workers share the cores among themselves
     _bench = Bench(options)
 
 

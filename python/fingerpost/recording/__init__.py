@@ -1,5 +1,6 @@
-"""What a run leaves behind: tables of points and tracks, and a video with the overlay."""
+"""What a run leaves behind: tables of points and tracks, pictures, and a video with the overlay."""
 
+from fingerpost.recording.still import write_picture
 from fingerpost.recording.tables import (
     PointRow,
     TableWriter,
@@ -18,6 +19,7 @@ __all__ = [
     "VideoWriter",
     "read_points",
     "read_tracks",
+    "write_picture",
     "write_points",
     "write_tracks",
 ]

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fingerpost.checks import in_range
 from fingerpost.errors import InvalidInputError
+from fingerpost.recording.interrupts import uninterrupted
 
 Image = NDArray[np.uint8]
 Points = NDArray[np.float64]
@@ -313,7 +314,8 @@ def _write(
     face = _typeface()
     if face is not None:
         weight = _BOLD if bold else _REGULAR
-        cv2.putText(pixels, words, origin, colour, face, height_px, weight)
+        with uninterrupted():  # a handler that raises crashes OpenCV 5 as it reads a typeface
+            cv2.putText(pixels, words, origin, colour, face, height_px, weight)
         return
     letters, scale = words.translate(_IN_ASCII), height_px / _STROKE_HEIGHT_PX
     font, width = cv2.FONT_HERSHEY_SIMPLEX, 2 if bold else 1
@@ -326,7 +328,8 @@ def _text_width(words: str, height_px: int, bold: bool) -> float:
     face = _typeface()
     if face is not None:
         weight = _BOLD if bold else _REGULAR
-        x, _, width, _ = cv2.getTextSize((0, 0), words, (0, 0), face, height_px, weight)
+        with uninterrupted():
+            x, _, width, _ = cv2.getTextSize((0, 0), words, (0, 0), face, height_px, weight)
         return float(x + width)
     letters, scale = words.translate(_IN_ASCII), height_px / _STROKE_HEIGHT_PX
     font, width = cv2.FONT_HERSHEY_SIMPLEX, 2 if bold else 1

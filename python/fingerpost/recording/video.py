@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fingerpost.errors import InvalidInputError, RecordingError
+from fingerpost.recording.interrupts import uninterrupted
 
 if TYPE_CHECKING:
     import cv2
@@ -92,8 +93,9 @@ class VideoWriter:
             image = np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR), dtype=np.uint8)
         if size[0] % 2 or size[1] % 2:
             image = np.pad(image, ((0, size[1] % 2), (0, size[0] % 2), (0, 0)), mode="edge")
-        self._writer.write(image)
-        self._count += 1
+        with uninterrupted():  # a frame that is written counts
+            self._writer.write(image)
+            self._count += 1
 
     def _open(self, size: tuple[int, int]) -> cv2.VideoWriter:
         import cv2
