@@ -295,7 +295,19 @@ def _clipped(polygon: Points, size: NDArray[np.intp]) -> Points:
 
 # OpenCV 5 brings a typeface with all of Unicode; before it there are stroke letters in ASCII.
 _STROKE_HEIGHT_PX = 30.0  # of stroke letters at scale 1
-_IN_ASCII = str.maketrans({"±": "+-", "°": " deg", "…": "...", "µ": "u", "μ": "u", "×": "x"})
+_IN_ASCII = str.maketrans(
+    {
+        "±": "+-",
+        "°": " deg",
+        "…": "...",
+        "µ": "u",
+        "μ": "u",
+        "×": "x",
+        "–": "-",
+        "²": "^2",
+        "é": "e",
+    }
+)
 _REGULAR, _BOLD = 400, 600
 
 
