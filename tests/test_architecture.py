@@ -65,7 +65,7 @@ PYTHON_RULES = {
     "pipeline": _PIPELINE,
     "application": _PIPELINE | {"application"},
     "cli": _PIPELINE | {"application", "cli", "front"},
-    "core": set(),
+    "core": {"errors"},
     "front": _PIPELINE | {"application"},
 }
 
@@ -102,6 +102,7 @@ RUST_RULES = {
     "search": _SHAPES | _PIXELS | _LANES,
     "refine": _SHAPES | _PIXELS | {"fit", "search", "simd"},
     "tracker": _SHAPES | _PIXELS | {"fit", "dynamics", "search", "refine"},
+    "views": {"error", "frame", "tracker"},
 }
 
 # What the core must do without, so that it can be embedded anywhere.

@@ -4,6 +4,7 @@ The stages themselves have tests of their own in Rust; here each meets an oracle
 (SciPy, NumPy, OpenCV), so that no argument or column is mixed up on the way.
 """
 
+import functools
 import subprocess
 import sys
 import textwrap
@@ -33,6 +34,7 @@ from fingerpost._core import (
     StartPose,
     Template,
     sample_contour,
+    update_views,
 )
 from fingerpost.errors import FingerpostError, InvalidInputError
 
@@ -1074,7 +1076,9 @@ def test_images_are_not_copied(tmp_path: Path) -> None:
         import re, resource
         from pathlib import Path
         import numpy as np
-        from fingerpost._core import Appearance, ContourTracker, StartPose, Template
+        from fingerpost._core import (
+            Appearance, ContourTracker, StartPose, Template, update_views
+        )
 
         path = {str(tmp_path / "sparse")!r}
         image = np.memmap(path, np.uint8, "w+", shape=(2**15 - 1, 2**16))[:, : 2**15 - 1]
@@ -1092,12 +1096,123 @@ def test_images_are_not_copied(tmp_path: Path) -> None:
         else:
             raise SystemExit("there is memory for a copy")
         print(tracker.update(image, 0.0).status, tracker.update(image, 0.1, colour).status)
+        other = ContourTracker(Template.pistol("left"), StartPose((16440, 4150), 0.5, 80))
+        for schedule in ("in-turn", "side-by-side"):
+            views = [(tracker, image, 0.2, colour), (other, image, 0.2, None)]
+            print(*(track.status for track in update_views(views, schedule=schedule)))
         known.observe(image, [[16440, 4150]], "hand", colour=colour)
     """
     done = subprocess.run(
         [sys.executable, "-c", textwrap.dedent(program)], capture_output=True, text=True
     )
-    assert (done.stdout, done.stderr) == ("acquiring acquiring\n", "")
+    assert (done.stdout, done.stderr) == (3 * "acquiring acquiring\n", "")
+
+
+# --- several views ---------------------------------------------------------------------------
+
+SCHEDULES = ["by-need", "in-turn", "side-by-side", None]
+
+
+def fingers(frames: int) -> Iterator[list[np.ndarray]]:
+    """Three views of a finger that waits at the start and moves away; the last one loses it."""
+    rng = np.random.default_rng(50)
+    for k in range(frames):
+        images = []
+        for view in range(3):
+            image = np.full((480, 640), 60, np.uint8)
+            tip = np.array([320.0 + 2 * k, 240.0 + view])
+            away = tip - 200 * np.array([np.cos(0.6), np.sin(0.6)])
+            if view < 2 or k < 12:
+                ends = [tuple(np.rint(16 * p).astype(int).tolist()) for p in (away, tip)]
+                cv2.line(image, *ends, 170, 20, cv2.LINE_AA, shift=4)
+            image = cv2.GaussianBlur(image, (0, 0), 1.0)
+            images.append(np.clip(image + rng.normal(0, 2, image.shape), 0, 255).astype(np.uint8))
+        yield images
+
+
+def finger_trackers() -> list[ContourTracker]:
+    template, start = Template.pistol("none"), StartPose((327, 245), 0.6, 85)
+    return [ContourTracker(template, start) for _ in range(3)]
+
+
+def told(track: _core.Track | FingerpostError) -> tuple[object, ...]:
+    """All that a track tells, bit by bit."""
+    assert isinstance(track, _core.Track)
+    line, shape = track.finger_line, track.shape_vector
+    return (
+        repr(track),
+        repr(track.diagnostics),
+        shape if shape is None else shape.tobytes(),
+        line and (line.anchor_px, line.angle_rad, line.covariance.tobytes(), line.source),
+    )
+
+
+@pytest.mark.parametrize("schedule", SCHEDULES)
+def test_views_updated_in_one_call_are_those_updated_alone(schedule):
+    together, alone = finger_trackers(), finger_trackers()
+    seen = set()
+    for k, images in enumerate(fingers(24)):
+        colours = [np.stack([images[0]] * 3, axis=-1), None, None]
+        views = list(zip(together, images, [k / 30] * 3, colours, strict=True))
+        tracks = update_views(views, schedule=schedule)
+        for (_, image, time_s, colour), tracker, track in zip(views, alone, tracks, strict=True):
+            assert told(track) == told(tracker.update(image, time_s, colour))
+        seen.update(track.status for track in tracks)
+    assert seen == {"acquiring", "tracking", "lost"}
+
+
+@pytest.mark.parametrize("schedule", SCHEDULES)
+@pytest.mark.parametrize(
+    ("entry", "words"),
+    [
+        ({"image": np.zeros((480, 640))}, "^image is an array of dtype float64"),
+        ({"image": np.zeros((0, 640), np.uint8)}, "480|empty|0"),
+        ({"time_s": "now"}, "^time_s is 'now'"),
+        ({"time_s": np.nan}, "time"),
+        ({"colour": np.zeros((480, 641, 3), np.uint8)}, "641"),
+    ],
+)
+def test_the_error_of_one_view_costs_no_other_its_track(entry, words, schedule):
+    images = next(fingers(1))
+    trackers, alone = finger_trackers(), finger_trackers()
+    views = [(t, i, 0.0, None) for t, i in zip(trackers, images, strict=True)]
+    bad = {"image": images[1], "time_s": 0.0, "colour": None} | entry
+    views[1] = (trackers[1], bad["image"], bad["time_s"], bad["colour"])
+    first, refused, last = update_views(views, schedule=schedule)
+    assert told(first) == told(alone[0].update(images[0], 0.0))
+    assert told(last) == told(alone[2].update(images[2], 0.0))
+    with pytest.raises(InvalidInputError, match=words):
+        raise refused
+    # The tracker is as it was before.
+    assert told(trackers[1].update(images[1], 0.0)) == told(alone[1].update(images[1], 0.0))
+
+
+def test_a_tracker_that_comes_twice_is_updated_once():
+    tracker, image = ContourTracker(PISTOL, WAITING), grey()
+    first, second = update_views([(tracker, image, 0.0, None)] * 2)
+    assert first.status == "acquiring"
+    assert isinstance(second, FingerpostError)
+    assert "in use" in str(second)
+    assert tracker.update(image, 0.0).status == "acquiring"
+
+
+def test_no_views_have_no_tracks():
+    assert update_views([]) == []
+
+
+def test_a_schedule_is_one_of_three():
+    with pytest.raises(InvalidInputError, match=r'^schedule is .often.; it must be "by-need", '):
+        update_views([], schedule="often")
+
+
+def test_views_of_other_entries_are_refused_before_any_is_updated():
+    tracker, image = ContourTracker(PISTOL, WAITING), grey()
+    good = (tracker, image, 1.0, None)
+    with pytest.raises(InvalidInputError, match=r"^views\[1\] has 3 entries"):
+        update_views([good, (tracker, image, 0.0)])
+    with pytest.raises(TypeError, match="ContourTracker"):
+        update_views([good, (image, tracker, 0.0, None)])
+    assert tracker.update(image, 0.0).time_s == 0.0
 
 
 # --- threads ---------------------------------------------------------------------------------
@@ -1204,6 +1319,14 @@ def test_two_trackers_run_in_parallel_threads():
     image = grey()
     first, second = ContourTracker(PISTOL, WAITING), ContourTracker(PISTOL, WAITING)
     assert meet([lambda: first.update(image, 0.0), lambda: second.update(image, 0.0)], rounds=40)
+
+
+@pytest.mark.parametrize("schedule", SCHEDULES)
+def test_two_rigs_run_in_parallel_threads(schedule):
+    image = grey()
+    rigs = [[(ContourTracker(PISTOL, WAITING), image, 0.0, None) for _ in "lr"] for _ in range(2)]
+    calls = [functools.partial(update_views, rig, schedule=schedule) for rig in rigs]
+    assert meet(calls, rounds=40)
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,6 @@ from fingerpost.config import Rig
 from fingerpost.errors import InvalidInputError
 from fingerpost.pipeline import Observation, Pointer, steps
 from fingerpost.pointing import PointingOptions, Status
-from fingerpost.recording.picture import SearchMarks
 from fingerpost.simulate import (
     DevicePose,
     Placement,
@@ -244,7 +243,7 @@ def test_a_refusal_names_what_was_asked(agreement, residual_px, verdict):
     )
     track = SimpleNamespace(diagnostics=told, finger_line=None)
     frame = Frame(0, 0.0, np.zeros((4, 4), np.uint8))
-    observed = Observation("left", frame, track, np.empty((0, 2)), SearchMarks.none())
+    observed = Observation("left", frame, track, np.empty((0, 2)), None)
     assert observed.reasons[0] == verdict
 
 

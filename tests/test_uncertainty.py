@@ -13,7 +13,6 @@ from fingerpost.homography import (
     transfer_to_image,
 )
 from fingerpost.lines import (
-    constraint_line,
     distance,
     intersection,
     line_at_angle,
@@ -23,10 +22,13 @@ from fingerpost.uncertainty import (
     UNBOUNDED,
     Intersection,
     confidence_ellipse,
-    constraint_line_covariance,
+    constraint,
+    constraint_components,
+    constraint_lines,
+    entries_form,
     homography_covariance,
-    image_line_covariance,
     intersect,
+    line_and_covariance,
     nsigma_ellipse,
     widened_covariance,
 )
@@ -114,14 +116,70 @@ def test_nearly_collinear_references_are_unsure_across_their_line():
     assert sigmas[2] > 5 * sigmas[1] > 25 * sigmas[0]
 
 
-def test_image_line_covariance_is_that_of_a_shift_and_a_turn():
+def image_lines(anchor, angle, covariance):
+    """Lines at angles with their covariances: the plane is the image."""
+    return constraint_lines(np.eye(3), np.zeros((9, 9)), anchor, angle, covariance)
+
+
+def test_the_covariance_of_a_line_is_that_of_a_shift_and_a_turn():
     anchor, angle = np.array([300.0, 200.0]), 0.8
     covariance = np.array([[0.04, 3e-4], [3e-4, 9e-6]])
-    spread = image_line_covariance(anchor, angle, covariance)
+    line, spread = image_lines(anchor, angle, covariance)
+    assert np.allclose(line, line_at_angle(anchor, angle), rtol=1e-15)
     for lever in (-50.0, 0.0, 200.0):
         x = np.array([*(anchor + lever * np.array([np.cos(angle), np.sin(angle)])), 1.0])
         expected = np.array([1, lever]) @ covariance @ [1, lever]
         assert x @ spread @ x == pytest.approx(expected, rel=1e-9)
+
+
+def chained(T, H, anchor, angle, covariance):
+    """The chain in matrices: finger line, eq. 2, and both derivatives at once."""
+    s, c = np.sin(angle), np.cos(angle)
+    line = np.array([-s, c, s * anchor[0] - c * anchor[1]])
+    by_finger = np.array([[0.0, -c], [0.0, -s], [-1.0, c * anchor[0] + s * anchor[1]]])
+    by_entries = np.hstack([entry * np.eye(3) for entry in line])
+    m = T.T @ line
+    spread = T.T @ by_finger @ covariance @ by_finger.T @ T + by_entries @ H @ by_entries.T
+    length = np.hypot(m[0], m[1])
+    return m / length, spread / length**2
+
+
+def test_constraint_lines_are_the_chain_of_matrices_in_arrays_and_in_floats():
+    rng = np.random.default_rng(47)
+    for _ in range(200):
+        T = rng.normal(size=(3, 3)) * 10.0 ** rng.integers(-3, 3, (3, 1))
+        factors, finger = (
+            rng.normal(size=(9, 9)) * 10.0 ** rng.integers(-4, 2),
+            rng.normal(size=(2, 2)),
+        )
+        H, covariance = factors @ factors.T, finger @ finger.T
+        anchor, angle = rng.uniform(-500, 500, 2), rng.uniform(-4, 4)
+        line, spread = chained(T, H, anchor, angle, covariance)
+        lines, spreads = constraint_lines(
+            np.stack([T, T]), np.stack([H, 0.0 * H]), [anchor] * 2, [angle] * 2, [covariance] * 2
+        )
+        sizes = np.sqrt(np.outer(np.diag(spread), np.diag(spread)))
+        assert np.allclose(lines, line, rtol=0, atol=1e-12 * abs(line).max())
+        assert (abs(spreads[0] - spread) <= 1e-11 * sizes).all()
+        assert np.allclose(spreads[1], chained(T, 0.0 * H, anchor, angle, covariance)[1], rtol=1e-7)
+        m, entries = constraint_components(
+            T.tolist(),
+            entries_form(H).tolist(),
+            tuple(anchor.tolist()),
+            (np.cos(angle), np.sin(angle)),
+            (covariance[0, 0], covariance[0, 1], covariance[1, 1]),
+        )
+        in_floats, their_spread = line_and_covariance(constraint(m, entries))
+        assert np.allclose(in_floats, line, rtol=0, atol=1e-12 * abs(line).max())
+        assert (abs(their_spread - spread) <= 1e-11 * sizes).all()
+
+
+def test_the_horizon_is_no_constraint_line():
+    level = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 4.0], [0.0, 0.0, 1.0]])
+    line, spread = constraint_lines(level, np.zeros((9, 9)), [0.0, 4.0], 0.0, np.eye(2))
+    assert np.isnan(line).all()
+    assert np.isnan(spread).all()
+    assert constraint([0.0, 0.0, -4.0], [0.0] * 6) is None
 
 
 def scene(azimuths):
@@ -147,11 +205,7 @@ def sampled_constraints(azimuths, seed, samples=SAMPLES, line_covariance=LINE_CO
     H = np.stack([homography_covariance(t, CORNERS, REFERENCE_COVARIANCE) for t in T])
 
     def constraints(T, anchor, angle):
-        seen = line_at_angle(anchor, angle)
-        spread = image_line_covariance(anchor, angle, line_covariance)
-        return constraint_line(T, seen), constraint_line_covariance(
-            T, np.broadcast_to(H, (*T.shape[:-2], 9, 9)), seen, spread
-        )
+        return constraint_lines(T, H, anchor, angle, line_covariance)
 
     noise = rng.multivariate_normal([0, 0], line_covariance, (samples, len(cameras)))
     normal = np.stack([-np.sin(angle), np.cos(angle)], axis=-1)
@@ -209,8 +263,7 @@ def test_the_covariance_that_leaves_the_references_out_is_too_small():
     (lines, _), _, target = sampled_constraints((-15.0, 15.0), 44, 2000, surer)
     cameras, _, anchor, angle = scene((-15.0, 15.0))
     T = np.stack([view.image_from_plane for view in cameras])
-    spread = image_line_covariance(anchor, angle, surer)
-    alone = constraint_line_covariance(T, np.zeros((2, 9, 9)), line_at_angle(anchor, angle), spread)
+    _, alone = constraint_lines(T, np.zeros((2, 9, 9)), anchor, angle, surer)
     inside = [
         confidence_ellipse(each.point, each.covariance).contains(target)
         for each in (intersect(line, alone) for line in lines)
@@ -267,7 +320,7 @@ def crossing_lines(crossing, sigma_offset, sigma_angle, lever):
     angle = np.array([-crossing / 2, crossing / 2])
     anchor = lever * np.column_stack([np.cos(angle), np.sin(angle)])
     spread = np.broadcast_to(np.diag([sigma_offset**2, sigma_angle**2]), (2, 2, 2))
-    return line_at_angle(anchor, angle), image_line_covariance(anchor, angle, spread)
+    return image_lines(anchor, angle, spread)
 
 
 def test_a_well_crossed_point_is_not_widened():
@@ -298,7 +351,7 @@ def test_widening_of_contradictory_lines_counts_only_what_distance_adds():
     angle, sigma_offset, sigma_angle, D = np.array([-0.01, 0.0, 0.01]), 0.001, 0.002, 5.0
     anchor = np.array([[2.0, -0.02], [2.0, 0.02], [2.0, 0.02]])
     spread = np.broadcast_to(np.diag([sigma_offset**2, sigma_angle**2]), (3, 2, 2))
-    lines, covariances = line_at_angle(anchor, angle), image_line_covariance(anchor, angle, spread)
+    lines, covariances = image_lines(anchor, angle, spread)
     found = intersect(lines, covariances)
     assert found.chi2 > 10
     along = np.linalg.eigh(found.covariance)[1][:, 1]
@@ -327,10 +380,7 @@ def test_a_crossing_that_may_be_an_accident_is_widened_beyond_any_use():
     ):
         anchor = np.column_stack([[lever, 1.2 * lever], shifts])
         spread = np.broadcast_to(np.diag([sigma_offset**2, sigma_angle**2]), (2, 2, 2))
-        lines, covariances = (
-            line_at_angle(anchor, turns),
-            image_line_covariance(anchor, turns, spread),
-        )
+        lines, covariances = image_lines(anchor, turns, spread)
         found = intersect(lines, covariances)
         limit = 20.0
         flattered += bool(np.sqrt(np.linalg.eigvalsh(found.covariance)[-1]) < limit)
@@ -373,11 +423,8 @@ def test_the_papers_ellipse_is_its_recipe():
     T = np.stack([view.image_from_plane for view in cameras])
     spread = np.broadcast_to(np.diag(np.diag(LINE_COVARIANCE)), (2, 2, 2)) * 1e-4
     ellipse = nsigma_ellipse(T, anchor, angle, spread, nsigma=2.0)
-    seen = line_at_angle(anchor, angle)
-    covariances = constraint_line_covariance(
-        T, np.zeros((2, 9, 9)), seen, image_line_covariance(anchor, angle, spread)
-    )
-    first_order = intersect(constraint_line(T, seen), covariances).covariance
+    met = intersect(*constraint_lines(T, np.zeros((2, 9, 9)), anchor, angle, spread))
+    first_order = met.covariance
     assert np.allclose(ellipse.centre, target, atol=1e-8)
     assert np.allclose(
         ellipse.semi_axes, 2.0 * np.sqrt(np.linalg.eigvalsh(first_order)[::-1]), rtol=1e-4

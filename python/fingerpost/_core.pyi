@@ -33,11 +33,13 @@ what would be right; an object of the wrong class raises `TypeError`. A hand tha
 no error but a status.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Literal, TypedDict, final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+from fingerpost.errors import FingerpostError
 
 __all__ = [
     "Appearance",
@@ -64,6 +66,7 @@ __all__ = [
     "Template",
     "Track",
     "sample_contour",
+    "update_views",
 ]
 
 # --- options ---------------------------------------------------------------------------------
@@ -1690,6 +1693,35 @@ class ContourTracker:
 
     def search_lines(self) -> SearchLines:
         """Give the last search along the normals, without lines before the first frame."""
+
+def update_views(
+    views: Sequence[tuple[ContourTracker, NDArray[np.uint8], float, NDArray[np.uint8] | None]],
+    *,
+    schedule: Literal["by-need", "in-turn", "side-by-side"] | None = None,
+) -> list[Track | FingerpostError]:
+    """Take one frame of every view and tell where the hand is in each, in one call.
+
+    Parameters
+    ----------
+    views
+        For each view its tracker, grey levels, capture time [s] and colours or None, as
+        `ContourTracker.update` takes them: images are not copied. No tracker comes twice.
+    schedule
+        Who does the work: one thread "in-turn"; a thread for each view, "side-by-side"; or, by
+        default, threads of their own for views that look for their hand, which takes milliseconds,
+        and this thread for those that follow it, "by-need". The tracks are the same to the bit.
+
+    Returns
+    -------
+    list
+        In the order of the views: what each tracker made of its frame, or the error that
+        `ContourTracker.update` raises for it. The error of one view costs no other its track.
+
+    Raises
+    ------
+    InvalidInputError
+        A schedule that is none of these, or a view of other than four entries.
+    """
 
 @final
 class Track:

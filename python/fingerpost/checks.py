@@ -87,6 +87,8 @@ def covariance_array(
         As `finite_array`; or not symmetric, or with a negative eigenvalue.
     """
     array = finite_array(value, name, shape)
+    if array.shape == (2, 2) and (known := _symmetric_2x2(array)) is not None:
+        return known
     transposed = np.swapaxes(array, -1, -2)
     slack = _COVARIANCE_ROUNDING * abs(array).max(axis=(-1, -2), initial=0.0)
     if (abs(array - transposed) > slack[..., None, None]).any():
@@ -98,6 +100,17 @@ def covariance_array(
             f"{name} has the negative eigenvalue {smallest.min():.3g}; a covariance has none"
         )
     return array
+
+
+def _symmetric_2x2(array: NDArray[np.float64]) -> NDArray[np.float64] | None:
+    """Give one 2 × 2 covariance made symmetric, in a microsecond; None for another matrix."""
+    (xx, xy), (yx, yy) = array.tolist()
+    slack = _COVARIANCE_ROUNDING * max(abs(xx), abs(xy), abs(yx), abs(yy))
+    mixed = (xy + yx) / 2
+    smallest = (xx + yy) / 2 - math.hypot((xx - yy) / 2, mixed)
+    if abs(xy - yx) > slack or smallest < -slack:
+        return None
+    return array if xy == yx else np.array([[xx, mixed], [mixed, yy]])
 
 
 def in_range(value: float, name: str, low: float, high: float = np.inf) -> float:

@@ -12,19 +12,27 @@ loop exists once; whatever plays, draws, records or drives stands around it.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
+from functools import cached_property
 from itertools import islice
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fingerpost._core import ContourTracker, SearchLines, StartPose, Template, Track
+from fingerpost._core import (
+    ContourTracker,
+    SearchLines,
+    StartPose,
+    Template,
+    Track,
+    update_views,
+)
 from fingerpost.capture import Frame, open_source, read_views
 from fingerpost.config import Rig, View
-from fingerpost.errors import InvalidInputError
+from fingerpost.errors import FingerpostError, InvalidInputError
 from fingerpost.finding import DOUBTED_FRAMES, HandSearch, Viewpoint, are_two, can_be_one, find_hand
 from fingerpost.pointing import (
     BARE_HAND,
@@ -40,11 +48,14 @@ from fingerpost.pointing import (
 from fingerpost.recording import PointRow, TrackRow
 from fingerpost.recording.picture import SearchMarks
 
+ViewFrame = tuple[ContourTracker, NDArray[np.uint8], float, NDArray[np.uint8] | None]
+"""A tracker, and the frame to update it with: grey levels, capture time [s] and colours, if any."""
+
 DEFAULT_REFERENCE_SIGMA_PX = 0.5
 """Standard deviation of a reference point that a person clicked or a line fit gave [px]."""
 
 
-@dataclass(frozen=True, eq=False, slots=True)
+@dataclass(frozen=True, eq=False)
 class Observation:
     """What one view saw in one frame.
 
@@ -58,8 +69,8 @@ class Observation:
         What the tracker made of it; None without a frame, and while no hand has been found.
     contour_px
         The template's outline after the frame, (N, 2) [px].
-    search
-        Where the last search looked, and which edges it chose and rejected.
+    searched
+        Where the last search looked, and what it found; None without a track.
     missing
         What a view without a track is: it looks for its first hand, or for one that it has lost.
     """
@@ -68,10 +79,15 @@ class Observation:
     frame: Frame | None
     track: Track | None
     contour_px: NDArray[np.float64]
-    search: SearchMarks
+    searched: SearchLines | None
     missing: Status = Status.LOST
 
-    @property
+    @cached_property
+    def search(self) -> SearchMarks:
+        """The last search, to be drawn: its lines, and the edges that it chose and rejected."""
+        return SearchMarks.none() if self.searched is None else _marks(self.searched)
+
+    @cached_property
     def finger(self) -> FingerLine | Status:
         """The finger line, or why there is none."""
         if self.frame is None:
@@ -218,6 +234,7 @@ class HandView:
             view.lens,
         )
         self.viewpoint = Viewpoint(self.plane_view, np.full(3, np.nan))
+        self._size_px: tuple[int, int] | None = None
         self.search = HandSearch(tracker_options)
         self._tracker: ContourTracker | None = None
         self._track: Track | None = None
@@ -240,16 +257,28 @@ class HandView:
         """What the view's tracker, or the trial that is believed, made of the last frame."""
         return self.search.found.track if self.search.found is not None else self._track
 
+    def view_frame(self, frame: Frame | None) -> ViewFrame | None:
+        """Return what the view's tracker is to be updated with; None where there is nothing."""
+        if frame is None or self._tracker is None:
+            return None
+        colour = frame.image if frame.image.ndim == 3 else None
+        return self._tracker, frame.grey(), frame.time_s, colour
+
+    def follow(self, track: Track) -> None:
+        """Take over what the tracker made of the view's frame."""
+        self._track = track
+
     def observe(self, frame: Frame | None) -> None:
-        """Track the hand in a frame, or look for it; None stands for one that cannot be read."""
+        """Learn from a frame that the tracker has had, and look for a hand that it does not follow.
+
+        None stands for a frame that cannot be read.
+        """
         if frame is None:
             return
         height_px, width_px = frame.image.shape[:2]
-        if np.isnan(self.viewpoint.centre).any():
-            self.viewpoint = Viewpoint.of(self.plane_view, (width_px, height_px))
-        if self._tracker is not None:
-            colour = frame.image if frame.image.ndim == 3 else None
-            self._track = self._tracker.update(frame.grey(), frame.time_s, colour)
+        if self._size_px != (width_px, height_px):
+            self._size_px = width_px, height_px
+            self.viewpoint = Viewpoint.of(self.plane_view, self._size_px)
         if self._finds_by_itself and self.search.shows_background(frame, self._track):
             self._let_go()
         self.search.learn(frame, self.track)
@@ -266,16 +295,16 @@ class HandView:
             self._missing = Status.LOST
             self.search.rest()
 
-    def doubt(self, others: Sequence[HandView]) -> None:
+    def doubt(self, others: Sequence[HandView], shared: _Shared) -> None:
         """Count frames in which no other view shows what this one follows; let go after some.
 
         A hand that the view has found by itself must point at the plane with another view; of one
         that was held up to it, the other views must follow the same finger.
         """
         if self._finds_by_itself:
-            is_alone = not any(can_be_one((self, other)) for other in others)
+            is_alone = not any(shared.can_be_one(self, other) for other in others)
         else:
-            is_alone = all(are_two((self, other)) for other in others)
+            is_alone = all(shared.are_two(self, other) for other in others)
         self._doubts = self._doubts + 1 if is_alone else 0
         if self._doubts >= DOUBTED_FRAMES:
             self._let_go()
@@ -291,10 +320,8 @@ class HandView:
         found = self.search.found
         tracker, track = (found.tracker, found.track) if found else (self._tracker, self._track)
         if frame is None or tracker is None:
-            nowhere, unsearched = np.empty((0, 2)), SearchMarks.none()
-            return Observation(self.name, frame, None, nowhere, unsearched, self._missing)
-        search = _marks(tracker.search_lines())
-        return Observation(self.name, frame, track, tracker.contour(), search)
+            return Observation(self.name, frame, None, np.empty((0, 2)), None, self._missing)
+        return Observation(self.name, frame, track, tracker.contour(), tracker.search_lines())
 
 
 def _marks(lines: SearchLines) -> SearchMarks:
@@ -304,6 +331,30 @@ def _marks(lines: SearchLines) -> SearchMarks:
     edges_px = lines.position_px + lines.normal * lines.offset_px[:, None]
     agrees = np.zeros(len(lines), np.bool_) if lines.agrees is None else lines.agrees
     return SearchMarks(ends_px, edges_px, agrees)
+
+
+class _Shared:
+    """What pairs of views may show together in one frame; each pair is judged once."""
+
+    def __init__(self) -> None:
+        self._judgements: dict[tuple[Callable[..., bool], frozenset[HandView]], bool] = {}
+
+    def can_be_one(self, one: HandView, other: HandView) -> bool:
+        return self._judged(can_be_one, one, other)
+
+    def are_two(self, one: HandView, other: HandView) -> bool:
+        return self._judged(are_two, one, other)
+
+    def _judged(
+        self,
+        judge: Callable[[tuple[HandView, HandView]], bool],
+        one: HandView,
+        other: HandView,
+    ) -> bool:
+        key = judge, frozenset((one, other))
+        if key not in self._judgements:
+            self._judgements[key] = judge((one, other))
+        return self._judgements[key]
 
 
 @dataclass(slots=True)
@@ -413,12 +464,15 @@ class Pointer:
         frames
             One per view, in the rig's order; None where a frame could not be read.
         """
+        self._follow(frames)
         for view, frame in zip(self.views, frames, strict=True):
             view.observe(frame)
-        find_hand(self.views, frames)
+        if any(view.is_searching for view in self.views):
+            find_hand(self.views, frames)
+        shared = _Shared()
         for view in self.views:
             view.settle()
-            view.doubt([other for other in self.views if other is not view])
+            view.doubt([other for other in self.views if other is not view], shared)
         observations = tuple(
             view.observation(frame) for view, frame in zip(self.views, frames, strict=True)
         )
@@ -428,6 +482,27 @@ class Pointer:
         if first is not None:
             self._pending.append(_Pending(first.index, first.time_s, observations))
         yield from self._ready()
+
+    def _follow(self, frames: Sequence[Frame | None]) -> None:
+        """Update the trackers of all views in one call; the error of one keeps none from a frame.
+
+        Raises
+        ------
+        FingerpostError
+            Why a tracker has refused its frame; the first view's if there are several.
+        """
+        given = [
+            (view, taken)
+            for view, frame in zip(self.views, frames, strict=True)
+            if (taken := view.view_frame(frame)) is not None
+        ]
+        tracks = update_views([taken for _, taken in given])
+        errors = [track for track in tracks if isinstance(track, FingerpostError)]
+        for (view, _), track in zip(given, tracks, strict=True):
+            if isinstance(track, Track):
+                view.follow(track)
+        if errors:
+            raise errors[0]
 
     def finish(self) -> Iterator[Step]:
         """Yield the last steps, whose time not every view has reached."""

@@ -15,7 +15,8 @@ from bisect import bisect_left
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
-from itertools import pairwise
+from functools import cached_property
+from itertools import combinations, pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -24,22 +25,24 @@ from fingerpost.checks import covariance_array, finite_array, in_range
 from fingerpost.errors import DegenerateReferencePointsError, InvalidInputError
 from fingerpost.homography import (
     estimate_image_from_plane,
-    transfer_jacobian_by_point,
     transfer_to_image,
     transfer_to_plane,
 )
 from fingerpost.lens import Lens
-from fingerpost.lines import constraint_line, crossing_angle_rad, line_at_angle
 from fingerpost.uncertainty import (
     UNBOUNDED,
+    Constraint,
     Ellipse,
     Intersection,
     confidence_ellipse,
-    constraint_line_covariance,
+    constraint,
+    constraint_components,
+    entries_form,
     homography_covariance,
-    image_line_covariance,
-    intersect,
-    widened_covariance,
+    largest_sigma,
+    line_and_covariance,
+    meeting_point,
+    widened,
 )
 
 _LARGEST = float(np.finfo(np.float64).max)
@@ -295,6 +298,74 @@ class PlaneView:
             seen, transfer_to_plane(self.image_from_plane, np.where(seen, ideal, 0.0)), np.nan
         )
 
+    @cached_property
+    def _floats(self) -> tuple[list[list[float]], list[list[float]]]:
+        """Homography and form of its covariance, as a frame's few lines take them."""
+        return self.image_from_plane.tolist(), entries_form(self.entries_covariance).tolist()
+
+    def constrain(self, finger: FingerLine, options: PointingOptions) -> Constraint | None:
+        """Turn a finger line, its lens taken out, into its constraint line on the plane: eq. 2.
+
+        Parameters
+        ----------
+        finger
+            As `through_pinhole` gives it.
+        options
+            The allowance for bias counts as noise.
+
+        Returns
+        -------
+        Constraint or None
+            None for the plane's horizon, which meets the plane nowhere.
+        """
+        u, v = finger.anchor_px.tolist()
+        (offset, both), (_, angle) = finger.covariance.tolist()
+        line, covariance = constraint_components(
+            *self._floats,
+            (u, v),
+            (math.cos(finger.angle_rad), math.sin(finger.angle_rad)),
+            (offset + options.bias_offset_px**2, both, angle + options.bias_angle_rad**2),
+        )
+        return constraint(line, covariance)
+
+    def ahead_of_tip(self, finger: FingerLine, found: Intersection) -> tuple[float, float] | None:
+        """How far ahead of a finger's tip the view shows a point of the plane.
+
+        Along the finger's direction e that is ``e·(π(T X~) − tip)``, a quotient of two linear forms
+        of X~ with the divisor W of eq. 1.
+
+        Parameters
+        ----------
+        finger
+            As `through_pinhole` gives it.
+        found
+            The point, with its covariance.
+
+        Returns
+        -------
+        (float, float) or None
+            Distance [px] and its variance [px²], that of the tip not counted; None beyond the
+            view's horizon.
+        """
+        (t11, t12, t13), (t21, t22, t23), (t31, t32, t33) = self._floats[0]
+        x, y = found.point.tolist()
+        W = t31 * x + t32 * y + t33
+        if not W > 0.0:
+            return None
+        cos, sin = math.cos(finger.angle_rad), math.sin(finger.angle_rad)
+        u, v = finger.tip_px.tolist()
+        tip = cos * u + sin * v
+        # By x, y and 1: the divided form.
+        a, b, c = (
+            cos * t11 + sin * t21 - tip * t31,
+            cos * t12 + sin * t22 - tip * t32,
+            cos * t13 + sin * t23 - tip * t33,
+        )
+        ahead = (a * x + b * y + c) / W
+        by_x, by_y = (a - ahead * t31) / W, (b - ahead * t32) / W
+        (xx, xy), (_, yy) = found.covariance.tolist()
+        return ahead, (xx * by_x + 2.0 * xy * by_y) * by_x + yy * by_y**2
+
     def through_pinhole(self, finger: FingerLine) -> FingerLine | Status:
         """Finger line with the lens taken out; ILL_CONDITIONED where the lens model ends."""
         if self.lens is None:
@@ -431,31 +502,29 @@ def indicated_point(
 
     # The finger line l_i in each image; eq. 2, l_i = T(l_gp), turns it into the constraint line
     # l_gp = Tᵀ l_i of the plane, on which the indicated point lies.
-    T = np.array([plane_views[k].image_from_plane for k in seen]).reshape(-1, 3, 3)
-    Σ_T = np.array([plane_views[k].entries_covariance for k in seen]).reshape(-1, 9, 9)
-    l_i, Σ_i = _image_lines(fingers, options)
-    l_gp = constraint_line(T, l_i)
-    Σ_gp = constraint_line_covariance(T, Σ_T, l_i, Σ_i)
-    lines = _per_view(l_gp, Σ_gp, seen, len(entries))
+    views = [plane_views[k] for k in seen]
+    l_gp = [view.constrain(finger, options) for view, finger in zip(views, fingers, strict=True)]
+    lines = _drawn(l_gp, seen, len(entries))
     if len(fingers) < 2:
         return Fix(time_s, max(missing, key=_SEVERITY.__getitem__), lines, reason=without)
-    if np.isnan(l_gp).any():
+    met = [line for line in l_gp if line is not None]
+    if len(met) < len(l_gp):
         reason = "a finger line is the horizon of the plane and meets it nowhere"
         return Fix(time_s, Status.ILL_CONDITIONED, lines, covariance=UNBOUNDED, reason=reason)
 
     # Figure 2c: the constraint lines of two views meet in the indicated point; more views vote.
-    found = intersect(l_gp, Σ_gp)
-    crossing = _largest_crossing_angle(l_gp)
+    found = meeting_point(met)
+    crossing = _largest_crossing_angle(met)
     max_sigma = options.max_sigma * max(view.plane_size for view in plane_views)
-    widened = widened_covariance(l_gp, Σ_gp, found, options.nsigma * max_sigma)
+    wide = widened(met, found, options.nsigma * max_sigma)
     doubt = (
-        _uncertain(widened, max_sigma, crossing)
+        _uncertain(wide, max_sigma, crossing)
         or _views_disagree(found, len(fingers), options)
         # Figure 2, last step: the point is projected back into the images.
-        or _misplaced(found, T, fingers, seen, options)
+        or _misplaced(found, views, fingers, seen, options)
     )
     if doubt:
-        return Fix(time_s, Status.ILL_CONDITIONED, lines, None, widened, crossing, doubt)
+        return Fix(time_s, Status.ILL_CONDITIONED, lines, None, wide, crossing, doubt)
     return Fix(time_s, Status.OK, lines, found.point, found.covariance, crossing, without)
 
 
@@ -589,42 +658,28 @@ def _finger_axes(angle_rad: float) -> NDArray[np.float64]:
     return np.array([[c, s], [-s, c]])
 
 
-def _image_lines(
-    fingers: Sequence[FingerLine], options: PointingOptions
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Homogeneous finger lines with covariances, the bias allowance included."""
-    anchor = np.array([finger.anchor_px for finger in fingers]).reshape(-1, 2)
-    angle = np.array([finger.angle_rad for finger in fingers])
-    measured = np.array([finger.covariance for finger in fingers]).reshape(-1, 2, 2)
-    bias = np.diag([options.bias_offset_px**2, options.bias_angle_rad**2])
-    return (
-        line_at_angle(anchor, angle),
-        image_line_covariance(anchor, angle, measured + bias),
-    )
-
-
-def _per_view(
-    lines: NDArray[np.float64],
-    covariances: NDArray[np.float64],
-    seen: Sequence[int],
-    views: int,
+def _drawn(
+    constraints: Sequence[Constraint | None], seen: Sequence[int], views: int
 ) -> tuple[ConstraintLine | None, ...]:
     """Constraint lines in the order of all views, None where there is none."""
     each: list[ConstraintLine | None] = [None] * views
-    for k, line, covariance in zip(seen, lines, covariances, strict=True):
-        if not math.isnan(line[0]):
-            each[k] = ConstraintLine(line, covariance)
+    for k, line in zip(seen, constraints, strict=True):
+        if line is not None:
+            each[k] = ConstraintLine(*line_and_covariance(line))
     return tuple(each)
 
 
-def _largest_crossing_angle(lines: NDArray[np.float64]) -> float:
-    return float(crossing_angle_rad(lines[:, None], lines).max())
+def _largest_crossing_angle(constraints: Sequence[Constraint]) -> float:
+    return max(
+        math.atan2(abs(a * q - b * p), abs(a * p + b * q))
+        for (a, b, *_), (p, q, *_) in combinations(constraints, 2)
+    )
 
 
 def _uncertain(widened: NDArray[np.float64], max_sigma: float, crossing_rad: float) -> str:
     """Why the point is too uncertain to be one; empty if it is not."""
-    if np.isfinite(widened).all():
-        sigma = float(np.sqrt(np.linalg.eigvalsh(widened)[-1]))
+    sigma = largest_sigma(widened)
+    if math.isfinite(sigma):
         if sigma <= max_sigma:
             return ""
         found = f"standard deviation {sigma:.3g}"
@@ -653,27 +708,26 @@ def _views_disagree(found: Intersection, views: int, options: PointingOptions) -
 
 def _misplaced(
     found: Intersection,
-    T: NDArray[np.float64],
+    views: Sequence[PlaneView],
     fingers: Sequence[FingerLine],
     seen: Sequence[int],
     options: PointingOptions,
 ) -> str:
     """Why the point cannot be what the hand in some view points at; empty if it can."""
-    x = transfer_to_image(T, found.point)
-    hidden = np.isnan(x).any(axis=1)
-    if hidden.any():
-        return f"the point lies beyond the horizon of view {seen[int(np.argmax(hidden))]}"
-    tip = np.array([finger.tip_px for finger in fingers])
-    angle = np.array([finger.angle_rad for finger in fingers])
-    direction = np.column_stack([np.cos(angle), np.sin(angle)])
-    ahead = ((x - tip) * direction).sum(axis=1)
-    gradient = (direction[:, None] @ transfer_jacobian_by_point(T, found.point))[:, 0]
-    variance = ((gradient @ found.covariance) * gradient).sum(axis=1) + options.tip_sigma_px**2
-    excess = ahead + options.nsigma * np.sqrt(variance)
-    k = int(np.argmin(excess))
+    placed = []
+    for k, view, finger in zip(seen, views, fingers, strict=True):
+        place = view.ahead_of_tip(finger, found)
+        if place is None:
+            return f"the point lies beyond the horizon of view {k}"
+        placed.append(place)
+    excess = [
+        ahead + options.nsigma * math.sqrt(variance + options.tip_sigma_px**2)
+        for ahead, variance in placed
+    ]
+    k = excess.index(min(excess))
     if excess[k] >= 0.0:
         return ""
-    return f"the point lies {-ahead[k]:.3g} px behind the finger tip in view {seen[k]}"
+    return f"the point lies {-placed[k][0]:.3g} px behind the finger tip in view {seen[k]}"
 
 
 def _refuse_unmatched(

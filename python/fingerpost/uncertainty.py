@@ -20,7 +20,9 @@ standard deviations hold 86.5 %. `confidence_ellipse` uses the distribution of t
 """
 
 import math
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -28,11 +30,16 @@ from numpy.typing import ArrayLike, NDArray
 from fingerpost.checks import covariance_array, finite_array, in_range
 from fingerpost.errors import InvalidInputError
 from fingerpost.homography import entries_from_reference_points
-from fingerpost.lines import constraint_line, line_at_angle, line_at_angle_jacobian
+from fingerpost.lines import normalised
 
 # No line is known better than its arithmetic: this share of the coordinates is the least standard
 # deviation a distance can have. It stands in for lines given as exact.
 _ROUNDING = 1e-12
+
+Constraint = tuple[float, float, float, float, float, float, float, float, float]
+"""A constraint line ``(a, b, c)`` and the coefficients of xx, xy, x, yy, y and 1 in the variance of
+the distance of (x, y) from it: plain floats, with which a frame's few lines are many times faster
+than as arrays. `constraint` makes one."""
 
 # Variances further apart than this would only spoil the 2 × 2 system: next to a line a thousand
 # times surer the other's share in the weight is a millionth either way.
@@ -135,6 +142,11 @@ class Intersection:
     chi2: float
 
 
+UNDETERMINED = Intersection(np.full(2, np.nan), UNBOUNDED, 0.0)
+"""Where parallel lines meet; not to be written to."""
+UNDETERMINED.point.setflags(write=False)
+
+
 def homography_covariance(
     image_from_plane: ArrayLike, plane_points: ArrayLike, covariances_px2: ArrayLike
 ) -> NDArray[np.float64]:
@@ -165,64 +177,145 @@ def homography_covariance(
     return np.asarray(weighted @ gain.reshape(9, -1).T)
 
 
-def image_line_covariance(
-    anchor_px: ArrayLike, angle_rad: ArrayLike, covariance: ArrayLike
-) -> NDArray[np.float64]:
-    """Covariance of the homogeneous line through an anchor at an angle.
-
-    Parameters
-    ----------
-    anchor_px : (..., 2)
-    angle_rad : (...)
-    covariance : (..., 2, 2)
-        Of (offset along the normal [px], angle [rad]) at the anchor.
-
-    Returns
-    -------
-    (..., 3, 3)
-        Of ``(n, −n·anchor)``, of rank 2.
-    """
-    covariance = finite_array(covariance, "covariance", (..., 2, 2))
-    jacobian = line_at_angle_jacobian(anchor_px, angle_rad)
-    return np.asarray(jacobian @ covariance @ np.swapaxes(jacobian, -1, -2))
-
-
-def constraint_line_covariance(
+def constraint_lines(
     image_from_plane: ArrayLike,
     entries_covariance: ArrayLike,
-    image_line: ArrayLike,
-    line_covariance: ArrayLike,
-) -> NDArray[np.float64]:
-    """Covariance of `fingerpost.lines.constraint_line`, finger line and homography counted.
+    anchor_px: ArrayLike,
+    angle_rad: ArrayLike,
+    covariance: ArrayLike,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Constraint lines of finger lines, with covariances: finger line and homography counted.
 
     Parameters
     ----------
     image_from_plane : (..., 3, 3)
     entries_covariance : (..., 9, 9)
         Of the homography's entries; zero for one known exactly.
-    image_line : (..., 3)
-        Normalised to ``a² + b² = 1``.
-    line_covariance : (..., 3, 3)
-        Of the image line.
+    anchor_px : (..., 2)
+        A point of the finger line.
+    angle_rad : (...)
+        Its direction [rad].
+    covariance : (..., 2, 2)
+        Of (offset along the normal [px], angle [rad]) at the anchor.
 
     Returns
     -------
-    (..., 3, 3)
-        Of the constraint line normalised to ``a² + b² = 1``; NaN for the plane's horizon. For a
-        point on the line ``X~ᵀ Σ X~`` is the variance of its distance [plane units²].
+    lines : (..., 3)
+        As `fingerpost.lines.constraint_line` of `fingerpost.lines.line_at_angle`.
+    covariances : (..., 3, 3)
+        Theirs. For a point on a line ``X~ᵀ Σ X~`` is the variance of its distance [plane units²].
+        NaN, as the line, for the plane's horizon.
     """
     T = finite_array(image_from_plane, "image_from_plane", (..., 3, 3))
-    entries = finite_array(entries_covariance, "entries_covariance", (..., 9, 9))
-    line = finite_array(image_line, "image_line", (..., 3))
-    line_covariance = finite_array(line_covariance, "line_covariance", (..., 3, 3))
-    from_line = np.swapaxes(T, -1, -2) @ line_covariance @ T
-    # ∂m/∂h = [a I, b I, c I]: the entries stand row by row, and l_i multiplies row i of T.
-    by_entries = line[..., None, :, None] * np.eye(3)[:, None, :]
-    by_entries = by_entries.reshape(*line.shape[:-1], 3, 9)
-    from_entries = by_entries @ entries @ np.swapaxes(by_entries, -1, -2)
-    normal = line[..., None, :] @ T[..., :2]
-    scale = normal @ np.swapaxes(normal, -1, -2)
-    return np.asarray((from_line + from_entries) / np.where(scale > 0.0, scale, np.nan))
+    form = entries_form(entries_covariance)
+    anchor = finite_array(anchor_px, "anchor_px", (..., 2))
+    angle = finite_array(angle_rad, "angle_rad", (...,))
+    spread = finite_array(covariance, "covariance", (..., 2, 2))
+    (a, b, c), entries = constraint_components(
+        list(np.moveaxis(T, (-2, -1), (0, 1))),
+        list(np.moveaxis(form, (-2, -1), (0, 1))),
+        (anchor[..., 0], anchor[..., 1]),
+        (np.cos(angle), np.sin(angle)),
+        (spread[..., 0, 0], spread[..., 0, 1], spread[..., 1, 1]),
+    )
+    lines = np.stack(np.broadcast_arrays(a, b, c), axis=-1)
+    scale = np.square(lines[..., :2]).sum(axis=-1)
+    covariances = np.stack(np.broadcast_arrays(*entries), axis=-1)[..., _SYMMETRIC]
+    return normalised(lines), covariances / np.where(scale > 0.0, scale, np.nan)[..., None, None]
+
+
+# Of the upper triangle row by row: the place of every entry of the symmetric 3 × 3 matrix.
+_SYMMETRIC = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
+
+
+def entries_form(entries_covariance: ArrayLike) -> NDArray[np.float64]:
+    """Covariance of a homography's entries, as `constraint_components` takes it.
+
+    With ``∂m/∂h = [a I, b I, c I]`` (the entries stand row by row, and l_i multiplies row i of T)
+    the covariance ``(∂m/∂h) Σ_h (∂m/∂h)ᵀ`` is linear in the products of a, b and c.
+
+    Parameters
+    ----------
+    entries_covariance : (..., 9, 9)
+
+    Returns
+    -------
+    (..., 6, 6)
+        Rows: upper triangle of the 3 × 3 covariance, row by row. Columns: aa, ab, ac, bb, bc, cc.
+    """
+    Σ_h = finite_array(entries_covariance, "entries_covariance", (..., 9, 9))
+    i, j = np.triu_indices(3)
+    p, q = i[:, None], j[:, None]
+    mixed = Σ_h[..., 3 * j + p, 3 * i + q]
+    return np.asarray(Σ_h[..., 3 * i + p, 3 * j + q] + np.where(i < j, mixed, 0.0))
+
+
+Numbers = Any
+"""A float, or an array of them: the arithmetic is the same."""
+
+
+def constraint_components(
+    image_from_plane: Sequence[Iterable[Numbers]],
+    entries_form: Sequence[Iterable[Numbers]],
+    anchor_px: tuple[Numbers, Numbers],
+    direction: tuple[Numbers, Numbers],
+    covariance: tuple[Numbers, Numbers, Numbers],
+) -> tuple[tuple[Numbers, Numbers, Numbers], list[Numbers]]:
+    """Constraint line of a finger line and its covariance, entry by entry.
+
+    Steps 2 and 3 of the chain in one. A frame has a line or two, for which floats are many times
+    faster than arrays.
+
+    Parameters
+    ----------
+    image_from_plane : 3 × 3
+    entries_form : 6 × 6
+        See `entries_form`.
+    anchor_px
+        (u, v)
+    direction
+        (cos, sin) of the finger line's angle.
+    covariance
+        Variance of the offset, covariance, variance of the angle.
+
+    Returns
+    -------
+    line
+        ``m = Tᵀ l_i``, of whatever scale it comes out.
+    covariance
+        Upper triangle of its covariance at that scale, row by row.
+    """
+    (t11, t12, t13), (t21, t22, t23), (t31, t32, t33) = image_from_plane
+    (u, v), (cos, sin), (offset, both, angle) = anchor_px, direction, covariance
+    # l_i = (−sin, cos, c); by the angle its derivative is (−cos, −sin, along), by the offset
+    # (0, 0, −1).
+    c, along = sin * u - cos * v, cos * u + sin * v
+    m1, m2, m3 = (
+        cos * t21 - sin * t11 + c * t31,
+        cos * t22 - sin * t12 + c * t32,
+        cos * t23 - sin * t13 + c * t33,
+    )
+    g1, g2, g3 = (
+        along * t31 - cos * t11 - sin * t21,
+        along * t32 - cos * t12 - sin * t22,
+        along * t33 - cos * t13 - sin * t23,
+    )
+    # Covariances of m with the offset and with the angle.
+    d1, d2, d3 = both * g1 - offset * t31, both * g2 - offset * t32, both * g3 - offset * t33
+    e1, e2, e3 = angle * g1 - both * t31, angle * g2 - both * t32, angle * g3 - both * t33
+    from_line = (
+        g1 * e1 - t31 * d1,
+        g1 * e2 - t31 * d2,
+        g1 * e3 - t31 * d3,
+        g2 * e2 - t32 * d2,
+        g2 * e3 - t32 * d3,
+        g3 * e3 - t33 * d3,
+    )
+    aa, ab, ac, bb, bc, cc = sin * sin, -sin * cos, -sin * c, cos * cos, cos * c, c * c
+    return (m1, m2, m3), [
+        known + aa * f1 + ab * f2 + ac * f3 + bb * f4 + bc * f5 + cc * f6
+        for known, (f1, f2, f3, f4, f5, f6) in zip(from_line, entries_form, strict=True)
+    ]
 
 
 def intersect(lines: ArrayLike, covariances: ArrayLike) -> Intersection:
@@ -254,28 +347,39 @@ def intersect(lines: ArrayLike, covariances: ArrayLike) -> Intersection:
     covariances = finite_array(covariances, "covariances", (len(lines), 3, 3))
     if len(lines) < 2:
         raise InvalidInputError(f"{len(lines)} constraint line; two or more meet in a point")
-    normals = lines[:, :2]
-    undetermined = Intersection(np.full(2, np.nan), UNBOUNDED, 0.0)
-    covariance = _inverse_2x2(normals.T @ normals)  # at first all lines count alike
-    if covariance is None:
-        return undetermined
-    X = -covariance @ (lines[:, 2] @ normals)
-    for _ in range(_MAX_ITERATIONS):
-        residuals, variances = _distances(lines, covariances, X)
-        weighted = normals / variances[:, None]
-        covariance = _inverse_2x2(normals.T @ weighted)
-        if covariance is None:
-            return undetermined
-        step = covariance @ (residuals @ weighted)
-        X = X - step
-        sigma = math.sqrt(covariance[0, 0] + covariance[1, 1])
-        rounding = _ROUNDING * max(abs(X).max(), abs(lines[:, 2]).max())
-        if abs(step).max() <= max(_CONVERGED_SHARE * sigma, rounding):
+    return meeting_point(_constraints(lines, covariances))
+
+
+def meeting_point(constraints: Sequence[Constraint]) -> Intersection:
+    """Do the work of `intersect`, on checked lines.
+
+    Parameters
+    ----------
+    constraints
+        N ≥ 2 of them.
+
+    Returns
+    -------
+    Intersection
+    """
+    x = y = 0.0
+    # At first all lines count alike; so the first step is from anywhere to where they about meet.
+    residuals, variances = [line[2] for line in constraints], [1.0] * len(constraints)
+    for iteration in range(_MAX_ITERATIONS + 1):
+        solved = _solved(constraints, residuals, variances)
+        if solved is None:
+            return UNDETERMINED
+        dx, dy, xx, xy, yy = solved
+        x, y = x - dx, y - dy
+        residuals, variances = _distances(constraints, x, y)
+        sigma = math.sqrt(xx + yy)
+        rounding = _ROUNDING * max(abs(x), abs(y), *(abs(line[2]) for line in constraints))
+        if iteration and max(abs(dx), abs(dy)) <= max(_CONVERGED_SHARE * sigma, rounding):
             break
     else:
-        return undetermined
-    residuals, variances = _distances(lines, covariances, X)
-    return Intersection(X, covariance, float(residuals @ (residuals / variances)))
+        return UNDETERMINED
+    chi2 = sum(r * r / s for r, s in zip(residuals, variances, strict=True))
+    return Intersection(np.array([x, y]), np.array([[xx, xy], [xy, yy]]), chi2)
 
 
 def widened_covariance(
@@ -310,23 +414,47 @@ def widened_covariance(
     lines = finite_array(lines, "lines", ("N", 3))
     covariances = finite_array(covariances, "covariances", (len(lines), 3, 3))
     distance = in_range(distance, "distance", np.finfo(np.float64).tiny)
-    if not np.isfinite(found.covariance).all():
+    return widened(_constraints(lines, covariances), found, distance)
+
+
+def widened(
+    constraints: Sequence[Constraint], found: Intersection, distance: float
+) -> NDArray[np.float64]:
+    """Do the work of `widened_covariance`, on checked lines.
+
+    Parameters
+    ----------
+    constraints
+        N ≥ 2 of them.
+    found, distance
+        As for `widened_covariance`.
+
+    Returns
+    -------
+    (2, 2)
+    """
+    (xx, xy), (_, yy) = found.covariance.tolist()
+    if not math.isfinite(xx + yy):
         return UNBOUNDED
-    (_, major), (across, along) = _principal_axes(found.covariance)
-    shift = lines[:, :2] @ across
+    _, major, along_x, along_y = _principal_axes(xx, xy, yy)
+    x, y = found.point.tolist()
     widest = major
-    for X in (found.point + distance * along, found.point - distance * along):
-        residuals, variances = _distances(lines, covariances, X)
-        weighted = shift / variances
-        chi2 = residuals @ (residuals / variances) - (residuals @ weighted) ** 2 / (
-            shift @ weighted
-        )
-        excluded = chi2 - found.chi2
+    for reach in (distance, -distance):
+        residuals, variances = _distances(constraints, x + reach * along_x, y + reach * along_y)
+        chi2 = sideways = shift2 = 0.0
+        for (a, b, *_), r, s in zip(constraints, residuals, variances, strict=True):
+            shift = b * along_x - a * along_y
+            chi2 += r * r / s
+            sideways += r * shift / s
+            shift2 += shift * shift / s
+        excluded = chi2 - sideways * sideways / shift2 - found.chi2
         if excluded * widest < distance**2:
             widest = distance**2 / excluded if excluded > 0.0 else math.inf
     if not math.isfinite(widest):
         return UNBOUNDED
-    return np.asarray(found.covariance + (widest - major) * np.outer(along, along))
+    more = widest - major
+    xy += more * along_x * along_y
+    return np.array([[xx + more * along_x**2, xy], [xy, yy + more * along_y**2]])
 
 
 def confidence_ellipse(
@@ -400,12 +528,7 @@ def nsigma_ellipse(
     exact = np.zeros((len(T), 9, 9))
 
     def meeting(anchor: NDArray[np.float64], angle: NDArray[np.float64]) -> NDArray[np.float64]:
-        image_lines = line_at_angle(anchor, angle)
-        spread = image_line_covariance(anchor, angle, covariance)
-        return intersect(
-            constraint_line(T, image_lines),
-            constraint_line_covariance(T, exact, image_lines, spread),
-        ).point
+        return intersect(*constraint_lines(T, exact, anchor, angle, covariance)).point
 
     sigma = nsigma * np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1))
     normal = np.column_stack([-np.sin(angle), np.cos(angle)])
@@ -424,34 +547,79 @@ def nsigma_ellipse(
     return _ellipse(point, spread.T @ spread, 1.0)
 
 
-def _distances(
-    lines: NDArray[np.float64], covariances: NDArray[np.float64], X: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Distances of a point from lines, and the variances of these distances."""
-    homogeneous = np.array([X[0], X[1], 1.0])
-    variances = (covariances @ homogeneous) @ homogeneous
-    floor = max(_ROUNDING**2 * (X @ X), _LEAST_RATIO * variances.max(), _TINY)
-    return lines @ homogeneous, np.maximum(variances, floor)
-
-
-def _inverse_2x2(matrix: NDArray[np.float64]) -> NDArray[np.float64] | None:
-    """Inverse of an information matrix; None if its lines are parallel to rounding."""
-    (a, b), (_, d) = matrix.tolist()
-    determinant = a * d - b * b
-    if determinant <= (_PARALLEL_RAD * (a + d)) ** 2:
+def constraint(line: Sequence[float], covariance: Sequence[float]) -> Constraint | None:
+    """Scale what `constraint_components` gives in floats; None for the plane's horizon."""
+    a, b, c = line
+    length = math.hypot(a, b)
+    if not length > _TINY * abs(c):
         return None
-    return np.asarray(np.array([[d, -b], [-b, a]]) / determinant)
+    xx, xy, x1, yy, y1, one = (entry / length / length for entry in covariance)
+    return a / length, b / length, c / length, xx, 2.0 * xy, 2.0 * x1, yy, 2.0 * y1, one
 
 
-def _principal_axes(
-    covariance: NDArray[np.float64],
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Variances, the smaller first, and their unit directions as rows."""
-    variances, directions = np.linalg.eigh(covariance)
-    return np.maximum(variances, 0.0), directions.T
+def line_and_covariance(line: Constraint) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Constraint line, (3,), and its covariance, (3, 3), as arrays."""
+    a, b, c, xx, xy, x1, yy, y1, one = line
+    xy, x1, y1 = xy / 2, x1 / 2, y1 / 2
+    return np.array([a, b, c]), np.array([[xx, xy, x1], [xy, yy, y1], [x1, y1, one]])
+
+
+def largest_sigma(covariance: NDArray[np.float64]) -> float:
+    """Give the standard deviation where it is largest; infinite if nothing bounds the point."""
+    (xx, xy), (_, yy) = covariance.tolist()
+    return math.sqrt(_principal_axes(xx, xy, yy)[1])
+
+
+def _constraints(lines: NDArray[np.float64], covariances: NDArray[np.float64]) -> list[Constraint]:
+    return [
+        (a, b, c, xx, xy + yx, x1 + lx, yy, y1 + ly, one)
+        for (a, b, c), ((xx, xy, x1), (yx, yy, y1), (lx, ly, one)) in zip(
+            lines.tolist(), covariances.tolist(), strict=True
+        )
+    ]
+
+
+def _distances(
+    constraints: Sequence[Constraint], x: float, y: float
+) -> tuple[list[float], list[float]]:
+    """Distances of a point from lines, and the variances of these distances."""
+    residuals = [line[0] * x + line[1] * y + line[2] for line in constraints]
+    variances = [
+        (xx * x + xy * y + x1) * x + (yy * y + y1) * y + one
+        for _, _, _, xx, xy, x1, yy, y1, one in constraints
+    ]
+    floor = max(_ROUNDING**2 * (x * x + y * y), _LEAST_RATIO * max(variances), _TINY)
+    return residuals, [max(variance, floor) for variance in variances]
+
+
+def _solved(
+    constraints: Sequence[Constraint], residuals: Sequence[float], variances: Sequence[float]
+) -> tuple[float, float, float, float, float] | None:
+    """Step (x, y) that leads away from a point, and its covariance (xx, xy, yy).
+
+    None if the lines are parallel to rounding.
+    """
+    aa = ab = bb = ra = rb = 0.0
+    for (a, b, *_), residual, variance in zip(constraints, residuals, variances, strict=True):
+        p, q = a / variance, b / variance
+        aa, ab, bb = aa + a * p, ab + a * q, bb + b * q
+        ra, rb = ra + residual * p, rb + residual * q
+    determinant = aa * bb - ab * ab
+    if determinant <= (_PARALLEL_RAD * (aa + bb)) ** 2:
+        return None
+    xx, xy, yy = bb / determinant, -ab / determinant, aa / determinant
+    return xx * ra + xy * rb, xy * ra + yy * rb, xx, xy, yy
+
+
+def _principal_axes(xx: float, xy: float, yy: float) -> tuple[float, float, float, float]:
+    """Variances of a covariance, the smaller first, and the larger one's direction."""
+    half, mean = math.hypot((xx - yy) / 2, xy), (xx + yy) / 2
+    angle = math.atan2(2.0 * xy, xx - yy) / 2
+    return max(mean - half, 0.0), mean + half, math.cos(angle), math.sin(angle)
 
 
 def _ellipse(centre: NDArray[np.float64], covariance: NDArray[np.float64], scale: float) -> Ellipse:
-    variances, (_, major) = _principal_axes(covariance)
-    angle = float(np.arctan2(major[1], major[0]) % np.pi)
-    return Ellipse(centre, scale * np.sqrt(variances[::-1]), angle)
+    (xx, xy), (_, yy) = covariance.tolist()
+    minor, major, x, y = _principal_axes(xx, xy, yy)
+    semi_axes = np.array([scale * math.sqrt(major), scale * math.sqrt(minor)])
+    return Ellipse(centre, semi_axes, math.atan2(y, x) % math.pi)

@@ -75,6 +75,7 @@ pub mod shape_space;
 pub mod simd;
 pub mod template;
 pub mod tracker;
+pub mod views;
 
 pub use error::{Error, Result};
 pub use frame::Frame;

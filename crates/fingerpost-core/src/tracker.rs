@@ -529,6 +529,16 @@ impl ContourTracker {
         &self.options
     }
 
+    /// Where the tracker is after the last frame.
+    #[must_use]
+    pub fn status(&self) -> Status {
+        match self.phase {
+            Phase::Acquiring { .. } => Status::Acquiring,
+            Phase::Tracking { .. } => Status::Tracking,
+            Phase::Lost { .. } => Status::Lost,
+        }
+    }
+
     /// The contour as it stands in the image after the last frame, or where it waits.
     #[must_use]
     pub fn contour(&self) -> Vec<PlacedSample> {

@@ -16,6 +16,7 @@ mod search;
 mod shape_space;
 mod template;
 mod tracker;
+mod views;
 mod words;
 
 use pyo3::prelude::*;
@@ -48,4 +49,6 @@ mod _core {
     use super::template::PyTemplate;
     #[pymodule_export]
     use super::tracker::{PyContourTracker, PyDiagnostics, PyFingerLine, PyStartPose, PyTrack};
+    #[pymodule_export]
+    use super::views::update_views;
 }

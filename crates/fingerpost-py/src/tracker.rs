@@ -125,7 +125,7 @@ impl PyStartPose {
 
 /// Follows one hand in one view.
 #[pyclass(name = "ContourTracker", module = "fingerpost")]
-pub struct PyContourTracker(ContourTracker);
+pub struct PyContourTracker(pub ContourTracker);
 
 /// A constructor of the tracker's.
 type Make = fn(Template, &StartPose, TrackerOptions) -> Result<ContourTracker>;
@@ -229,7 +229,7 @@ impl PyContourTracker {
 
 /// What one frame told.
 #[pyclass(name = "Track", module = "fingerpost._core", frozen)]
-pub struct PyTrack(Track);
+pub struct PyTrack(pub Track);
 
 #[pymethods]
 impl PyTrack {

@@ -5,7 +5,7 @@ from __future__ import annotations
 import enum
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from types import TracebackType
 from typing import Self
 
@@ -34,14 +34,22 @@ class Frame:
     index: int
     time_s: float
     image: NDArray[np.uint8]
+    _grey: NDArray[np.uint8] | None = field(default=None, init=False, repr=False)
 
     def grey(self) -> NDArray[np.uint8]:
-        """Return the image in grey (ITU-R BT.601 luma); a grey image is returned as it is."""
+        """Return the image in grey (ITU-R BT.601 luma); a grey image is returned as it is.
+
+        Converted once: every stage that asks gets the same array.
+        """
         if self.image.ndim == 2:
             return self.image
-        import cv2
+        if self._grey is None:
+            import cv2
 
-        return np.asarray(cv2.cvtColor(self.image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
+            grey = np.asarray(cv2.cvtColor(self.image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
+            object.__setattr__(self, "_grey", grey)
+            return grey
+        return self._grey
 
 
 class SourceKind(enum.Enum):

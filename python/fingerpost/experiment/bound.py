@@ -25,12 +25,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fingerpost.lines import constraint_line, line_at_angle
 from fingerpost.pointing import PlaneView
 from fingerpost.simulate import Camera, DevicePose, FingerTruth
 from fingerpost.simulate.device import Body
 from fingerpost.simulate.occlusion import CONTOUR_STEP_PX, visible_contour
-from fingerpost.uncertainty import constraint_line_covariance, image_line_covariance, intersect
+from fingerpost.uncertainty import constraint_lines, intersect
 
 # Contour points this near a flank belong to it: a lens bends it by less between two vertices.
 _ON_FLANK_PX = 1e-3
@@ -167,7 +166,5 @@ def point_bound(
     anchor = np.array([bound.anchor_px for bound in line_bounds])
     angle = np.array([bound.angle_rad for bound in line_bounds])
     covariance = np.array([bound.covariance for bound in line_bounds])
-    l_i = line_at_angle(anchor, angle)
-    Σ_gp = constraint_line_covariance(T, Σ_T, l_i, image_line_covariance(anchor, angle, covariance))
-    least = intersect(constraint_line(T, l_i), Σ_gp).covariance
+    least = intersect(*constraint_lines(T, Σ_T, anchor, angle, covariance)).covariance
     return least if np.isfinite(least).all() else None

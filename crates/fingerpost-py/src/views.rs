@@ -1,0 +1,81 @@
+//! `fingerpost._core.update_views`.
+
+use crate::errors::{InvalidInputError, in_use, invalid_input};
+use crate::image::FrameArrays;
+use crate::numbers::real;
+use crate::tracker::{PyContourTracker, PyTrack};
+use crate::words::Word;
+use fingerpost_core::views::{Schedule, ViewUpdate};
+use pyo3::prelude::*;
+use pyo3::types::PyTuple;
+
+/// A tracker, grey levels, capture time and, if there are any, colours.
+type View<'py> =
+    (Bound<'py, PyContourTracker>, Bound<'py, PyAny>, Bound<'py, PyAny>, Option<Bound<'py, PyAny>>);
+
+/// Takes one frame of every view and tells where the hand is in each.
+#[pyfunction]
+#[pyo3(signature = (views, *, schedule = None))]
+pub fn update_views<'py>(
+    py: Python<'py>,
+    views: Vec<Bound<'py, PyTuple>>,
+    schedule: Option<&Bound<'py, PyAny>>,
+) -> PyResult<Vec<Bound<'py, PyAny>>> {
+    let schedule = schedule.map(|word| Schedule::parse(word, "schedule")).transpose()?;
+    let schedule = schedule.unwrap_or_default();
+    let views = views.iter().enumerate().map(|(k, view)| entries(k, view));
+    let views = views.collect::<PyResult<Vec<_>>>()?;
+    let mut taken: Vec<_> = views.iter().map(Taken::new).collect();
+    let mut updates = Vec::with_capacity(taken.len());
+    let refused: Vec<_> = taken
+        .iter_mut()
+        .map(|view| match view {
+            Ok(view) => view.update().map(|update| updates.push(update)).err(),
+            Err(error) => Some(error.clone_ref(py)),
+        })
+        .collect();
+    let mut tracks =
+        py.detach(|| fingerpost_core::views::update_views(updates, schedule)).into_iter();
+    let told = refused.into_iter().filter_map(|refusal| match refusal {
+        Some(error) => Some(Err(error)),
+        None => tracks.next().map(|track| track.map_err(invalid_input)),
+    });
+    told.map(|track| match track {
+        Ok(track) => Ok(Bound::new(py, PyTrack(track))?.into_any()),
+        Err(error) => Ok(error.into_value(py).into_bound(py).into_any()),
+    })
+    .collect()
+}
+
+/// The entries of a view, or the error that they are others.
+fn entries<'py>(k: usize, view: &Bound<'py, PyTuple>) -> PyResult<View<'py>> {
+    match view.len() {
+        4 => view.extract(),
+        n => Err(InvalidInputError::new_err(format!(
+            "views[{k}] has {n} entries; a tracker, an image, its time and its colours or None are \
+             needed"
+        ))),
+    }
+}
+
+/// A view whose tracker and images are borrowed for one call.
+struct Taken<'py> {
+    tracker: PyRefMut<'py, PyContourTracker>,
+    arrays: FrameArrays<'py>,
+    time_s: f64,
+}
+
+impl<'py> Taken<'py> {
+    fn new((tracker, image, time_s, colour): &View<'py>) -> PyResult<Self> {
+        Ok(Self {
+            arrays: FrameArrays::new(image, colour.as_ref())?,
+            time_s: real(time_s, "time_s")?,
+            tracker: tracker.try_borrow_mut().map_err(|_| in_use("ContourTracker"))?,
+        })
+    }
+
+    fn update(&mut self) -> PyResult<ViewUpdate<'_>> {
+        let Self { tracker, arrays, time_s } = self;
+        Ok(ViewUpdate { tracker: &mut tracker.0, frame: arrays.frame()?, time_s: *time_s })
+    }
+}
