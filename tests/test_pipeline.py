@@ -203,7 +203,7 @@ def test_an_observation_tells_what_the_search_found_and_why_the_frame_counts():
     assert np.median(away) < 1.0
     verdict, details = tracked.reasons
     assert verdict.startswith("accepted: ")
-    assert f"finger agreement {100 * diagnostics.agreement:.0f} % (min 50)" in verdict
+    assert f"finger agreement {100 * diagnostics.agreement:.0f} % (min 3" in verdict
     assert f"residual {diagnostics.residual_rms_px:.2f} px" in verdict
     assert f"{diagnostics.inliers} agree" in details
     assert f"innovation {diagnostics.innovation:.1f}" in details
@@ -220,24 +220,22 @@ def test_an_observation_tells_what_the_search_found_and_why_the_frame_counts():
 
 
 @pytest.mark.parametrize(
-    ("agreement", "residual_px", "verdict"),
+    ("refusal", "verdict"),
     [
-        (0.31, 0.5, "refused: finger agreement 31 % (min 50)"),
-        (0.62, 2.51, "refused: residual 2.51 px (max 2.00)"),
-        (
-            0.31,
-            2.51,
-            "refused: finger agreement 31 % (min 50), residual 2.51 px (max 2.00)",
-        ),
+        ("no-fit", "refused: no fit that could be a finger"),
+        ("size", "refused: not the size of the hand that was followed"),
+        ("motion", "refused: no hand moves like that"),
+        ("agreement", "refused: finger agreement 31 % (min 50)"),
+        ("residual", "refused: residual 2.51 px (max 2.00)"),
     ],
 )
-def test_a_refusal_names_what_was_asked(agreement, residual_px, verdict):
+def test_a_refusal_names_what_was_asked(refusal, verdict):
     told = SimpleNamespace(
-        visible=100,
         accepted=False,
-        agreement=agreement,
+        refusal=refusal,
+        agreement=0.31,
         min_agreement=0.5,
-        residual_rms_px=residual_px,
+        residual_rms_px=2.51,
         max_residual_px=2.0,
         innovation=None,
     )

@@ -1834,8 +1834,17 @@ class Diagnostics:
         """Whether the fit was determined and accepted."""
 
     @property
+    def refusal(self) -> Literal["no-fit", "size", "motion", "agreement", "residual"] | None:
+        """Why the fit was not accepted; None if it was.
+
+        "no-fit": none was determined that could be a finger. "size": it is much wider, slimmer or
+        more tapered than the hand that is followed. "motion": no hand moves like that.
+        "agreement", "residual": too few edges agree with it, or they lie too far from it.
+        """
+
+    @property
     def innovation(self) -> float | None:
-        """How much place and angle of an accepted fit surprise, as a normalised square.
+        """How much place and angle of a fit surprise, as a normalised square.
 
         3 on average for a hand that moves as the option ``track.dynamics`` says; above 21 once in
         10,000 frames. None where nothing foretold them.

@@ -86,11 +86,17 @@ Rays that pass so far apart are no proof alone: the lines must contradict each o
 DOUBTED_FRAMES = 20
 """Views that have given no point for so many frames follow different things."""
 
-LENGTHS = (13.0, 11.0, 9.0, 7.0, 5.5)
-SOUND = 0.97
-MISFIT_GROWTH = 2.2
-"""A found finger is followed by the longest of these templates [half-widths] that at least this
-part of the contour agrees with, and that fits no worse than so many times the best."""
+LENGTHS = (12.0, 10.5, 9.0, 8.0, 7.0, 6.0, 5.0)
+"""Templates that may follow a found finger, in its fitted half-widths, the longest first."""
+
+LOOKS = 3
+"""How often each of them looks at the frame: its colours, known from the first look, bring out
+flanks that grey hides, and with them the width."""
+
+FAR_END = 0.3
+FAR_END_SEEN = 0.7
+"""A template is no longer than the finger if on either flank at least this part of the edges agrees
+with the fit, over the given part of its length farthest from the tip."""
 
 REACH = 1.5
 """How far from the middle of the reference points one may point [plane sizes]."""
@@ -142,6 +148,9 @@ where it is: a print, a pen, a shadow."""
 
 FLAT_WORTH = 0.1
 """What a flat finger is worth."""
+
+HALF_WIDTH_NAME = "half_width [px]"
+"""The component of the band model's shape vector."""
 
 HALF_WIDTH = 0.115
 """Half the width of the usual finger, in visible lengths."""
@@ -468,6 +477,14 @@ class Trial:
         return self.foreground >= IN_FOREGROUND
 
     @property
+    def half_width_px(self) -> float:
+        """Half the finger's width, by the fit if its shape space has one."""
+        shape = self.track.shape_vector
+        if shape is not None and HALF_WIDTH_NAME in self.track.shape_names:
+            return float(shape[self.track.shape_names.index(HALF_WIDTH_NAME)])
+        return self.candidate.half_width_px
+
+    @property
     def is_proven(self) -> bool:
         """Whether it has moved, or has stood before the background for a while."""
         line = self.track.finger_line
@@ -622,8 +639,8 @@ class HandSearch:
     def believe(self, trial: Trial | None, frame: Frame) -> None:
         """Take a trial, if any, for the hand, with a template as long as its finger.
 
-        A short template is easier to find; a long one tells the direction better, and fits as long
-        as it does not reach into the fist.
+        A short template is easier to find; a long one tells the direction better, and cannot hold
+        on to one shaded flank, as long as it does not reach into the fist.
         """
         if trial is None:
             self._unbelieved_frames += 1
@@ -634,23 +651,20 @@ class HandSearch:
         if trial is self.found:
             return
         self.found = trial
-        line, half_width_px = trial.track.finger_line, trial.candidate.half_width_px
+        line = trial.track.finger_line
         if line is None:
             return
         if not trial.has_come:
             # It was there from the start: what was learned there is the hand.
             self.background.forget(_hand_region(line))
-        fits = []
+        half_width_px = trial.half_width_px
         for length in LENGTHS:
             start = StartPose(line.tip_px, line.angle_rad, length * half_width_px)
             tracker = self._tracker_at(start, half_width_px)
-            track = tracker.update(frame.grey(), frame.time_s, _colour(frame))
-            diagnostics = track.diagnostics
-            if diagnostics.accepted and diagnostics.inliers >= SOUND * diagnostics.visible:
-                fits.append((tracker, track))
-        least = min((track.diagnostics.residual_rms_px for _, track in fits), default=0.0)
-        for tracker, track in fits:
-            if track.diagnostics.residual_rms_px <= MISFIT_GROWTH * least:
+            for _ in range(LOOKS):
+                track = tracker.update(frame.grey(), frame.time_s, _colour(frame))
+            found = track.finger_line
+            if found is not None and _far_ends_seen(tracker, found) >= FAR_END_SEEN:
                 trial.tracker, trial.track = tracker, track
                 return
 
@@ -909,6 +923,18 @@ def _hand_region(line: CoreFingerLine) -> tuple[Array, Array, float]:
     # The anchor is the finger's middle; hand and wrist lie within thrice its length.
     finger = 2.0 * (tip - anchor)
     return tip + 0.2 * finger, tip - 3.0 * finger, 0.8 * float(np.hypot(*finger))
+
+
+def _far_ends_seen(tracker: ContourTracker, line: CoreFingerLine) -> float:
+    """Return the part of the edges far from the tip that agree with the fit, on the worse flank."""
+    lines = tracker.search_lines()
+    e = np.array([np.cos(line.angle_rad), np.sin(line.angle_rad)])
+    along = (lines.position_px - line.tip_px) @ e
+    is_far = along < (1.0 - FAR_END) * along.min()
+    side = lines.normal @ np.array([-e[1], e[0]])
+    agrees = np.zeros(len(lines), np.bool_) if lines.agrees is None else lines.agrees
+    flanks = [agrees[is_far & (sign * side > 0.0)] for sign in (-1.0, 1.0)]
+    return min(float(flank.mean()) if len(flank) else 0.0 for flank in flanks)
 
 
 def _are_near(one: StartPose, other: StartPose, reach_px: float, turn_rad: float) -> bool:

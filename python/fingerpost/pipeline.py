@@ -142,20 +142,19 @@ class Observation:
 def _verdict(track: Track) -> str:
     """Say whether the fit of a frame counts, and by what."""
     told = track.diagnostics
-    if told.visible == 0:
-        return "refused: no fit that could be a finger"
     percent, least = 100 * told.agreement, 100 * told.min_agreement
     agreement = f"finger agreement {percent:.0f} % (min {least:.0f})"
     residual = f"residual {told.residual_rms_px:.2f} px (max {told.max_residual_px:.2f})"
     if told.accepted:
         verdict = "settling" if track.finger_line is None else "accepted"
         return f"{verdict}: {agreement}, {residual}"
-    failed = []
-    if told.agreement < told.min_agreement:
-        failed.append(agreement)
-    if told.residual_rms_px > told.max_residual_px:
-        failed.append(residual)
-    return f"refused: {', '.join(failed)}"
+    reasons = {
+        "size": "not the size of the hand that was followed",
+        "motion": "no hand moves like that",
+        "agreement": agreement,
+        "residual": residual,
+    }
+    return f"refused: {reasons.get(told.refusal or '', 'no fit that could be a finger')}"
 
 
 def _details(track: Track, search: SearchMarks) -> str:

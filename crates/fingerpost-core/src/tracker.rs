@@ -33,6 +33,7 @@ mod looks;
 mod mould;
 mod options;
 mod seek;
+mod verdict;
 
 use crate::dynamics::{Dynamics, Gate, Innovation, Prediction, chi_square_quantile};
 use crate::fit::Prior;
@@ -53,6 +54,8 @@ pub use options::{
     AcceptOptions, AcquireOptions, DynamicsOptions, Model, TrackOptions, TrackerOptions,
 };
 use seek::{Judged, Seek};
+pub use verdict::Refusal;
+use verdict::{Known, Motion};
 
 /// Where the template waits for the hand.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -134,9 +137,11 @@ pub struct Diagnostics {
     pub iterations: usize,
     /// Whether the fit was determined and accepted.
     pub accepted: bool,
-    /// How much place and angle of an accepted fit surprise, as the square of the innovation in
-    /// units of its covariance: 3 on average for a hand that moves as [`TrackOptions::dynamics`]
-    /// says. None where nothing foretold them.
+    /// Why it was not.
+    pub refusal: Option<Refusal>,
+    /// How much place and angle of a fit surprise, as the square of the innovation in units of its
+    /// covariance: 3 on average for a hand that moves as [`TrackOptions::dynamics`] says. None
+    /// where nothing foretold them.
     pub innovation: Option<f64>,
 }
 
@@ -363,7 +368,19 @@ struct Found<T = Shape> {
 
 impl Found {
     fn is_accepted(&self, accept: &AcceptOptions) -> bool {
-        self.fit.is_some_and(|f| f.is_accepted(accept, self.shape.width()))
+        self.refusal(accept).is_none()
+    }
+
+    /// Why its edges alone do not make it a hand.
+    fn refusal(&self, accept: &AcceptOptions) -> Option<Refusal> {
+        let Some(fit) = &self.fit else { return Some(Refusal::NoFit) };
+        if fit.agreement < accept.min_inliers {
+            Some(Refusal::Agreement)
+        } else if fit.residual_rms_px > max_residual_px(accept, self.shape.width()) {
+            Some(Refusal::Residual)
+        } else {
+            None
+        }
     }
 
     /// The part of the visible contour that the fit explains, 0–1.
@@ -565,9 +582,9 @@ impl ContourTracker {
         let (shape, kind) = last;
         let settling = std::mem::replace(&mut self.hand.kind, kind);
         let reach_px = LOST_REACH * self.options.track.half_length_px;
-        let found = self.find(frame, shape, reach_px, None)?;
         let accept = self.options.acquire.accept;
-        if found.is_accepted(&accept) {
+        let found = self.find(frame, shape, reach_px, &accept, None)?;
+        if self.known(&accept, None).judge(&found).is_ok() {
             self.hand.shape = found.shape;
             self.start(time_s, &found.shape)?;
             return self.tracked(frame, time_s, &found, &accept);
@@ -613,7 +630,7 @@ impl ContourTracker {
                 (Phase::Lost { last, settled }, Status::Lost)
             });
         self.phase = phase;
-        Ok(track(time_s, status, &found, &accept, accepted))
+        Ok(track(time_s, status, &found, &accept, found.refusal(&accept)))
     }
 
     /// The hand at the waiting template, or where an earlier frame has found it.
@@ -746,10 +763,15 @@ impl ContourTracker {
         let went_px = (expected - from.placement()).xy().norm();
         let reach_px = half_length_px * (1.0 + missed as f64) + went_px;
         let predicted = from.placed(&expected);
-        let found = self.find(frame, predicted, reach_px, Some(&foretold))?;
-        if found.is_accepted(&accept)
-            && let Some((dynamics, innovation)) = foretold.followed(&found)?
-        {
+        let found = self.find(frame, predicted, reach_px, &accept, Some(&foretold))?;
+        let followed = foretold.followed(&found)?;
+        let innovation = followed.as_ref().and_then(|(_, innovation)| innovation.as_ref());
+        let known = self.known(&accept, innovation);
+        let innovation = innovation.map(Innovation::normalised_square);
+        let verdict = known.judge(&found);
+        let min_agreement = found.fit.map_or(accept.min_inliers, |fit| known.min_agreement(&fit));
+        let accept = AcceptOptions { min_inliers: min_agreement, ..accept };
+        if let (Ok(()), Some((dynamics, _))) = (verdict, followed) {
             self.hand.shape = found.shape;
             self.hand.grow();
             self.hand.count_thumb(&found, lose_after_frames);
@@ -757,7 +779,7 @@ impl ContourTracker {
             self.dynamics = Some(dynamics);
             self.phase = Phase::Tracking { missed: 0 };
             let mut track = self.tracked(frame, time_s, &found, &accept)?;
-            track.diagnostics.innovation = innovation.map(|i| i.normalised_square());
+            track.diagnostics.innovation = innovation;
             return Ok(track);
         }
         let missed = missed + 1;
@@ -768,17 +790,40 @@ impl ContourTracker {
             self.phase = Phase::Tracking { missed };
             Status::Tracking
         };
-        Ok(track(time_s, status, &found, &accept, false))
+        let mut track = track(time_s, status, &found, &accept, verdict.err());
+        track.diagnostics.innovation = innovation;
+        Ok(track)
+    }
+
+    /// What a fit of the followed hand is judged by.
+    fn known(&self, accept: &AcceptOptions, innovation: Option<&Innovation<3>>) -> Known<'_> {
+        let motion = innovation.map(|i| Motion::of(i, self.surprise));
+        Known { accept: *accept, acquired: &self.hand.acquired, motion }
+    }
+
+    /// How well a fit explains the contour, 0–1; 0 if no hand can have become or moved to it.
+    fn worth(
+        &self,
+        found: &Found,
+        accept: &AcceptOptions,
+        foretold: Option<&Foretold>,
+    ) -> Result<f64> {
+        let followed = foretold.map(|f| f.followed(found)).transpose()?.flatten();
+        let innovation = followed.as_ref().and_then(|(_, innovation)| innovation.as_ref());
+        let possible = self.known(accept, innovation).is_possible(&found.shape);
+        Ok(if possible.is_ok() { found.explained() } else { 0.0 })
     }
 
     /// The hand about a predicted shape. Its edges are usually near and sharp; when they explain
     /// the contour badly, or by a motion that surprises, the votes lead there from afar, and a
-    /// larger kernel sees edges that motion has smeared. What explains the contour best counts.
+    /// larger kernel sees edges that motion has smeared. What explains the contour best counts, of
+    /// all that a hand can have become and moved to.
     fn find(
         &mut self,
         frame: &Frame<'_>,
         predicted: Shape,
         reach_px: f64,
+        accept: &AcceptOptions,
         foretold: Option<&Foretold>,
     ) -> Result<Found> {
         let reach_px = reach_px.min(MAX_HALF_LENGTH_PX as f64);
@@ -789,10 +834,15 @@ impl ContourTracker {
         let approached = self.approach(frame, predicted, reach_px)?;
         let smeared = self.settle(frame, approached, Scale::Coarse, None)?;
         let sharp = self.settle(frame, smeared.shape, Scale::Fine, None)?;
-        if sharp.explained() >= near.explained().max(smeared.explained()) {
+        let [near_worth, smeared_worth, sharp_worth] = [
+            self.worth(&near, accept, foretold)?,
+            self.worth(&smeared, accept, foretold)?,
+            self.worth(&sharp, accept, foretold)?,
+        ];
+        if sharp_worth >= near_worth.max(smeared_worth) {
             return Ok(sharp);
         }
-        if smeared.explained() >= near.explained() {
+        if smeared_worth >= near_worth {
             return self.settle(frame, smeared.shape, Scale::Coarse, None);
         }
         self.settle(frame, near.shape, Scale::Fine, None)
@@ -1051,7 +1101,7 @@ impl ContourTracker {
         });
         Ok(Track {
             finger_line: refined.or(fitted),
-            ..track(time_s, Status::Tracking, found, accept, true)
+            ..track(time_s, Status::Tracking, found, accept, None)
         })
     }
 
@@ -1102,8 +1152,9 @@ fn track(
     status: Status,
     found: &Found,
     accept: &AcceptOptions,
-    accepted: bool,
+    refusal: Option<Refusal>,
 ) -> Track {
+    let accepted = refusal.is_none();
     let seen = found.fit.map_or(Seen::default(), |f| f.seen);
     Track {
         time_s,
@@ -1114,6 +1165,7 @@ fn track(
             hits: seen.hits,
             iterations: found.iterations,
             accepted,
+            refusal,
             visible: seen.visible,
             inliers: seen.inliers,
             agreement: found.fit.map_or(0.0, |f| f.agreement),

@@ -13,8 +13,8 @@ use fingerpost_core::search::{Polarity, SearchOptions};
 use fingerpost_core::shape_space::{AffineMap, PlacedSample, Pose};
 use fingerpost_core::template::{HALF_LENGTH, OutlineAxis, Template, Thumb};
 use fingerpost_core::tracker::{
-    AcceptOptions, AcquireOptions, ContourTracker, FingerLine, LineSource, Model, StartPose,
-    Status, Track, TrackOptions, TrackerOptions,
+    AcceptOptions, AcquireOptions, ContourTracker, FingerLine, LineSource, Model, Refusal,
+    StartPose, Status, Track, TrackOptions, TrackerOptions,
 };
 use fingerpost_core::{Error, Frame};
 use proptest::prelude::*;
@@ -1038,5 +1038,29 @@ proptest! {
             let error = LineError::of(&line.unwrap(), &hand);
             prop_assert!(error.tip_px < 0.4 && error.angle_rad.abs() < 0.005, "{:?}", error);
         }
+    }
+}
+
+#[test]
+fn what_no_hand_does_from_frame_to_frame_is_refused() {
+    let other = |hand: &Hand, refusal: Refusal| match refusal {
+        // A print, a cable or a second finger under the tip.
+        Refusal::Motion => Hand { angle_rad: hand.angle_rad + 0.7, ..*hand },
+        _ => Hand { half_width_px: 2.2 * hand.half_width_px, ..*hand },
+    };
+    for refusal in [Refusal::Motion, Refusal::Size] {
+        let mut tracker = tracker(Model::Ribbon, Thumb::None);
+        let mut noise = Noise::new(0x7665_7264);
+        let hand = held_up(Thumb::None);
+        let mut time_s = acquire(&mut tracker, &hand, &mut noise);
+        let mut refusals = Vec::new();
+        for k in 0..5 {
+            let shown = if k < 3 { hand } else { other(&hand, refusal) };
+            let track = update(&mut tracker, &picture(&shown, &mut noise), time_s);
+            time_s += FRAME_S;
+            assert_eq!(track.finger_line.is_some(), k < 3, "{refusal:?}, frame {k}: {track:?}");
+            refusals.extend(track.diagnostics.refusal);
+        }
+        assert!(refusals.contains(&refusal), "{refusals:?}");
     }
 }

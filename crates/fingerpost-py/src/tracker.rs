@@ -403,7 +403,13 @@ impl PyDiagnostics {
         self.0.accepted
     }
 
-    /// How much an accepted fit surprises.
+    /// Why the fit was not accepted.
+    #[getter]
+    fn refusal(&self) -> Option<&'static str> {
+        self.0.refusal.map(Word::word)
+    }
+
+    /// How much a fit surprises.
     #[getter]
     fn innovation(&self) -> Option<f64> {
         self.0.innovation

@@ -5,7 +5,7 @@ use fingerpost_core::contour::HandSide;
 use fingerpost_core::fit::{Outcome, Solve};
 use fingerpost_core::search::{Miss, Polarity, Scale};
 use fingerpost_core::template::Thumb;
-use fingerpost_core::tracker::{LineSource, Model, Status};
+use fingerpost_core::tracker::{LineSource, Model, Refusal, Status};
 use fingerpost_core::views::Schedule;
 use pyo3::prelude::*;
 use pyo3::types::PyString;
@@ -78,6 +78,13 @@ words! {
     }
     LineSource { Contour = "contour", Pixels = "pixels" }
     Model { Ribbon = "ribbon", Paper = "paper" }
+    Refusal {
+        NoFit = "no-fit",
+        Size = "size",
+        Motion = "motion",
+        Agreement = "agreement",
+        Residual = "residual",
+    }
     CueKind { Edges = "edges", HandEdges = "hand-edges", Votes = "votes" }
     Schedule { ByNeed = "by-need", InTurn = "in-turn", SideBySide = "side-by-side" }
     Side { Hand = "hand", Background = "background" }

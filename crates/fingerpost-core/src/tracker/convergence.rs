@@ -139,13 +139,6 @@ impl Support {
     }
 }
 
-impl Fit {
-    pub fn is_accepted(&self, accept: &AcceptOptions, half_width_px: f64) -> bool {
-        self.agreement >= accept.min_inliers
-            && self.residual_rms_px <= max_residual_px(accept, half_width_px)
-    }
-}
-
 /// How large the residual offsets of a finger of this half-width may be \[px\].
 pub(super) fn max_residual_px(accept: &AcceptOptions, half_width_px: f64) -> f64 {
     accept.max_residual_px.max(RESIDUAL_SHARE * half_width_px)

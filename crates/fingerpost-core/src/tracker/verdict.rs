@@ -1,0 +1,108 @@
+//! Whether a fit is the hand that is followed: several signs together, for each alone misleads.
+//!
+//! Wedges on a printed mat and edges of a table can have as many edges that agree as a finger has.
+//! But a hand keeps about its size, and moves from where it was by what its motion foretells; and
+//! where it is foretold, edges that are not seen, in front of something alike or smeared, tell
+//! less against it than edges that lie elsewhere.
+
+use super::convergence::Fit;
+use super::options::AcceptOptions;
+use super::{Found, Shape};
+use crate::dynamics::Innovation;
+use crate::shape_space::RibbonVector;
+use crate::template::Part;
+
+/// Why the fit of a frame does not count.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Refusal {
+    /// No fit was determined, or none that could be a finger.
+    NoFit,
+    /// It is much wider, slimmer or more tapered than the hand that is followed.
+    Size,
+    /// No hand moves like that.
+    Motion,
+    /// Too few edges agree with it.
+    Agreement,
+    /// Those that agree lie too far from it.
+    Residual,
+}
+
+/// A followed finger has grown or shrunk by no more than this factor since it was acquired, and its
+/// taper has changed by no more than this: what it was acquired with follows slowly.
+const WIDTH_CHANGE: f64 = 1.6;
+const TAPER_CHANGE: f64 = 0.19;
+/// An innovation so many times as large as one that surprises is no motion of a hand, even of one
+/// that turns back in full motion; nor is a turn so many standard deviations from what was foretold.
+const IMPOSSIBLE: f64 = 8.0;
+const IMPOSSIBLE_TURN: f64 = 6.0;
+/// Of a hand exactly where it was foretold, this part of the least agreement will do, and the more
+/// it surprises the more is asked; if at most this part of its contour has an edge elsewhere and
+/// this part of either flank is seen.
+const FORETOLD_SHARE: f64 = 0.66;
+const CONTRADICTED: f64 = 0.08;
+const FLANK_SEEN: f64 = 0.25;
+
+/// What is known of the hand before its fit is judged.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Known<'a> {
+    pub accept: AcceptOptions,
+    /// The band template as the hand was acquired.
+    pub acquired: &'a RibbonVector,
+    /// How the fit differs from what its motion foretold; None where nothing did.
+    pub motion: Option<Motion>,
+}
+
+/// How place and angle differ from those foretold.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Motion {
+    /// The innovation's normalised square, in units of one that surprises.
+    surprise: f64,
+    /// That of the angle alone, in its standard deviations.
+    turn: f64,
+}
+
+impl Motion {
+    /// Where a normalised square above `surprise` is no motion that was foretold.
+    pub fn of(innovation: &Innovation<3>, surprise: f64) -> Self {
+        Self {
+            surprise: innovation.normalised_square() / surprise,
+            turn: innovation.vector[2].abs() / innovation.covariance[(2, 2)].sqrt(),
+        }
+    }
+}
+
+impl Known<'_> {
+    /// Whether a hand can have become and moved to what was found, whatever edges say.
+    pub fn is_possible(&self, shape: &Shape) -> Result<(), Refusal> {
+        if let Shape::Ribbon(x) = shape {
+            let width = (x[3] / self.acquired[3]).max(self.acquired[3] / x[3]);
+            if !(width <= WIDTH_CHANGE && (x[4] - self.acquired[4]).abs() <= TAPER_CHANGE) {
+                return Err(Refusal::Size);
+            }
+        }
+        let impossible = |m: Motion| m.surprise > IMPOSSIBLE || m.turn > IMPOSSIBLE_TURN;
+        if self.motion.is_some_and(impossible) { Err(Refusal::Motion) } else { Ok(()) }
+    }
+
+    /// Whether it is the hand, and if not, why.
+    pub fn judge(&self, found: &Found) -> Result<(), Refusal> {
+        let Some(fit) = &found.fit else { return Err(Refusal::NoFit) };
+        self.is_possible(&found.shape)?;
+        let accept = AcceptOptions { min_inliers: self.min_agreement(fit), ..self.accept };
+        found.refusal(&accept).map_or(Ok(()), Err)
+    }
+
+    /// How much of the contour must agree.
+    pub fn min_agreement(&self, fit: &Fit) -> f64 {
+        let contradicted =
+            (fit.seen.hits - fit.seen.inliers) as f64 / fit.seen.visible.max(1) as f64;
+        let flanks = [Part::LeftFlank, Part::RightFlank].map(|part| fit.support.of(part));
+        let surprise = self.motion.map_or(1.0, |m| m.surprise.min(1.0));
+        let share = if contradicted <= CONTRADICTED && flanks.iter().all(|&f| f >= FLANK_SEEN) {
+            FORETOLD_SHARE + (1.0 - FORETOLD_SHARE) * surprise
+        } else {
+            1.0
+        };
+        share * self.accept.min_inliers
+    }
+}
