@@ -47,6 +47,8 @@ const MOST_CHI_SQUARED: f64 = 1.5;
 /// Variances, weights of blocks and the scale are estimated in so many iterations, then held: the
 /// rest is Gauss–Newton and converges.
 const ADAPTING_ITERATIONS: usize = 8;
+/// Blocks with something in them have too much say in the first, and their deviations in the next.
+const UNTRIED_ITERATIONS: usize = 3;
 /// No iteration moves the flanks by more than this \[px\], or the blur by more than this part.
 const LONGEST_STEP_PX: f64 = 1.0;
 const LARGEST_BLUR_CHANGE: f64 = 0.3;
@@ -105,16 +107,18 @@ struct Tally {
     psi_squared: f64,
     psi_slope: f64,
     rejected: f64,
+    pixels: f64,
     freed: f64,
     say: f64,
 }
 
 impl Tally {
-    fn add(&mut self, gram: &Gram, say: f64, freed: f64) {
+    fn add(&mut self, gram: &Gram, pixels: f64, say: f64, freed: f64) {
         self.weight += say * gram.weight;
         self.psi_squared += say * gram.psi_squared;
         self.psi_slope += say * gram.psi_slope;
-        self.rejected += gram.rejected;
+        self.rejected += say * gram.rejected;
+        self.pixels += say * pixels;
         self.freed += freed;
         self.say += say;
     }
@@ -157,7 +161,7 @@ impl Photometric {
         let mut x = self.start(sketch)?;
         let pixels = self.pixels() as f64;
         let contrast = x.contrast_grey(0).abs().max(x.contrast_grey(1).abs());
-        let prior = unknowns::prior(&self.options, contrast);
+        let prior = unknowns::prior(&self.options, sketch.half_width_px, contrast);
         let mean = x;
         let mut scale = (FIRST_SCALE * contrast.max(LEAST_CONTRAST_GREY)).max(noise_grey);
         let mut iteration = 0;
@@ -226,12 +230,13 @@ impl Photometric {
             tally: Tally::default(),
         };
         let weighing = Weighing { noise_grey: scale, cutoff: self.options.cutoff };
-        let end = sketch
-            .end_radius_px()
-            .map(|radius| RoundEnd { middle: x.end_px() as f32, radius: radius as f32 });
-        // Up to here no pixel of a block feels the round end.
-        let clear = x.end_px() - CLEAR * x.blur_px() - 0.5 * self.options.block_px;
         for (index, flank) in self.flanks.iter_mut().enumerate() {
+            let end_px = x.end_px(index);
+            let end = sketch
+                .end_radius_px()
+                .map(|radius| RoundEnd { middle: end_px as f32, radius: radius as f32 });
+            // Up to here no pixel of a block feels the round end.
+            let clear = end_px - CLEAR * x.blur_px() - 0.5 * self.options.block_px;
             let mut equations = FlankEquations::default();
             let mut evidence = Evidence::default();
             for (block, deviation) in flank.strip.blocks.iter().zip(&mut flank.deviations) {
@@ -253,7 +258,7 @@ impl Photometric {
                 let reduced = deviation.eliminate(&gram, &variances, scale * scale, &mut evidence);
                 let factors = unknowns::factors(block.p, sketch.half_length_px);
                 equations.add(deviation.say, &factors, &reduced.information, &reduced.right);
-                normal.tally.add(&gram, deviation.say, reduced.freed);
+                normal.tally.add(&gram, block.pixels as f64, deviation.say, reduced.freed);
             }
             equations.spread(index, &mut normal.information, &mut normal.right);
             if iteration <= ADAPTING_ITERATIONS {
@@ -298,7 +303,7 @@ impl Photometric {
         let sigma = |effect: usize| [0, 1].map(|f| self.flanks[f].variances[effect].sqrt());
         PhotometricReport {
             pixels,
-            rejected: tally.rejected / pixels as f64,
+            rejected: tally.rejected / tally.pixels,
             blocks,
             trusted: tally.say / blocks as f64,
             residual_grey,
@@ -320,10 +325,11 @@ impl Flank {
         Self { strip: Strip::new(), deviations, variances: [0.0; 3] }
     }
 
-    /// Takes over the variances that the evidence speaks for; by half once there are some, so that
-    /// they do not swing with the deviations that depend on them.
+    /// Takes over the variances that the evidence speaks for; by half once there are some that owe
+    /// nothing to the first look, which every block has a say in, so that they do not swing with the
+    /// deviations that depend on them.
     fn adapt(&mut self, evidence: &Evidence, iteration: usize) {
-        let keep = if iteration <= 2 { 0.0 } else { 0.5 };
+        let keep = if iteration <= UNTRIED_ITERATIONS { 0.0 } else { 0.5 };
         for (variance, told) in self.variances.iter_mut().zip(evidence.variances()) {
             *variance = keep * *variance + (1.0 - keep) * told;
         }

@@ -6,7 +6,8 @@ use super::sketch::{FlankLines, SIDES, Sketch};
 use nalgebra::{SMatrix, SVector};
 
 /// Unknowns of both flanks: the bisector's and the half-width's coefficients of 1, p and P₂, blur,
-/// middle of the round end, changes of the levels along the finger.
+/// middle of the round end and how much further it lies on the right flank, changes of the levels
+/// along the finger.
 pub(super) const OFFSET: usize = 0;
 pub(super) const SLOPE: usize = 1;
 pub(super) const BEND: usize = 2;
@@ -15,10 +16,11 @@ pub(super) const TAPER: usize = 4;
 pub(super) const BULGE: usize = 5;
 pub(super) const BLUR: usize = 6;
 const END: usize = 7;
-const INSIDE_CHANGE: usize = 8;
-const OUTSIDE_CHANGE: usize = 9;
+const END_SKEW: usize = 8;
+const INSIDE_CHANGE: usize = 9;
+const OUTSIDE_CHANGE: usize = 10;
 /// Unknowns of one flank: inside level a, background level b, slope c, limb l.
-const OWN: usize = 10;
+const OWN: usize = 11;
 const OWN_COUNT: usize = 4;
 
 /// How many unknowns there are.
@@ -32,6 +34,10 @@ const WIDTH_SIGMA_PX: f64 = 2.0;
 const SLOPE_SIGMA: f64 = 0.1;
 const BLUR_SIGMA_PX: f64 = 1.0;
 const END_SIGMA_PX: f64 = 1.0;
+/// A sphere off the optical axis is seen as an ellipse, longer by 1 / cos of the angle between them
+/// in the direction away from the axis. Unless that is along the finger or across it, the round end
+/// begins earlier on one flank than on the other: by about this part of its radius.
+const END_SKEW_SIGMA: f64 = 0.01;
 /// Contrasts below this are taken for it when shading is weighed against them \[grey levels\].
 pub(super) const LEAST_CONTRAST_GREY: f64 = 10.0;
 
@@ -58,14 +64,14 @@ const SLOT_FEATURE: [usize; SLOTS] = [
 /// The unknowns that a flank sees, and the slots of them: the edge is σ times the bisector plus the
 /// half-width.
 const SEEN: usize = OWN + OWN_COUNT;
-const SEEN_SLOT: [usize; SEEN] = [0, 1, 2, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10];
+const SEEN_SLOT: [usize; SEEN] = [0, 1, 2, 0, 1, 2, 3, 4, 4, 5, 6, 7, 8, 9, 10];
 
 fn seen_unknown(seen: usize, flank: usize) -> usize {
     if seen < OWN { seen } else { seen + flank * OWN_COUNT }
 }
 
 fn seen_sign(seen: usize, flank: usize) -> f64 {
-    if seen < HALF_WIDTH { SIDES[flank] } else { 1.0 }
+    if seen < HALF_WIDTH || seen == END_SKEW { SIDES[flank] } else { 1.0 }
 }
 
 /// Values of all unknowns.
@@ -110,8 +116,9 @@ impl Unknowns {
         self.0[BLUR]
     }
 
-    pub fn end_px(&self) -> f64 {
-        self.0[END]
+    /// The middle of the round end as a flank has it.
+    pub fn end_px(&self, flank: usize) -> f64 {
+        self.0[END] + SIDES[flank] * self.0[END_SKEW]
     }
 
     /// Finger minus background at a flank \[grey levels\].
@@ -166,7 +173,7 @@ impl Unknowns {
 }
 
 /// Information of the priors; their mean is where the search starts.
-pub(super) fn prior(options: &PhotometricOptions, contrast_grey: f64) -> Vector {
+pub(super) fn prior(options: &PhotometricOptions, half_width_px: f64, contrast_grey: f64) -> Vector {
     let PhotometricOptions { bend_px, change, ramp, limb, .. } = options;
     let contrast = contrast_grey.max(LEAST_CONTRAST_GREY);
     let mut sigma = Vector::repeat(f64::INFINITY);
@@ -174,6 +181,7 @@ pub(super) fn prior(options: &PhotometricOptions, contrast_grey: f64) -> Vector 
     (sigma[HALF_WIDTH], sigma[TAPER]) = (WIDTH_SIGMA_PX, SLOPE_SIGMA);
     (sigma[BEND], sigma[BULGE]) = (*bend_px, *bend_px);
     (sigma[BLUR], sigma[END]) = (BLUR_SIGMA_PX, END_SIGMA_PX);
+    sigma[END_SKEW] = END_SKEW_SIGMA * half_width_px;
     (sigma[INSIDE_CHANGE], sigma[OUTSIDE_CHANGE]) = (change * contrast, change * contrast);
     for own in [OWN, OWN + OWN_COUNT] {
         (sigma[own + 2], sigma[own + 3]) = (ramp * contrast, limb * contrast);
