@@ -22,10 +22,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fingerpost._core import ContourTracker, SearchLines, StartPose, Template, Track
+from fingerpost._core import FingerLine as CoreFingerLine
 from fingerpost.capture import Frame, open_source, read_views
 from fingerpost.config import Rig, View
 from fingerpost.errors import InvalidInputError
-from fingerpost.finding import DOUBTED_FRAMES, HandSearch, Viewpoint, are_two, can_be_one, find_hand
+from fingerpost.finding import (
+    COME_FRAMES,
+    DOUBTED_FRAMES,
+    HandSearch,
+    Viewpoint,
+    are_two,
+    can_be_one,
+    find_hand,
+    has_moved,
+    moves,
+)
 from fingerpost.pointing import (
     BARE_HAND,
     AlignmentState,
@@ -221,14 +232,19 @@ class HandView:
         self.search = HandSearch(tracker_options)
         self._tracker: ContourTracker | None = None
         self._track: Track | None = None
+        self._unproven: list[CoreFingerLine] = []
+        self._come_frames = 0
+        self._is_proven = False
         self._finds_by_itself = view.start is None
         self._doubts = 0
         self._missing = Status.ACQUIRING
+        self._start: StartPose | None = None
         if view.start is not None:
-            tip_px, angle_deg = view.start.tip_px, view.start.angle_deg
-            start = StartPose(tip_px, np.radians(angle_deg), view.start.length_px)
             template = Template.pistol(view.start.thumb)
-            self._tracker = ContourTracker(template, start, tracker_options)
+            self._waiting = lambda start: ContourTracker(template, start, tracker_options)
+            tip_px, angle_deg = view.start.tip_px, view.start.angle_deg
+            self._start = StartPose(tip_px, np.radians(angle_deg), view.start.length_px)
+            self._tracker = self._waiting(self._start)
 
     @property
     def is_searching(self) -> bool:
@@ -247,22 +263,61 @@ class HandView:
         height_px, width_px = frame.image.shape[:2]
         if np.isnan(self.viewpoint.centre).any():
             self.viewpoint = Viewpoint.of(self.plane_view, (width_px, height_px))
+        background = self.search.look_behind(frame)
+        has_come = self._wait_again(frame)
         if self._tracker is not None:
             colour = frame.image if frame.image.ndim == 3 else None
-            self._track = self._tracker.update(frame.grey(), frame.time_s, colour)
+            known = background if self._is_proven or has_come else None
+            self._track = self._tracker.update(frame.grey(), frame.time_s, colour, background=known)
+            self._prove(frame, has_come)
         if self._finds_by_itself and self.search.shows_background(frame, self._track):
             self._let_go()
-        self.search.learn(frame, self.track)
+        self.search.learn(frame, self.track if self._is_proven or self._finds_by_itself else None)
         if self.is_searching:
             self.search.look(frame)
         else:
             self.search.rest()
 
+    def _wait_again(self, frame: Frame) -> bool:
+        """Tell whether something has come to where the template waits for its first hand.
+
+        What it has followed there so far was something on the table, then, unless that moves: the
+        template waits anew.
+        """
+        if self._start is None or self._is_proven or not self.search.has_come(frame, self._start):
+            self._come_frames = 0
+            return False
+        if not self._unproven:
+            return True
+        self._come_frames = 0 if moves(self._unproven) else self._come_frames + 1
+        if self._come_frames < COME_FRAMES:
+            return False
+        self._tracker = self._waiting(self._start)
+        self._unproven.clear()
+        return True
+
+    def _prove(self, frame: Frame, has_come: bool) -> None:
+        """Believe in the first hand once it has come, or has moved before the background.
+
+        Until then it may be something on the table.
+        """
+        line = self._track.finger_line if self._track is not None else None
+        if line is None or self._is_proven:
+            return
+        self._unproven.append(line)
+        first = self._unproven[0]
+        if has_come:
+            self._is_proven = True
+        elif has_moved(first, line) and self.search.stands_out(frame, line):
+            self._is_proven = True
+            # What was learned where it stood from the start is the hand.
+            self.search.forget(first)
+
     def settle(self) -> None:
         """Follow for good the hand that the search has found, once it is proven."""
         found = self.search.found
         if found is not None and found.is_proven:
-            self._tracker, self._track = found.tracker, found.track
+            self._tracker, self._track, self._is_proven = found.tracker, found.track, True
             self._missing = Status.LOST
             self.search.rest()
 
