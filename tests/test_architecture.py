@@ -100,9 +100,9 @@ RUST_RULES = {
     "fit": _SHAPES | {"simd"},
     "dynamics": _SHAPES,
     "search": _SHAPES | _PIXELS | _LANES,
-    "refine": _SHAPES | _PIXELS | {"fit", "search", "simd"},
-    "tracker": _SHAPES | _PIXELS | {"fit", "dynamics", "search", "refine"},
-    "views": {"error", "frame", "tracker"},
+    "refine": _SHAPES | _PIXELS | {"fit", "search", "simd", "background"},
+    "tracker": _SHAPES | _PIXELS | {"fit", "dynamics", "search", "refine", "background"},
+    "views": {"error", "frame", "tracker", "background"},
 }
 
 # What the core must do without, so that it can be embedded anywhere.

@@ -26,6 +26,7 @@ from scipy import integrate, interpolate
 from fingerpost import _core
 from fingerpost._core import (
     Appearance,
+    Background,
     BSpline,
     ContourTracker,
     EdgeSearch,
@@ -1098,7 +1099,7 @@ def test_images_are_not_copied(tmp_path: Path) -> None:
         print(tracker.update(image, 0.0).status, tracker.update(image, 0.1, colour).status)
         other = ContourTracker(Template.pistol("left"), StartPose((16440, 4150), 0.5, 80))
         for schedule in ("in-turn", "side-by-side"):
-            views = [(tracker, image, 0.2, colour), (other, image, 0.2, None)]
+            views = [(tracker, image, 0.2, colour, None), (other, image, 0.2, None, None)]
             print(*(track.status for track in update_views(views, schedule=schedule)))
         known.observe(image, [[16440, 4150]], "hand", colour=colour)
     """
@@ -1111,6 +1112,14 @@ def test_images_are_not_copied(tmp_path: Path) -> None:
 # --- several views ---------------------------------------------------------------------------
 
 SCHEDULES = ["by-need", "in-turn", "side-by-side", None]
+
+
+def learned(image: np.ndarray) -> Background:
+    """The background that an image of nothing else shows."""
+    background = Background()
+    for _ in range(40):
+        background.observe(image)
+    return background
 
 
 def fingers(frames: int) -> Iterator[list[np.ndarray]]:
@@ -1150,13 +1159,15 @@ def told(track: _core.Track | FingerpostError) -> tuple[object, ...]:
 @pytest.mark.parametrize("schedule", SCHEDULES)
 def test_views_updated_in_one_call_are_those_updated_alone(schedule):
     together, alone = finger_trackers(), finger_trackers()
-    seen = set()
+    background, seen = learned(np.full((480, 640), 60, np.uint8)), set()
     for k, images in enumerate(fingers(24)):
         colours = [np.stack([images[0]] * 3, axis=-1), None, None]
-        views = list(zip(together, images, [k / 30] * 3, colours, strict=True))
+        background.look(images[1])
+        behind = [None, background, None]
+        views = list(zip(together, images, [k / 30] * 3, colours, behind, strict=True))
         tracks = update_views(views, schedule=schedule)
-        for (_, image, time_s, colour), tracker, track in zip(views, alone, tracks, strict=True):
-            assert told(track) == told(tracker.update(image, time_s, colour))
+        for (_, *frame, known), tracker, track in zip(views, alone, tracks, strict=True):
+            assert told(track) == told(tracker.update(*frame, background=known))
         seen.update(track.status for track in tracks)
     assert seen == {"acquiring", "tracking", "lost"}
 
@@ -1170,14 +1181,15 @@ def test_views_updated_in_one_call_are_those_updated_alone(schedule):
         ({"time_s": "now"}, "^time_s is 'now'"),
         ({"time_s": np.nan}, "time"),
         ({"colour": np.zeros((480, 641, 3), np.uint8)}, "641"),
+        ({"background": learned(np.zeros((48, 64), np.uint8))}, "64 × 48 px and the frame 640"),
     ],
 )
 def test_the_error_of_one_view_costs_no_other_its_track(entry, words, schedule):
     images = next(fingers(1))
     trackers, alone = finger_trackers(), finger_trackers()
-    views = [(t, i, 0.0, None) for t, i in zip(trackers, images, strict=True)]
-    bad = {"image": images[1], "time_s": 0.0, "colour": None} | entry
-    views[1] = (trackers[1], bad["image"], bad["time_s"], bad["colour"])
+    views = [(t, i, 0.0, None, None) for t, i in zip(trackers, images, strict=True)]
+    bad = {"image": images[1], "time_s": 0.0, "colour": None, "background": None} | entry
+    views[1] = (trackers[1], bad["image"], bad["time_s"], bad["colour"], bad["background"])
     first, refused, last = update_views(views, schedule=schedule)
     assert told(first) == told(alone[0].update(images[0], 0.0))
     assert told(last) == told(alone[2].update(images[2], 0.0))
@@ -1189,7 +1201,7 @@ def test_the_error_of_one_view_costs_no_other_its_track(entry, words, schedule):
 
 def test_a_tracker_that_comes_twice_is_updated_once():
     tracker, image = ContourTracker(PISTOL, WAITING), grey()
-    first, second = update_views([(tracker, image, 0.0, None)] * 2)
+    first, second = update_views([(tracker, image, 0.0, None, None)] * 2)
     assert first.status == "acquiring"
     assert isinstance(second, FingerpostError)
     assert "in use" in str(second)
@@ -1207,11 +1219,11 @@ def test_a_schedule_is_one_of_three():
 
 def test_views_of_other_entries_are_refused_before_any_is_updated():
     tracker, image = ContourTracker(PISTOL, WAITING), grey()
-    good = (tracker, image, 1.0, None)
+    good = (tracker, image, 1.0, None, None)
     with pytest.raises(InvalidInputError, match=r"^views\[1\] has 3 entries"):
         update_views([good, (tracker, image, 0.0)])
     with pytest.raises(TypeError, match="ContourTracker"):
-        update_views([good, (image, tracker, 0.0, None)])
+        update_views([good, (image, tracker, 0.0, None, None)])
     assert tracker.update(image, 0.0).time_s == 0.0
 
 
@@ -1324,7 +1336,9 @@ def test_two_trackers_run_in_parallel_threads():
 @pytest.mark.parametrize("schedule", SCHEDULES)
 def test_two_rigs_run_in_parallel_threads(schedule):
     image = grey()
-    rigs = [[(ContourTracker(PISTOL, WAITING), image, 0.0, None) for _ in "lr"] for _ in range(2)]
+    rigs = [
+        [(ContourTracker(PISTOL, WAITING), image, 0.0, None, None) for _ in "lr"] for _ in range(2)
+    ]
     calls = [functools.partial(update_views, rig, schedule=schedule) for rig in rigs]
     assert meet(calls, rounds=40)
 

@@ -1256,6 +1256,47 @@ class Background:
             The background is in use in another thread.
         """
 
+    def look(self, image: NDArray[np.uint8], colour: NDArray[np.uint8] | None = None) -> None:
+        """Look at a frame without learning from it.
+
+        Its light is estimated and a camera that has moved is noticed; from then on all that is told
+        of the background holds for this frame. `observe` is this and then `learn`.
+
+        Parameters
+        ----------
+        image : (height, width)
+            Grey levels; not copied. Another size starts a new background.
+        colour : (height, width, 3), optional
+            Colours of the same frame.
+
+        Raises
+        ------
+        InvalidInputError
+            An image that cannot be used.
+        FingerpostError
+            The background is in use in another thread.
+        """
+
+    def learn(
+        self,
+        image: NDArray[np.uint8],
+        colour: NDArray[np.uint8] | None = None,
+        *,
+        keep_out: tuple[ArrayLike, ArrayLike, float] | None = None,
+    ) -> None:
+        """Learn from the frame that was looked at last.
+
+        Parameters
+        ----------
+        image, colour, keep_out
+            As for `observe`.
+
+        Raises
+        ------
+        InvalidInputError, FingerpostError
+            As for `observe`.
+        """
+
     def forget(self, part: tuple[ArrayLike, ArrayLike, float]) -> None:
         """Forget a part of the image, such as a hand that has stood there from the start.
 
@@ -1276,6 +1317,21 @@ class Background:
     @property
     def is_known(self) -> bool:
         """Whether it has lasted long enough to tell the foreground from it."""
+
+    @property
+    def is_exact(self) -> bool:
+        """Whether it is known and its edges are where the last frame shows them.
+
+        A camera that is bumped by a part of a pixel changes few pixels by much, but no edge is
+        where it was.
+        """
+
+    @property
+    def shift_px(self) -> tuple[float, float] | None:
+        """How far the last frame shows it from where it was learned [px], (u, v).
+
+        None where too few edges tell. Beyond a pixel it is no more than a sign that it has moved.
+        """
 
     @property
     def light(self) -> tuple[float, float]:
@@ -1659,6 +1715,8 @@ class ContourTracker:
         image: NDArray[np.uint8],
         time_s: float,
         colour: NDArray[np.uint8] | None = None,
+        *,
+        background: Background | None = None,
     ) -> Track:
         """Take one frame and tell where the hand is.
 
@@ -1671,15 +1729,20 @@ class ContourTracker:
         colour : (height, width, 3), optional
             Colours of the same frame, in any order of channels that stays the same; not copied.
             Edges are measured in ``image``, the hand is told from what is behind it by these.
+        background
+            What is behind the hand, after `Background.look` at this frame. Its edges are not taken
+            for the hand's, and the finger line is measured before what it shows; what the frame
+            contradicts does not count. A hand that has stood there while it was learned is part
+            of it.
 
         Raises
         ------
         InvalidInputError
             An image that is empty, more than 32767 px wide or high, of rows of more than 131071
-            bytes or not as described above, colours of another size, a time that is not finite or
-            runs backwards. The tracker is as it was before.
+            bytes or not as described above, colours of another size, a background of another size,
+            a time that is not finite or runs backwards. The tracker is as it was before.
         FingerpostError
-            The tracker is in use in another thread.
+            The tracker or the background is in use in another thread.
         """
 
     def contour(self) -> NDArray[np.float64]:
@@ -1695,7 +1758,9 @@ class ContourTracker:
         """Give the last search along the normals, without lines before the first frame."""
 
 def update_views(
-    views: Sequence[tuple[ContourTracker, NDArray[np.uint8], float, NDArray[np.uint8] | None]],
+    views: Sequence[
+        tuple[ContourTracker, NDArray[np.uint8], float, NDArray[np.uint8] | None, Background | None]
+    ],
     *,
     schedule: Literal["by-need", "in-turn", "side-by-side"] | None = None,
 ) -> list[Track | FingerpostError]:
@@ -1704,8 +1769,8 @@ def update_views(
     Parameters
     ----------
     views
-        For each view its tracker, grey levels, capture time [s] and colours or None, as
-        `ContourTracker.update` takes them: images are not copied. No tracker comes twice.
+        For each view its tracker, grey levels, capture time [s], colours or None and background or
+        None, as `ContourTracker.update` takes them: images are not copied. No tracker comes twice.
     schedule
         Who does the work: one thread "in-turn"; a thread for each view, "side-by-side"; or, by
         default, threads of their own for views that look for their hand, which takes milliseconds,
@@ -1720,7 +1785,7 @@ def update_views(
     Raises
     ------
     InvalidInputError
-        A schedule that is none of these, or a view of other than four entries.
+        A schedule that is none of these, or a view of other than five entries.
     """
 
 @final

@@ -72,8 +72,17 @@ PROVEN_FRAMES = 10
 """A finger that has moved by so many half-widths, or has been foreground for so many frames, is
 followed for good."""
 
+STILL = 0.3
+LATELY = 6
+"""A finger whose tip has moved by less than so many half-widths in the last frames keeps still."""
+
 UNBELIEVED_FRAMES = 3
 """What has been found in one view is dropped when no other view has shown it for so many frames."""
+
+COME_PART = 0.3
+COME_FRAMES = 3
+"""A hand may have come to a waiting template if this much of the finger's place is foreground. What
+has been followed there, and keeps still for so many frames after that, is something else."""
 
 BACKGROUND_PART = 0.1
 BACKGROUND_FRAMES = 8
@@ -496,9 +505,14 @@ class Trial:
             or (self.has_come and self.frames >= PROVEN_FRAMES)
         )
 
-    def update(self, frame: Frame) -> None:
-        """Follow for one frame."""
-        self.track = self.tracker.update(frame.grey(), frame.time_s, _colour(frame))
+    def update(self, frame: Frame, background: Background) -> None:
+        """Follow for one frame; before the background, if the finger stands out from it."""
+        self.track = self.tracker.update(
+            frame.grey(),
+            frame.time_s,
+            _colour(frame),
+            background=background if self.has_come else None,
+        )
         if self.track.finger_line is None:
             self.misses, self.frames = self.misses + 1, 0
         else:
@@ -562,11 +576,19 @@ class HandSearch:
         self._unbelieved_frames = 0
         self._background_frames = 0
 
+    def look_behind(self, frame: Frame) -> Background:
+        """Return what is behind the hand, as this frame shows it."""
+        self.background.look(frame.grey(), _colour(frame))
+        return self.background
+
     def learn(self, frame: Frame, track: Track | None) -> None:
-        """Learn what is behind the hand; a hand that is tracked is kept out of it."""
+        """Learn what is behind the hand; a hand that is tracked is kept out of it.
+
+        The frame is the one that `look_behind` has seen last.
+        """
         line = track.finger_line if track is not None else None
         keep_out = None if line is None else _hand_region(line)
-        self.background.observe(frame.grey(), _colour(frame), keep_out=keep_out)
+        self.background.learn(frame.grey(), _colour(frame), keep_out=keep_out)
         self._known_frames = self._known_frames + 1 if self.background.is_known else 0
 
     def shows_background(self, frame: Frame, track: Track | None) -> bool:
@@ -577,18 +599,50 @@ class HandSearch:
         line = track.finger_line if track is not None else None
         if line is None:
             return False
+        self._background_frames += 1
+        if not self._is_background(frame, line):
+            self._background_frames = 0
+        return self._background_frames >= BACKGROUND_FRAMES
+
+    def has_come(self, frame: Frame, start: StartPose) -> bool:
+        """Tell whether something stands before the background where a template waits."""
+        tip, ahead = (
+            np.array(start.tip_px),
+            np.array([np.cos(start.angle_rad), np.sin(start.angle_rad)]),
+        )
+        aside = HALF_WIDTH * np.array([-ahead[1], ahead[0]])
+        core = tip - np.linspace(0.1, 1.0, 10)[:, None, None] * start.length_px * ahead
+        places = (core + start.length_px * np.array([-0.7, 0.0, 0.7])[:, None] * aside).reshape(
+            -1, 2
+        )
+        likely = self.background.foreground(frame.grey(), places, colour=_colour(frame))
+        known = likely[np.isfinite(likely)]
+        return bool(2 * len(known) > len(places) and known.mean() > COME_PART)
+
+    def forget(self, line: CoreFingerLine) -> None:
+        """Forget what was learned where a hand turns out to have been."""
+        self.background.forget(_hand_region(line))
+
+    def stands_out(self, frame: Frame, line: CoreFingerLine) -> bool:
+        """Tell whether the inside of a finger is known to be foreground."""
+        return self._foreground(frame, line) >= IN_FOREGROUND
+
+    def _is_background(self, frame: Frame, line: CoreFingerLine) -> bool:
+        """Tell whether the inside of a finger is known to be background."""
+        return self._foreground(frame, line) < BACKGROUND_PART
+
+    def _foreground(self, frame: Frame, line: CoreFingerLine) -> float:
+        """Return how like foreground the inside of a finger is; NaN where little is known of it."""
         tip, anchor = np.array(line.tip_px), np.array(line.anchor_px)
         core = tip + np.linspace(0.2, 1.2, 11)[:, None] * (anchor - tip)
         likely = self.background.foreground(frame.grey(), core, colour=_colour(frame))
         known = likely[np.isfinite(likely)]
-        is_background = 2 * len(known) > len(core) and known.mean() < BACKGROUND_PART
-        self._background_frames = self._background_frames + 1 if is_background else 0
-        return self._background_frames >= BACKGROUND_FRAMES
+        return float(known.mean()) if 2 * len(known) > len(core) else np.nan
 
     def look(self, frame: Frame) -> None:
         """Go on with the trials, and find what else could be tried."""
         for trial in self.trials:
-            trial.update(frame)
+            trial.update(frame, self.background)
         self.candidates = self._finder.find(
             frame.grey(), _colour(frame), background=self.background
         )
@@ -935,6 +989,23 @@ def _far_ends_seen(tracker: ContourTracker, line: CoreFingerLine) -> float:
     agrees = np.zeros(len(lines), np.bool_) if lines.agrees is None else lines.agrees
     flanks = [agrees[is_far & (sign * side > 0.0)] for sign in (-1.0, 1.0)]
     return min(float(flank.mean()) if len(flank) else 0.0 for flank in flanks)
+
+
+def has_moved(before: CoreFingerLine, now: CoreFingerLine) -> bool:
+    """Tell whether a finger has moved by more than an edge of the table ever seems to."""
+    return _motion(before, now) > PROVEN_MOTION
+
+
+def moves(lines: Sequence[CoreFingerLine]) -> bool:
+    """Tell whether a finger that was followed through these lines is moving in the end."""
+    return _motion(lines[max(len(lines) - LATELY, 0)], lines[-1]) > STILL
+
+
+def _motion(before: CoreFingerLine, now: CoreFingerLine) -> float:
+    """Return how far a tip has moved [half-widths]."""
+    length_px = 2.0 * np.hypot(*np.subtract(before.tip_px, before.anchor_px))
+    moved_px = np.hypot(*np.subtract(now.tip_px, before.tip_px))
+    return float(moved_px / (HALF_WIDTH * length_px))
 
 
 def _are_near(one: StartPose, other: StartPose, reach_px: float, turn_rad: float) -> bool:

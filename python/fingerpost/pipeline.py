@@ -15,7 +15,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import islice
 from typing import Any
 
@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fingerpost._core import (
+    Background,
     ContourTracker,
     SearchLines,
     StartPose,
@@ -30,10 +31,21 @@ from fingerpost._core import (
     Track,
     update_views,
 )
+from fingerpost._core import FingerLine as CoreFingerLine
 from fingerpost.capture import Frame, open_source, read_views
 from fingerpost.config import Rig, View
 from fingerpost.errors import FingerpostError, InvalidInputError
-from fingerpost.finding import DOUBTED_FRAMES, HandSearch, Viewpoint, are_two, can_be_one, find_hand
+from fingerpost.finding import (
+    COME_FRAMES,
+    DOUBTED_FRAMES,
+    HandSearch,
+    Viewpoint,
+    are_two,
+    can_be_one,
+    find_hand,
+    has_moved,
+    moves,
+)
 from fingerpost.pointing import (
     BARE_HAND,
     AlignmentState,
@@ -48,8 +60,11 @@ from fingerpost.pointing import (
 from fingerpost.recording import PointRow, TrackRow
 from fingerpost.recording.picture import SearchMarks
 
-ViewFrame = tuple[ContourTracker, NDArray[np.uint8], float, NDArray[np.uint8] | None]
-"""A tracker, and the frame to update it with: grey levels, capture time [s] and colours, if any."""
+ViewFrame = tuple[
+    ContourTracker, NDArray[np.uint8], float, NDArray[np.uint8] | None, Background | None
+]
+"""A tracker, and the frame to update it with: grey levels, capture time [s], colours if there are
+any, and what is behind the hand if that is known."""
 
 DEFAULT_REFERENCE_SIGMA_PX = 0.5
 """Standard deviation of a reference point that a person clicked or a line fit gave [px]."""
@@ -237,14 +252,20 @@ class HandView:
         self.search = HandSearch(tracker_options)
         self._tracker: ContourTracker | None = None
         self._track: Track | None = None
+        self._unproven: list[CoreFingerLine] = []
+        self._come_frames = 0
+        self._has_come = False
+        self._is_proven = False
         self._finds_by_itself = view.start is None
         self._doubts = 0
         self._missing = Status.ACQUIRING
+        self._start: StartPose | None = None
         if view.start is not None:
-            tip_px, angle_deg = view.start.tip_px, view.start.angle_deg
-            start = StartPose(tip_px, np.radians(angle_deg), view.start.length_px)
             template = Template.pistol(view.start.thumb)
-            self._tracker = ContourTracker(template, start, tracker_options)
+            tip_px, angle_deg = view.start.tip_px, view.start.angle_deg
+            self._start = StartPose(tip_px, np.radians(angle_deg), view.start.length_px)
+            self._waiting = partial(ContourTracker, template, self._start, tracker_options)
+            self._tracker = self._waiting()
 
     @property
     def is_searching(self) -> bool:
@@ -256,16 +277,20 @@ class HandView:
         """What the view's tracker, or the trial that is believed, made of the last frame."""
         return self.search.found.track if self.search.found is not None else self._track
 
-    def view_frame(self, frame: Frame | None) -> ViewFrame | None:
-        """Return what the view's tracker is to be updated with; None where there is nothing."""
-        if frame is None or self._tracker is None:
+    def view_frame(self, frame: Frame) -> ViewFrame | None:
+        """Return what the view's tracker is to be updated with; None while there is none."""
+        background = self.search.look_behind(frame)
+        self._has_come = self._wait_again(frame)
+        if self._tracker is None:
             return None
         colour = frame.image if frame.image.ndim == 3 else None
-        return self._tracker, frame.grey(), frame.time_s, colour
+        known = background if self._is_proven or self._has_come else None
+        return self._tracker, frame.grey(), frame.time_s, colour, known
 
-    def follow(self, track: Track) -> None:
+    def follow(self, frame: Frame, track: Track) -> None:
         """Take over what the tracker made of the view's frame."""
         self._track = track
+        self._prove(frame)
 
     def observe(self, frame: Frame | None) -> None:
         """Learn from a frame that the tracker has had, and look for a hand that it does not follow.
@@ -280,17 +305,52 @@ class HandView:
             self.viewpoint = Viewpoint.of(self.plane_view, self._size_px)
         if self._finds_by_itself and self.search.shows_background(frame, self._track):
             self._let_go()
-        self.search.learn(frame, self.track)
+        self.search.learn(frame, self.track if self._is_proven or self._finds_by_itself else None)
         if self.is_searching:
             self.search.look(frame)
         else:
             self.search.rest()
 
+    def _wait_again(self, frame: Frame) -> bool:
+        """Tell whether something has come to where the template waits for its first hand.
+
+        What it has followed there so far was something on the table, then, unless that moves: the
+        template waits anew.
+        """
+        if self._start is None or self._is_proven or not self.search.has_come(frame, self._start):
+            self._come_frames = 0
+            return False
+        if not self._unproven:
+            return True
+        self._come_frames = 0 if moves(self._unproven) else self._come_frames + 1
+        if self._come_frames < COME_FRAMES:
+            return False
+        self._tracker = self._waiting()
+        self._unproven.clear()
+        return True
+
+    def _prove(self, frame: Frame) -> None:
+        """Believe in the first hand once it has come, or has moved before the background.
+
+        Until then it may be something on the table.
+        """
+        line = self._track.finger_line if self._track is not None else None
+        if line is None or self._is_proven:
+            return
+        self._unproven.append(line)
+        first = self._unproven[0]
+        if self._has_come:
+            self._is_proven = True
+        elif has_moved(first, line) and self.search.stands_out(frame, line):
+            self._is_proven = True
+            # What was learned where it stood from the start is the hand.
+            self.search.forget(first)
+
     def settle(self) -> None:
         """Follow for good the hand that the search has found, once it is proven."""
         found = self.search.found
         if found is not None and found.is_proven:
-            self._tracker, self._track = found.tracker, found.track
+            self._tracker, self._track, self._is_proven = found.tracker, found.track, True
             self._missing = Status.LOST
             self.search.rest()
 
@@ -491,15 +551,15 @@ class Pointer:
             Why a tracker has refused its frame; the first view's if there are several.
         """
         given = [
-            (view, taken)
+            (view, frame, taken)
             for view, frame in zip(self.views, frames, strict=True)
-            if (taken := view.view_frame(frame)) is not None
+            if frame is not None and (taken := view.view_frame(frame)) is not None
         ]
-        tracks = update_views([taken for _, taken in given])
+        tracks = update_views([taken for *_, taken in given])
         errors = [track for track in tracks if isinstance(track, FingerpostError)]
-        for (view, _), track in zip(given, tracks, strict=True):
+        for (view, frame, _), track in zip(given, tracks, strict=True):
             if isinstance(track, Track):
-                view.follow(track)
+                view.follow(frame, track)
         if errors:
             raise errors[0]
 

@@ -11,7 +11,10 @@
 //! robustly to a grid of pixels, and everything is compared and learned in the light of the
 //! background. What is left is the foreground, unless it is darker by a ratio that a shadow may have
 //! and, where there are colours, of unchanged hue. When most of the pixels that would show it have
-//! changed, the camera has moved: the background is void and is learned anew.
+//! changed, the camera has moved: the background is void and is learned anew. A camera that has been
+//! bumped by a part of a pixel changes few of them by much; how far all have moved is told by the
+//! gradient of the background, and while they have, no edge in it is where it was
+//! ([`Background::is_exact`]).
 //!
 //! A frame visits every fourth row in turn, and allocates nothing once it has seen its first frame.
 //!
@@ -20,7 +23,7 @@
 
 use crate::frame::Frame;
 use crate::{Error, Result};
-use nalgebra::{Point2, Vector2};
+use nalgebra::{Matrix2, Point2, Vector2};
 
 /// How a background is learned, and what counts as a change.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -174,7 +177,10 @@ pub struct Background {
     /// Part of the telling pixels that have changed, and since how many frames that is too much.
     changed_share: f64,
     moved_frames: usize,
+    /// How far the picture lies from the background, if its edges tell \[px\].
+    shift_px: Option<Vector2<f64>>,
     frames: usize,
+    slopes: Vec<Slope>,
     pairs: Vec<(f32, f32)>,
     ratios: Vec<f32>,
 }
@@ -185,6 +191,13 @@ struct Change {
     sigmas: f32,
     /// Whether a shadow would explain it.
     is_shadow: bool,
+}
+
+/// The background's gradient at a pixel, in the light of the frame, and what the frame shows besides.
+#[derive(Debug, Clone, Copy)]
+struct Slope {
+    by_px: Vector2<f64>,
+    residual: f64,
 }
 
 /// Level, variance and number of agreeing visits of every pixel.
@@ -217,6 +230,14 @@ const MOVED_FRAMES: usize = 3;
 const TELLING_GREY: f32 = 12.0;
 /// Fewer of them than this tell nothing, and all pixels have to.
 const TELLING_LEAST: usize = 60;
+/// Pixels whose background is steeper than this tell how far it has shifted \[grey levels / px\],
+const STEEP_GREY_PX: f64 = 4.0;
+/// as long as that explains what they show, to within this \[px\].
+const FARTHEST_SHIFT_PX: f64 = 1.0;
+/// Fits of the shift, each with weights from the last.
+const SHIFT_FITS: usize = 3;
+/// A background that has shifted by more than this is not exact \[px\].
+const EXACT_PX: f64 = 0.15;
 /// A shadow changes no chromaticity (a share of the sum of the channels) by more than this, plus the
 /// noise.
 const SHADOW_HUE: f32 = 0.025;
@@ -246,7 +267,9 @@ impl Background {
             light_sigma: 0.0,
             changed_share: 0.0,
             moved_frames: 0,
+            shift_px: None,
             frames: 0,
+            slopes: Vec::with_capacity(2 * SAMPLES),
             pairs: Vec::with_capacity(2 * SAMPLES),
             ratios: Vec::with_capacity(2 * SAMPLES),
         })
@@ -263,6 +286,7 @@ impl Background {
         self.size = None;
         self.frames = 0;
         self.moved_frames = 0;
+        self.shift_px = None;
         self.light = Light::UNCHANGED;
         self.changed_share = 0.0;
     }
@@ -287,6 +311,20 @@ impl Background {
         self.frames >= self.options.learn_frames && self.moved_frames == 0
     }
 
+    /// Whether it is known and its edges are where the last frame shows them: the camera has not been
+    /// bumped, by however little.
+    #[must_use]
+    pub fn is_exact(&self) -> bool {
+        self.is_known() && self.shift_px.is_none_or(|shift| shift.norm() <= EXACT_PX)
+    }
+
+    /// How far the last frame shows the background from where it was learned \[px\], if edges in it
+    /// tell; beyond a pixel it is no more than a sign that it has moved.
+    #[must_use]
+    pub fn shift_px(&self) -> Option<Vector2<f64>> {
+        self.shift_px
+    }
+
     /// How the light of the last frame differs from the background's.
     #[must_use]
     pub fn light(&self) -> Light {
@@ -299,31 +337,52 @@ impl Background {
         self.changed_share
     }
 
-    /// Takes one frame: estimates its light and learns from what agrees with the background.
-    /// Nothing within `keep_out` is learned. A frame of another size, or with colours where there
-    /// were none, starts a new background.
+    /// Takes one frame: looks at it, then learns from what agrees with the background. Nothing
+    /// within `keep_out` is learned. A frame of another size, or with colours where there were none,
+    /// starts a new background.
     ///
     /// # Errors
     /// When `keep_out` is not finite or its radius not positive.
     pub fn observe(&mut self, frame: &Frame<'_>, keep_out: Option<&KeepOut>) -> Result<()> {
+        self.look(frame);
+        self.learn(frame, keep_out)
+    }
+
+    /// Looks at a frame without learning from it: estimates its light, and notices a camera that has
+    /// moved. From then on all that is told of the background holds for this frame.
+    pub fn look(&mut self, frame: &Frame<'_>) {
+        self.fit_size(frame);
+        self.estimate_light(frame);
+        self.notice_motion(frame);
+        self.measure_shift(frame);
+    }
+
+    /// Learns from the frame that was looked at last; nothing within `keep_out` is learned.
+    ///
+    /// # Errors
+    /// When `keep_out` is not finite or its radius not positive.
+    pub fn learn(&mut self, frame: &Frame<'_>, keep_out: Option<&KeepOut>) -> Result<()> {
         if let Some(keep_out) = keep_out {
             keep_out.check()?;
         }
+        self.fit_size(frame);
+        let all_rows = self.frames < self.options.learn_frames;
+        let (first, step) =
+            if all_rows { (0, 1) } else { (self.frames % ROWS_IN_TURN, ROWS_IN_TURN) };
+        for y in (first..frame.image().height()).step_by(step) {
+            self.learn_row(frame, y, keep_out);
+        }
+        self.frames = self.frames.saturating_add(1);
+        Ok(())
+    }
+
+    /// Starts anew with a frame that is not like the last ones.
+    fn fit_size(&mut self, frame: &Frame<'_>) {
         let size = (frame.image().width(), frame.image().height());
         let coloured = frame.colour().is_some();
         if self.size != Some(size) || self.colour.is_empty() == coloured {
             self.start(size, coloured);
         }
-        self.estimate_light(frame);
-        self.notice_motion(frame);
-        let all_rows = self.frames < self.options.learn_frames;
-        let (first, step) =
-            if all_rows { (0, 1) } else { (self.frames % ROWS_IN_TURN, ROWS_IN_TURN) };
-        for y in (first..size.1).step_by(step) {
-            self.learn_row(frame, y, keep_out);
-        }
-        self.frames = self.frames.saturating_add(1);
-        Ok(())
     }
 
     /// The grey level to expect at a subpixel place in the light of the last frame; `None` where a
@@ -561,6 +620,80 @@ impl Background {
             self.start(size, coloured);
             self.changed_share = share;
         }
+    }
+
+    /// Fits the shift that explains best what the frame shows at the background's edges:
+    /// now = gain · B + offset − ∇(gain · B) · shift, with Tukey's weights.
+    fn measure_shift(&mut self, frame: &Frame<'_>) {
+        self.shift_px = None;
+        let Some((width, height)) = self.size else { return };
+        if self.frames == 0 {
+            return;
+        }
+        self.slopes.clear();
+        for (x, y) in Self::grid((width, height)) {
+            let Some(now) = frame.image().pixel(x, y) else { continue };
+            let Some([[_, above, _], [left, here, right], [_, below, _]]) = self.about(x, y) else {
+                continue;
+            };
+            let by_px = Vector2::new(f64::from(right - left), f64::from(below - above)) / 2.0;
+            if by_px.norm() > STEEP_GREY_PX {
+                let residual = f64::from(now) - f64::from(here);
+                self.slopes.push(Slope { by_px, residual });
+            }
+        }
+        if self.slopes.len() < TELLING_LEAST {
+            return;
+        }
+        let mut shift = Vector2::zeros();
+        for _ in 0..SHIFT_FITS {
+            let (mut information, mut right) = (Matrix2::zeros(), Vector2::zeros());
+            for Slope { by_px, residual } in &self.slopes {
+                let most = self.options.changed_sigmas * self.options.noise_grey
+                    + by_px.norm() * FARTHEST_SHIFT_PX;
+                let r = (residual + by_px.dot(&shift)) / most;
+                let weight = (1.0 - (r * r).min(1.0)).powi(2);
+                information += by_px * by_px.transpose() * weight;
+                right -= by_px * (residual * weight);
+            }
+            let Some(inverse) = information.try_inverse() else { return };
+            shift = inverse * right;
+        }
+        self.shift_px = Some(shift);
+    }
+
+    /// The levels about a pixel in the light of the last frame, row by row; `None` where one of them
+    /// is unknown or outside the image.
+    pub(crate) fn about(&self, x: usize, y: usize) -> Option<[[f32; 3]; 3]> {
+        let (width, height) = self.size?;
+        if x == 0 || y == 0 || x + 1 >= width || y + 1 >= height {
+            return None;
+        }
+        let (gain, offset) = (self.light.gain as f32, self.light.offset_grey as f32);
+        let known_from = self.known_from();
+        let mut levels = [[0.0; 3]; 3];
+        for (row, levels) in levels.iter_mut().enumerate() {
+            let from = (y + row - 1) * width + x - 1;
+            let seen = self.grey.seen.get(from..from + 3)?;
+            if seen.iter().any(|&s| usize::from(s) < known_from) {
+                return None;
+            }
+            for (level, learned) in levels.iter_mut().zip(self.grey.level.get(from..from + 3)?) {
+                *level = gain * learned + offset;
+            }
+        }
+        Some(levels)
+    }
+
+    /// Variance of the level to expect at a pixel inside the image, as [`ExpectedGrey::sigma_grey`].
+    pub(crate) fn doubt(&self, x: usize, y: usize) -> f64 {
+        let (width, _) = self.size.unwrap_or_default();
+        self.light.gain.powi(2) * self.variance_of_mean(y * width + x)
+    }
+
+    /// Width and height of the images that it was learned from; (0, 0) before the first.
+    pub(crate) fn size(&self) -> (usize, usize) {
+        self.size.unwrap_or_default()
     }
 
     /// One visit of every pixel of a row.

@@ -69,6 +69,7 @@ pub use options::{BisectorOptions, PhotometricOptions, RefineOptions};
 
 use crate::appearance::Appearance;
 use crate::frame::Frame;
+use crate::image::GrayView;
 use crate::search::{Cue, Polarity};
 use crate::shape_space::Axis;
 use crate::simd::Isa;
@@ -227,7 +228,7 @@ impl Refiner {
     /// believed, because the flanks do not show, or show something else than a finger.
     ///
     /// `polarity` says which side of the flanks is brighter, `appearance` what the hand looks like,
-    /// `background` what is behind it. The result depends on the arguments alone.
+    /// `background` what is behind it; where the pixels contradict it, it does not count. The result depends on the arguments alone.
     ///
     /// # Errors
     /// When a number of the finger is not finite, its half-width is not positive, or the background
@@ -252,8 +253,24 @@ impl Refiner {
         let cue = appearance.map_or(Cue::Edges, Cue::HandEdges);
         let bisector = self.bisector.fit(frame, cue, polarity, noise_grey, &sketch)?;
         let start = bisector.map_or(sketch, |b| b.sketch);
-        let photometric = self.photometric.fit(image, background, noise_grey, &start);
+        let photometric = self.fit_pixels(image, background, noise_grey, &start);
         Ok(self.believed(noise_grey, &start, bisector, photometric))
+    }
+
+    /// The photometric line before the known background; where that is not what is there after all,
+    /// before one that is not known.
+    fn fit_pixels(
+        &mut self,
+        image: &GrayView<'_>,
+        background: Option<&KnownBackground<'_>>,
+        noise_grey: f64,
+        start: &Sketch,
+    ) -> Option<PhotometricFit> {
+        let known =
+            background.and_then(|b| self.photometric.fit(image, Some(b), noise_grey, start));
+        known
+            .filter(|fit| self.options.believes_pixels(&fit.report, noise_grey))
+            .or_else(|| self.photometric.fit(image, None, noise_grey, start))
     }
 
     /// Decides which line counts.

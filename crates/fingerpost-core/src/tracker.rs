@@ -32,13 +32,15 @@ mod convergence;
 mod looks;
 mod mould;
 mod options;
+mod scene;
 mod seek;
 mod verdict;
 
+use crate::background::Background;
 use crate::dynamics::{Dynamics, Gate, Innovation, Prediction, chi_square_quantile};
 use crate::fit::Prior;
 use crate::frame::Frame;
-use crate::refine::{Finger, RefineOptions, Refiner, Source, Stretch};
+use crate::refine::{Finger, KnownBackground, RefineOptions, Refiner, Source, Stretch};
 use crate::search::{EdgeMeasurement, MAX_HALF_LENGTH_PX, Polarity, Scale, SearchLine, check_size};
 use crate::shape_space::{
     Affine, AffineMap, Axis, BandMeasure, PlacedSample, PlanarSpace, Pose, RIBBON_DOF, Ribbon,
@@ -53,6 +55,7 @@ use nalgebra::{Matrix2, Matrix3, Point2, Rotation2, SMatrix, SVector, Vector2, V
 pub use options::{
     AcceptOptions, AcquireOptions, DynamicsOptions, Model, TrackOptions, TrackerOptions,
 };
+use scene::Scene;
 use seek::{Judged, Seek};
 pub use verdict::Refusal;
 use verdict::{Known, Motion};
@@ -333,7 +336,7 @@ impl Hand {
     fn attempt<'a>(
         &'a self,
         samples: &'a [TemplateSample],
-        frame: &Frame<'_>,
+        frame: &Scene<'_>,
         look: Look,
         polarity: Polarity,
     ) -> Attempt<'a> {
@@ -343,7 +346,7 @@ impl Hand {
     }
 
     /// How to look for it in a frame.
-    fn sight(&self, frame: &Frame<'_>, lead: Lead, polarity: Polarity) -> Sight<'_> {
+    fn sight(&self, frame: &Scene<'_>, lead: Lead, polarity: Polarity) -> Sight<'_> {
         let known = self.looks.as_ref().and_then(|l| l.sight(frame, lead, polarity));
         known.unwrap_or(Sight::unknown(polarity))
     }
@@ -354,7 +357,7 @@ impl Hand {
     }
 
     /// Whether its looks are known so far that this frame can show them.
-    fn votes_in(&self, frame: &Frame<'_>) -> bool {
+    fn votes_in(&self, frame: &Scene<'_>) -> bool {
         self.looks.as_ref().is_some_and(|l| !l.is_coloured() || frame.colour().is_some())
     }
 }
@@ -521,6 +524,31 @@ impl ContourTracker {
     /// [`EdgeSearch::search`](crate::search::EdgeSearch::search) takes; nothing else of a tracker
     /// that was made can be refused. A hand that is not there is no error but a [`Status`].
     pub fn update(&mut self, frame: &Frame<'_>, time_s: f64) -> Result<Track> {
+        self.take(&Scene::new(frame, None), time_s)
+    }
+
+    /// Takes one frame before a background that has looked at it
+    /// ([`Background::look`]): edges of the background are not taken for the hand's, and the finger
+    /// line is measured before what is known to be behind it. What the frame contradicts does not
+    /// count. A hand that has stood there while the background was learned is part of it.
+    ///
+    /// # Errors
+    /// Those of [`update`](Self::update), and when the background was learned from images of
+    /// another size.
+    pub fn update_before(
+        &mut self,
+        frame: &Frame<'_>,
+        background: &Background,
+        time_s: f64,
+    ) -> Result<Track> {
+        let gray = (frame.image().width(), frame.image().height());
+        if background.size() != gray {
+            return Err(Error::BackgroundSize { gray, background: background.size() });
+        }
+        self.take(&Scene::new(frame, Some(background)), time_s)
+    }
+
+    fn take(&mut self, frame: &Scene<'_>, time_s: f64) -> Result<Track> {
         check_size(frame)?;
         let last = self.last_time_s.unwrap_or(f64::NEG_INFINITY);
         Error::finite("frame time [s]", time_s)?;
@@ -574,7 +602,7 @@ impl ContourTracker {
     /// One frame of looking for a lost hand: where it was last, then at the waiting template.
     fn recover(
         &mut self,
-        frame: &Frame<'_>,
+        frame: &Scene<'_>,
         time_s: f64,
         settled: usize,
         last: (Shape, Kind),
@@ -596,7 +624,7 @@ impl ContourTracker {
     /// One frame of acquisition, for the first time or after a loss.
     fn acquire(
         &mut self,
-        frame: &Frame<'_>,
+        frame: &Scene<'_>,
         time_s: f64,
         settled: usize,
         lost: Option<(Shape, Kind)>,
@@ -634,7 +662,7 @@ impl ContourTracker {
     }
 
     /// The hand at the waiting template, or where an earlier frame has found it.
-    fn mould(&mut self, frame: &Frame<'_>, settled: usize) -> Result<Found> {
+    fn mould(&mut self, frame: &Scene<'_>, settled: usize) -> Result<Found> {
         let mould = Mould {
             options: &self.options,
             samples: &self.samples,
@@ -657,7 +685,7 @@ impl ContourTracker {
 
     /// Keeps the settled hand's dimensions and looks: tracking starts from them. None if the
     /// paper's template cannot take them on.
-    fn freeze(&mut self, frame: &Frame<'_>) -> Result<Option<Found>> {
+    fn freeze(&mut self, frame: &Scene<'_>) -> Result<Option<Found>> {
         let before = self.hand.clone();
         self.bed_in(frame)?;
         if let Some(looks) = &mut self.hand.looks {
@@ -698,7 +726,7 @@ impl ContourTracker {
 
     /// Learns what the settled hand looks like, and looks at it once more in the mixture of colours
     /// that shows it best: a shaded flank or the tip, which grey may have hidden, comes out now.
-    fn bed_in(&mut self, frame: &Frame<'_>) -> Result<()> {
+    fn bed_in(&mut self, frame: &Scene<'_>) -> Result<()> {
         for _ in 0..BED_IN_ROUNDS {
             self.hand.looks = None;
             self.learn_looks(frame)?;
@@ -752,7 +780,7 @@ impl ContourTracker {
     }
 
     /// One frame of tracking. A hand that was not seen for long is not followed but found again.
-    fn follow(&mut self, frame: &Frame<'_>, time_s: f64, missed: usize) -> Result<Track> {
+    fn follow(&mut self, frame: &Scene<'_>, time_s: f64, missed: usize) -> Result<Track> {
         let TrackOptions { half_length_px, accept, lose_after_frames, .. } = self.options.track;
         let from = self.hand.shape;
         let Some(foretold) = self.foretell(time_s)? else {
@@ -820,7 +848,7 @@ impl ContourTracker {
     /// all that a hand can have become and moved to.
     fn find(
         &mut self,
-        frame: &Frame<'_>,
+        frame: &Scene<'_>,
         predicted: Shape,
         reach_px: f64,
         accept: &AcceptOptions,
@@ -857,7 +885,7 @@ impl ContourTracker {
 
     /// From afar: by the votes of pixels, if they are known, to about the right place; then the
     /// template moves, then turns, until it covers what looks like the hand.
-    fn approach(&mut self, frame: &Frame<'_>, from: Shape, reach_px: f64) -> Result<Shape> {
+    fn approach(&mut self, frame: &Scene<'_>, from: Shape, reach_px: f64) -> Result<Shape> {
         let (from, look) = if self.hand.votes_in(frame) {
             let look = Look { lead: Lead::Votes, ..Look::edges(SOUGHT * reach_px) };
             (self.seek(frame, from, reach_px)?, look)
@@ -877,7 +905,7 @@ impl ContourTracker {
     }
 
     /// The pose about another that looks most like the hand.
-    fn seek(&mut self, frame: &Frame<'_>, about: Shape, reach_px: f64) -> Result<Shape> {
+    fn seek(&mut self, frame: &Scene<'_>, about: Shape, reach_px: f64) -> Result<Shape> {
         let Self { hand, samples, waiting, seek, convergence, options, .. } = self;
         let sight = hand.sight(frame, Lead::Votes, options.polarity);
         let Some(appearance) = sight.cue.appearance() else { return Ok(about) };
@@ -904,7 +932,7 @@ impl ContourTracker {
     /// takes up what a hand can change.
     fn settle(
         &mut self,
-        frame: &Frame<'_>,
+        frame: &Scene<'_>,
         from: Shape,
         scale: Scale,
         window: Option<Window>,
@@ -937,7 +965,7 @@ impl ContourTracker {
 
     /// The paper's acquisition: the template moves, turns, then deforms affinely; a finger alone,
     /// which shows neither length nor shear, only grows.
-    fn affine(&mut self, frame: &Frame<'_>, from: AffineMap, half_length_px: f64) -> Result<Found> {
+    fn affine(&mut self, frame: &Scene<'_>, from: AffineMap, half_length_px: f64) -> Result<Found> {
         let look = Look::edges(half_length_px);
         let moved = self.planar::<Translation, 2>(frame, from, look)?;
         let turned = self.planar::<Rigid, 3>(frame, moved.shape, look)?;
@@ -951,7 +979,7 @@ impl ContourTracker {
     /// One planar shape space; a fit that mirrors or flattens the template is none.
     fn planar<S: PlanarSpace<D>, const D: usize>(
         &mut self,
-        frame: &Frame<'_>,
+        frame: &Scene<'_>,
         from: AffineMap,
         look: Look,
     ) -> Result<Found<AffineMap>> {
@@ -974,7 +1002,7 @@ impl ContourTracker {
     /// whose line and covariance stay as they are.
     fn lean_thumb(
         &mut self,
-        frame: &Frame<'_>,
+        frame: &Scene<'_>,
         finger: &Converged<RIBBON_DOF>,
         fit: &Fit,
         look: Look,
@@ -1021,7 +1049,7 @@ impl ContourTracker {
     /// the hand, down to the thumb.
     fn run_ribbon<const D: usize>(
         &mut self,
-        frame: &Frame<'_>,
+        frame: &Scene<'_>,
         from: &RibbonVector,
         down_to: Limb,
         look: Look,
@@ -1067,7 +1095,7 @@ impl ContourTracker {
     }
 
     /// Takes over what the last accepted fit saw on either side of the contour.
-    fn learn_looks(&mut self, frame: &Frame<'_>) -> Result<()> {
+    fn learn_looks(&mut self, frame: &Scene<'_>) -> Result<()> {
         let coloured = frame.colour().is_some();
         let known = self.hand.looks.as_ref().map(Looks::is_coloured);
         if known == Some(true) && !coloured {
@@ -1085,7 +1113,7 @@ impl ContourTracker {
     /// The story of a frame whose fit was accepted, with the finger line.
     fn tracked(
         &mut self,
-        frame: &Frame<'_>,
+        frame: &Scene<'_>,
         time_s: f64,
         found: &Found,
         accept: &AcceptOptions,
@@ -1106,12 +1134,16 @@ impl ContourTracker {
     }
 
     /// The finger line by the flanks alone; none if they cannot be believed.
-    fn refine(&mut self, frame: &Frame<'_>, x: &RibbonVector) -> Result<Option<FingerLine>> {
+    fn refine(&mut self, frame: &Scene<'_>, x: &RibbonVector) -> Result<Option<FingerLine>> {
         let Some(finger) = self.finger(x)? else { return Ok(None) };
         let sight = self.hand.sight(frame, Lead::HandEdges, self.options.polarity);
         let shown = self.convergence.shown(frame, sight.mixture, &finger)?;
         let looks = sight.cue.appearance();
-        let refined = self.refiner.refine(&shown, &finger, sight.polarity, looks, None)?;
+        // What is known of the background are grey levels.
+        let known = frame.background().filter(|_| sight.mixture.is_none());
+        let known = known.map(KnownBackground::from);
+        let refined =
+            self.refiner.refine(&shown, &finger, sight.polarity, looks, known.as_ref())?;
         // Where the pixels disagree with a finger, the contour knows more than two bare flanks: the
         // hand's colours, and its width.
         Ok(refined.filter(|r| r.source == Source::Photometric).map(|r| FingerLine {

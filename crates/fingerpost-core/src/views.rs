@@ -6,6 +6,7 @@
 //! milliseconds, and about what is gained for one that follows it.
 
 use crate::Result;
+use crate::background::Background;
 use crate::frame::Frame;
 use crate::tracker::{ContourTracker, Status, Track};
 use std::thread;
@@ -17,7 +18,9 @@ pub struct ViewUpdate<'a> {
     pub tracker: &'a mut ContourTracker,
     /// What the view sees.
     pub frame: Frame<'a>,
-    /// When that was captured \[s\].
+    /// What is behind the hand, if that is known; it has looked at the frame.
+    pub background: Option<&'a Background>,
+    /// When the frame was captured \[s\].
     pub time_s: f64,
 }
 
@@ -34,7 +37,7 @@ pub enum Schedule {
 }
 
 /// Updates the tracker of every view, and tells what each made of its frame, in their order: the
-/// error of one view ([`ContourTracker::update`] names them) costs no other view its track. Where
+/// error of one view ([`ContourTracker::update_before`] names them) costs no other view its track. Where
 /// the system starts no more threads, the calling one does the work.
 ///
 /// ```
@@ -50,8 +53,8 @@ pub enum Schedule {
 /// let pixels = vec![70; 160 * 120];
 /// let frame = Frame::gray(GrayView::new(&pixels, 160, 120, 160)?);
 /// let updates = vec![
-///     ViewUpdate { tracker: &mut left, frame, time_s: 0.0 },
-///     ViewUpdate { tracker: &mut right, frame, time_s: f64::NAN },
+///     ViewUpdate { tracker: &mut left, frame, background: None, time_s: 0.0 },
+///     ViewUpdate { tracker: &mut right, frame, background: None, time_s: f64::NAN },
 /// ];
 /// let tracks = update_views(updates, Schedule::ByNeed);
 /// assert!(tracks[0].as_ref().is_ok_and(|track| track.status == Status::Acquiring));
@@ -99,8 +102,11 @@ impl<'a> Share<'a> {
     }
 
     fn finish(&mut self) {
-        if let Some(ViewUpdate { tracker, frame, time_s }) = self.update.take() {
-            self.track = Some(tracker.update(&frame, time_s));
+        if let Some(ViewUpdate { tracker, frame, background, time_s }) = self.update.take() {
+            self.track = Some(match background {
+                Some(known) => tracker.update_before(&frame, known, time_s),
+                None => tracker.update(&frame, time_s),
+            });
         }
     }
 }

@@ -60,6 +60,39 @@ impl PyBackground {
         py.detach(|| background.observe(&frame, keep_out.as_ref())).map_err(invalid_input)
     }
 
+    /// Looks at a frame without learning from it.
+    #[pyo3(signature = (image, colour = None))]
+    fn look(
+        slf: &Bound<'_, Self>,
+        py: Python<'_>,
+        image: &Bound<'_, PyAny>,
+        colour: Option<&Bound<'_, PyAny>>,
+    ) -> PyResult<()> {
+        let arrays = FrameArrays::new(image, colour)?;
+        let frame = arrays.frame()?;
+        let mut this = slf.try_borrow_mut().map_err(|_| in_use("Background"))?;
+        let background = &mut this.0;
+        py.detach(|| background.look(&frame));
+        Ok(())
+    }
+
+    /// Learns from the frame that was looked at last.
+    #[pyo3(signature = (image, colour = None, *, keep_out = None))]
+    fn learn(
+        slf: &Bound<'_, Self>,
+        py: Python<'_>,
+        image: &Bound<'_, PyAny>,
+        colour: Option<&Bound<'_, PyAny>>,
+        keep_out: Option<Part<'_>>,
+    ) -> PyResult<()> {
+        let arrays = FrameArrays::new(image, colour)?;
+        let frame = arrays.frame()?;
+        let keep_out = keep_out.map(|part| self::part(&part, "keep_out")).transpose()?;
+        let mut this = slf.try_borrow_mut().map_err(|_| in_use("Background"))?;
+        let background = &mut this.0;
+        py.detach(|| background.learn(&frame, keep_out.as_ref())).map_err(invalid_input)
+    }
+
     /// Forgets a part of the image.
     #[expect(clippy::needless_pass_by_value, reason = "pyo3 extracts tuples by value")]
     fn forget(slf: &Bound<'_, Self>, part: Part<'_>) -> PyResult<()> {
@@ -78,6 +111,18 @@ impl PyBackground {
     #[getter]
     fn is_known(slf: &Bound<'_, Self>) -> PyResult<bool> {
         Ok(Self::at_rest(slf)?.0.is_known())
+    }
+
+    /// Whether it is known and its edges are where the last frame shows them.
+    #[getter]
+    fn is_exact(slf: &Bound<'_, Self>) -> PyResult<bool> {
+        Ok(Self::at_rest(slf)?.0.is_exact())
+    }
+
+    /// How far the last frame shows it from where it was learned.
+    #[getter]
+    fn shift_px(slf: &Bound<'_, Self>) -> PyResult<Option<(f64, f64)>> {
+        Ok(Self::at_rest(slf)?.0.shift_px().map(|shift| (shift.x, shift.y)))
     }
 
     /// Gain and offset of the light.

@@ -1,6 +1,7 @@
 //! `fingerpost._core.ContourTracker` and what its frames return.
 
 use crate::arrays::{column, flat_table, point, table};
+use crate::background::PyBackground;
 use crate::errors::{in_use, invalid_input};
 use crate::image::FrameArrays;
 use crate::numbers::real;
@@ -170,20 +171,28 @@ impl PyContourTracker {
     }
 
     /// Takes one frame and tells where the hand is.
-    #[pyo3(signature = (image, time_s, colour = None))]
+    #[pyo3(signature = (image, time_s, colour = None, *, background = None))]
     fn update(
         slf: &Bound<'_, Self>,
         py: Python<'_>,
         image: &Bound<'_, PyAny>,
         time_s: &Bound<'_, PyAny>,
         colour: Option<&Bound<'_, PyAny>>,
+        background: Option<&Bound<'_, PyBackground>>,
     ) -> PyResult<PyTrack> {
         let arrays = FrameArrays::new(image, colour)?;
         let frame = arrays.frame()?;
         let time_s = real(time_s, "time_s")?;
+        let background = background.map(PyBackground::at_rest).transpose()?;
+        let known = background.as_ref().map(|b| &b.0);
         let mut this = slf.try_borrow_mut().map_err(|_| in_use("ContourTracker"))?;
         let tracker = &mut this.0;
-        py.detach(|| tracker.update(&frame, time_s)).map(PyTrack).map_err(invalid_input)
+        py.detach(|| match known {
+            Some(known) => tracker.update_before(&frame, known, time_s),
+            None => tracker.update(&frame, time_s),
+        })
+        .map(PyTrack)
+        .map_err(invalid_input)
     }
 
     /// The template.

@@ -1,5 +1,6 @@
 //! `fingerpost._core.update_views`.
 
+use crate::background::PyBackground;
 use crate::errors::{InvalidInputError, in_use, invalid_input};
 use crate::image::FrameArrays;
 use crate::numbers::real;
@@ -9,9 +10,14 @@ use fingerpost_core::views::{Schedule, ViewUpdate};
 use pyo3::prelude::*;
 use pyo3::types::PyTuple;
 
-/// A tracker, grey levels, capture time and, if there are any, colours.
-type View<'py> =
-    (Bound<'py, PyContourTracker>, Bound<'py, PyAny>, Bound<'py, PyAny>, Option<Bound<'py, PyAny>>);
+/// A tracker, grey levels, capture time and, if there are any, colours and a background.
+type View<'py> = (
+    Bound<'py, PyContourTracker>,
+    Bound<'py, PyAny>,
+    Bound<'py, PyAny>,
+    Option<Bound<'py, PyAny>>,
+    Option<Bound<'py, PyBackground>>,
+);
 
 /// Takes one frame of every view and tells where the hand is in each.
 #[pyfunction]
@@ -50,10 +56,10 @@ pub fn update_views<'py>(
 /// The entries of a view, or the error that they are others.
 fn entries<'py>(k: usize, view: &Bound<'py, PyTuple>) -> PyResult<View<'py>> {
     match view.len() {
-        4 => view.extract(),
+        5 => view.extract(),
         n => Err(InvalidInputError::new_err(format!(
-            "views[{k}] has {n} entries; a tracker, an image, its time and its colours or None are \
-             needed"
+            "views[{k}] has {n} entries; a tracker, an image, its time, its colours or None and \
+             its background or None are needed"
         ))),
     }
 }
@@ -62,20 +68,23 @@ fn entries<'py>(k: usize, view: &Bound<'py, PyTuple>) -> PyResult<View<'py>> {
 struct Taken<'py> {
     tracker: PyRefMut<'py, PyContourTracker>,
     arrays: FrameArrays<'py>,
+    background: Option<PyRef<'py, PyBackground>>,
     time_s: f64,
 }
 
 impl<'py> Taken<'py> {
-    fn new((tracker, image, time_s, colour): &View<'py>) -> PyResult<Self> {
+    fn new((tracker, image, time_s, colour, background): &View<'py>) -> PyResult<Self> {
         Ok(Self {
             arrays: FrameArrays::new(image, colour.as_ref())?,
+            background: background.as_ref().map(PyBackground::at_rest).transpose()?,
             time_s: real(time_s, "time_s")?,
             tracker: tracker.try_borrow_mut().map_err(|_| in_use("ContourTracker"))?,
         })
     }
 
     fn update(&mut self) -> PyResult<ViewUpdate<'_>> {
-        let Self { tracker, arrays, time_s } = self;
-        Ok(ViewUpdate { tracker: &mut tracker.0, frame: arrays.frame()?, time_s: *time_s })
+        let Self { tracker, arrays, background, time_s } = self;
+        let (frame, background) = (arrays.frame()?, background.as_ref().map(|b| &b.0));
+        Ok(ViewUpdate { tracker: &mut tracker.0, frame, background, time_s: *time_s })
     }
 }

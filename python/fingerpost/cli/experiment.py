@@ -39,6 +39,7 @@ _Pair = tuple[float, float]
 @click.option("--side-light", type=float, help="Flank against flank, part of the contrast.")
 @click.option("--limb-darkening", type=float, help="Loss at the outline, part of the contrast.")
 @click.option("--clutter", type=float, help="± grey levels of shapes behind the device.")
+@click.option("--background-frames", type=int, help="Pictures of the table alone that come first.")
 @click.option("--k1", type=float, help="Radial distortion of the lenses.")
 @click.option("--lens", type=click.Choice(["known", "ignored"]), help="Whether it is corrected.")
 @click.option("--recording", metavar="RIG.TOML", type=_IN, help="Measure on footage instead.")

@@ -165,9 +165,13 @@ class Bench:
     def _frames(
         self, pose: DevicePose, device: PointingDevice, rng: np.random.Generator
     ) -> Iterator[tuple[Frame, ...]]:
-        for k in range(self._options.frames):
+        away = self._options.background_frames
+        for k in range(away + self._options.frames):
             pictured = self._rig.render(
-                pose, time_s=k / self._options.frames_per_s, rng=rng, device=device
+                pose if k >= away else None,
+                time_s=k / self._options.frames_per_s,
+                rng=rng,
+                device=device,
             )
             yield tuple(
                 Frame(k, view.time_s, image)

@@ -41,6 +41,10 @@ class ExperimentOptions:
     """Pictures of each pose, 1 to 1000, with fresh noise. The tracker settles on them; only what
     it tells of the last one counts."""
 
+    background_frames: int = 0
+    """Pictures of the table alone that come before, 0 to 10,000: enough of them, and the pointer
+    knows what is behind the device."""
+
     frames_per_s: float = 30.0
     """How fast they follow each other [1/s], 0.1 to 1000."""
 
@@ -89,6 +93,7 @@ class ExperimentOptions:
         checks.whole("targets", self.targets, 1, 1_000_000)
         checks.whole("seed", self.seed, 0, 2**63)
         checks.whole("frames", self.frames, 1, 1000)
+        checks.whole("background_frames", self.background_frames, 0, 10_000)
         checks.number("frames_per_s", self.frames_per_s, 0.1, 1000)
         checks.choice("device", self.device, ("rod", "hand"))
         checks.number("taper", self.taper, 0, 0.6)

@@ -115,6 +115,8 @@ def _title(options: ExperimentOptions) -> tuple[str, ...]:
         conditions.append(f"limb darkening {100 * lighting.limb_darkening:g} %")
     if options.background.clutter:
         conditions.append(f"clutter ± {options.background.clutter:g}")
+    if options.background_frames:
+        conditions.append(f"{options.background_frames} pictures of the table first")
     if any(cameras.k1):
         conditions.append(f"k1 {', '.join(f'{k1:g}' for k1 in cameras.k1)}, {options.lens}")
     return (

@@ -1,9 +1,11 @@
 //! What a camera that does not move sees where the hand is not.
 
+use crate::background::Background;
 use crate::{Error, Result};
 use nalgebra::Vector2;
 
 /// A borrowed view of a learned background: the mean grey level of every pixel and how sure it is.
+/// It is made from two maps, or from a [`Background`] as it stands in the light of its last frame.
 ///
 /// ```
 /// use fingerpost_core::refine::KnownBackground;
@@ -13,12 +15,25 @@ use nalgebra::Vector2;
 /// assert_eq!((background.width(), background.height()), (4, 3));
 /// # Ok::<(), fingerpost_core::Error>(())
 /// ```
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy)]
 pub struct KnownBackground<'a> {
-    mean_grey: &'a [f32],
-    sigma_grey: &'a [f32],
+    levels: Levels<'a>,
     width: usize,
     height: usize,
+}
+
+/// Where the levels come from.
+#[derive(Debug, Clone, Copy)]
+enum Levels<'a> {
+    Maps { mean_grey: &'a [f32], sigma_grey: &'a [f32] },
+    Learned(&'a Background),
+}
+
+impl<'a> From<&'a Background> for KnownBackground<'a> {
+    fn from(learned: &'a Background) -> Self {
+        let (width, height) = learned.size();
+        Self { levels: Levels::Learned(learned), width, height }
+    }
 }
 
 impl<'a> KnownBackground<'a> {
@@ -48,7 +63,7 @@ impl<'a> KnownBackground<'a> {
                 return Err(Error::WrongCount { what, given, needed });
             }
         }
-        Ok(Self { mean_grey, sigma_grey, width, height })
+        Ok(Self { levels: Levels::Maps { mean_grey, sigma_grey }, width, height })
     }
 
     /// Width in px.
@@ -66,20 +81,46 @@ impl<'a> KnownBackground<'a> {
     /// Level, first and second derivative along the unit vector `n`, and variance of a pixel;
     /// `None` where it is not known, or on the border, where it has no derivatives.
     pub(super) fn local(&self, x: usize, y: usize, n: Vector2<f64>) -> Option<[f32; 4]> {
-        if x == 0 || y == 0 || x + 1 >= self.width || y + 1 >= self.height {
-            return None;
-        }
-        let i = y * self.width + x;
-        let sigma = *self.sigma_grey.get(i)?;
-        let rows = [i - self.width, i, i + self.width].map(|c| self.mean_grey.get(c - 1..=c + 1));
-        let [&[a, b, c], &[d, e, f], &[g, h, k]] = [rows[0]?, rows[1]?, rows[2]?] else {
-            return None;
-        };
+        let [[a, b, c], [d, e, f], [g, h, k]] = self.about(x, y)?;
+        let doubt = self.doubt(x, y)?;
         let (u, v) = (n.x as f32, n.y as f32);
         let slope = 0.5 * (u * (f - d) + v * (h - b));
         let curvature =
             u * u * (f - 2.0 * e + d) + v * v * (h - 2.0 * e + b) + 0.5 * u * v * (k - c - g + a);
-        let known = (e + slope + curvature).is_finite() && sigma >= 0.0 && sigma.is_finite();
-        known.then_some([e, slope, curvature, sigma * sigma])
+        (e + slope + curvature).is_finite().then_some([e, slope, curvature, doubt])
+    }
+
+    /// Level and variance of a pixel, if they are known.
+    pub(super) fn level(&self, x: usize, y: usize) -> Option<[f32; 2]> {
+        let [_, [_, level, _], _] = self.about(x, y)?;
+        Some([level, self.doubt(x, y)?]).filter(|_| level.is_finite())
+    }
+
+    /// The levels about a pixel, row by row; `None` on the border and where one was never seen.
+    fn about(&self, x: usize, y: usize) -> Option<[[f32; 3]; 3]> {
+        if x == 0 || y == 0 || x + 1 >= self.width || y + 1 >= self.height {
+            return None;
+        }
+        match self.levels {
+            Levels::Learned(background) => background.about(x, y),
+            Levels::Maps { mean_grey, .. } => {
+                let row = |y: usize| {
+                    let from = y * self.width + x - 1;
+                    mean_grey.get(from..from + 3)?.try_into().ok()
+                };
+                Some([row(y - 1)?, row(y)?, row(y + 1)?])
+            }
+        }
+    }
+
+    /// Variance of a pixel inside the image; `None` where it was never seen.
+    fn doubt(&self, x: usize, y: usize) -> Option<f32> {
+        match self.levels {
+            Levels::Learned(background) => Some(background.doubt(x, y) as f32),
+            Levels::Maps { sigma_grey, .. } => {
+                let sigma = *sigma_grey.get(y * self.width + x)?;
+                (sigma >= 0.0 && sigma.is_finite()).then_some(sigma * sigma)
+            }
+        }
     }
 }

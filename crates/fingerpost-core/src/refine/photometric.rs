@@ -150,7 +150,7 @@ impl Photometric {
         sketch: &Sketch,
     ) -> Option<PhotometricFit> {
         for (index, flank) in self.flanks.iter_mut().enumerate() {
-            flank.strip.gather(image, background, sketch, index, &self.options);
+            flank.strip.gather(image, background, noise_grey, sketch, index, &self.options);
             flank.deviations.clear();
             flank.deviations.resize(flank.strip.blocks.len(), Deviation::none());
             flank.variances = [0.0; 3];

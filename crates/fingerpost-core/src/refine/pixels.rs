@@ -3,6 +3,11 @@
 //! Pixels that are clipped (0 or 255) say only that the light was at least or at most so much, and
 //! are left out. A block is a short slab of one flank; its pixels lie in chunks of [`LANES`] for
 //! the arithmetic on them, the last chunk padded with pixels of no weight.
+//!
+//! A known background may lie in the shadow of the hand, or not be what is behind the finger now.
+//! Pixels further out than those that are fitted tell, block by block: their middle ratio to the
+//! background is the light that the shadow leaves, and where they do not agree with the background
+//! even then, the block is left out.
 
 use super::sketch::{SIDES, Sketch};
 use super::{KnownBackground, PhotometricOptions, Stretch};
@@ -37,6 +42,8 @@ pub(super) struct Block {
     /// The middle of the slab.
     pub p: f64,
     pub pixels: usize,
+    /// How the known background behind it is lit: 1, less in a shadow, 0 if it is not there.
+    light: f32,
     from_chunk: usize,
     to_chunk: usize,
 }
@@ -47,6 +54,18 @@ pub(super) struct Strip {
     pub blocks: Vec<Block>,
     chunks: Vec<Chunk>,
     seen: Vec<Seen>,
+    witnesses: Vec<Witness>,
+    ratios: Vec<f32>,
+}
+
+/// A pixel outside the strip, that shows how the background is lit.
+#[derive(Debug, Clone, Copy)]
+struct Witness {
+    p: f64,
+    grey: f32,
+    /// The known level and its variance.
+    level: f32,
+    doubt: f32,
 }
 
 /// A pixel on its way into a block.
@@ -68,12 +87,31 @@ struct Band {
 /// A strip of so many blocks, of 32 pixels each, fits without another allocation.
 pub(super) const USUAL_BLOCKS: usize = 128;
 
+/// Witnesses stand outside the edge from here to there, beyond its blur \[px\],
+const WITNESSES_PX: std::ops::RangeInclusive<i32> = 4..=8;
+/// and are heard this far along the finger from the middle of a block \[px\].
+const HEARD_PX: f64 = 6.0;
+/// Fewer than this tell nothing of a block's light.
+const LEAST_WITNESSES: usize = 12;
+/// A witness agrees within this many standard deviations, and this part of the level: shadows have
+/// soft edges.
+const AGREES_SIGMAS: f32 = 4.0;
+const AGREES_PART: f32 = 0.04;
+/// As many of them agree if the background is what is there.
+const LEAST_AGREEING: f64 = 0.6;
+/// What a shadow leaves of the light; more is none, and this close to 1 it is noise.
+const SHADOWS: std::ops::Range<f32> = 0.25..0.97;
+/// Levels below this tell no ratio \[grey levels\].
+const DARK_GREY: f32 = 8.0;
+
 impl Strip {
     pub fn new() -> Self {
         Self {
             blocks: Vec::with_capacity(USUAL_BLOCKS),
             chunks: Vec::with_capacity(4 * USUAL_BLOCKS),
             seen: Vec::with_capacity(4 * LANES * USUAL_BLOCKS),
+            witnesses: Vec::with_capacity(WITNESSES_PX.count() * 4 * USUAL_BLOCKS),
+            ratios: Vec::with_capacity(WITNESSES_PX.count() * 4 * USUAL_BLOCKS),
         }
     }
 
@@ -91,13 +129,72 @@ impl Strip {
         &mut self,
         image: &GrayView<'_>,
         background: Option<&KnownBackground<'_>>,
+        noise_grey: f64,
         sketch: &Sketch,
         flank: usize,
         options: &PhotometricOptions,
     ) {
         self.see(image, sketch, flank, options);
         self.divide(sketch.flanks[flank].from_px, options.block_px);
+        if let Some(known) = background {
+            self.hear(image, known, sketch, flank);
+            self.light(noise_grey as f32);
+        }
         self.fill(image, background, sketch.normal() * SIDES[flank]);
+    }
+
+    /// Collects the witnesses of a flank.
+    fn hear(
+        &mut self,
+        image: &GrayView<'_>,
+        background: &KnownBackground<'_>,
+        sketch: &Sketch,
+        flank: usize,
+    ) {
+        let Stretch { from_px, to_px } = sketch.flanks[flank];
+        self.witnesses.clear();
+        let mut p = from_px;
+        while p <= to_px {
+            for away in WITNESSES_PX {
+                let q = SIDES[flank] * (sketch.half_width_at(p) + f64::from(away));
+                let place = sketch.place(p, q);
+                if !image.contains(place.x, place.y, 0.0) {
+                    continue;
+                }
+                let (x, y) = (place.x.round() as usize, place.y.round() as usize);
+                if let (Some(grey @ 1..=254), Some([level, doubt])) =
+                    (image.pixel(x, y), background.level(x, y))
+                {
+                    self.witnesses.push(Witness { p, grey: f32::from(grey), level, doubt });
+                }
+            }
+            p += 1.0;
+        }
+    }
+
+    /// Tells how the background behind each block is lit: 1, what a shadow leaves, or 0 if what is
+    /// there is not the background.
+    fn light(&mut self, noise_grey: f32) {
+        let Self { blocks, witnesses, ratios, .. } = self;
+        for block in blocks {
+            let heard = || witnesses.iter().filter(|w| (w.p - block.p).abs() <= HEARD_PX);
+            ratios.clear();
+            ratios.extend(heard().filter(|w| w.level >= DARK_GREY).map(|w| w.grey / w.level));
+            let middle = ratios.len() / 2;
+            let ratio = if ratios.len() < LEAST_WITNESSES {
+                1.0
+            } else {
+                *ratios.select_nth_unstable_by(middle, f32::total_cmp).1
+            };
+            let light = if SHADOWS.contains(&ratio) { ratio } else { 1.0 };
+            let agrees = |w: &&Witness| {
+                let sigma = (noise_grey * noise_grey + w.doubt).sqrt();
+                (w.grey - light * w.level).abs() < AGREES_SIGMAS * sigma + AGREES_PART * w.level
+            };
+            let (all, agreeing) = (heard().count(), heard().filter(agrees).count());
+            let is_there = agreeing as f64 >= LEAST_AGREEING * all as f64;
+            block.light = if is_there { light } else { 0.0 };
+        }
     }
 
     /// Finds the pixels of the strip: along the straight part up to the middle of the round end, and
@@ -153,7 +250,7 @@ impl Strip {
             block.p = from_px + (k as f64 + 0.5) * block_px;
             (block.from_chunk, block.to_chunk) = (total, total);
             total += block.pixels.div_ceil(LANES);
-            block.pixels = 0;
+            (block.pixels, block.light) = (0, 1.0);
         }
         self.chunks.clear();
         self.chunks.resize(total, Chunk::default());
@@ -175,6 +272,10 @@ impl Strip {
             };
             let Some([level, slope, curvature, doubt]) = behind else { continue };
             let block = &mut self.blocks[s.block];
+            let light = block.light;
+            if light == 0.0 {
+                continue;
+            }
             let (chunk, lane) = (block.from_chunk + block.pixels / LANES, block.pixels % LANES);
             block.pixels += 1;
             block.to_chunk = chunk + 1;
@@ -183,10 +284,10 @@ impl Strip {
             chunk.v[lane] = s.v;
             chunk.grey[lane] = f32::from(grey);
             chunk.weight[lane] = 1.0;
-            chunk.background[lane] = level;
-            chunk.background_slope[lane] = slope;
-            chunk.background_curvature[lane] = curvature;
-            chunk.doubt[lane] = doubt;
+            chunk.background[lane] = light * level;
+            chunk.background_slope[lane] = light * slope;
+            chunk.background_curvature[lane] = light * curvature;
+            chunk.doubt[lane] = light * light * doubt;
         }
         self.blocks.retain(|b| b.pixels > 0);
     }

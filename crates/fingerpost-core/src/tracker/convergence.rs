@@ -2,14 +2,16 @@
 
 use super::looks::{Looks, Sight, Silhouette};
 use super::options::{AcceptOptions, TrackerOptions};
+use super::scene::Scene;
 use super::{MAX_DOF, SearchedLine, ShapeEstimate};
 use crate::Result;
+use crate::background::Background;
 use crate::discriminant::{DiscriminantImage, Mixture, region_about};
 use crate::dynamics::{Expectation, Gate};
 use crate::fit::{EquationBuffer, Equations, FitReport, Fitter, Outcome, Prior};
 use crate::frame::Frame;
 use crate::refine::Finger;
-use crate::search::{EdgeMeasurement, EdgeSearch, Scale, SearchLine};
+use crate::search::{Cue, EdgeMeasurement, EdgeSearch, Miss, Scale, SearchLine};
 use crate::shape_space::{Axis, PlacedSample, Pose, ShapeSpace};
 use crate::template::{Part, TemplateSample};
 use nalgebra::{Matrix2, Point2, SMatrix, SVector, Vector3};
@@ -162,6 +164,18 @@ pub(super) struct Convergence {
     agreeing: Vec<PlacedSample>,
     /// The present frame as the hand's discriminant shows it.
     image: DiscriminantImage,
+    /// Lines that are searched once more, where the hand begins, and which lines they replace.
+    again: Vec<SearchLine>,
+    replaced: Vec<Replaced>,
+    found_again: Vec<EdgeMeasurement>,
+}
+
+/// A line whose edge is the background's.
+#[derive(Debug, Clone, Copy)]
+struct Replaced {
+    line: usize,
+    /// Where along it the hand begins \[px\].
+    begins_px: f64,
 }
 
 impl Convergence {
@@ -178,6 +192,9 @@ impl Convergence {
             equations: EquationBuffer::with_capacity(options.samples, MAX_DOF),
             agreeing: Vec::with_capacity(options.samples),
             image: DiscriminantImage::default(),
+            again: Vec::with_capacity(options.samples),
+            replaced: Vec::with_capacity(options.samples),
+            found_again: Vec::with_capacity(options.samples),
         })
     }
 
@@ -199,7 +216,7 @@ impl Convergence {
         &mut self,
         looks: &mut Looks,
         samples: usize,
-        frame: &Frame<'_>,
+        frame: &Scene<'_>,
         finger: &Silhouette,
         keep: f64,
     ) -> Result<()> {
@@ -257,7 +274,7 @@ impl Convergence {
     /// itself.
     pub fn run<S: ShapeSpace<D>, const D: usize>(
         &mut self,
-        frame: &Frame<'_>,
+        frame: &Scene<'_>,
         space: &S,
         x: SVector<f64, D>,
         attempt: &Attempt<'_>,
@@ -303,7 +320,7 @@ impl Convergence {
     /// Offsets of the edges that the contour at `x` finds, without fitting anything.
     pub fn offsets<S: ShapeSpace<D>, const D: usize>(
         &mut self,
-        frame: &Frame<'_>,
+        frame: &Scene<'_>,
         space: &S,
         x: &SVector<f64, D>,
         attempt: &Attempt<'_>,
@@ -315,7 +332,7 @@ impl Convergence {
     /// Searches the image along the normals of the contour as `pose` places it.
     fn measure<P: Pose>(
         &mut self,
-        frame: &Frame<'_>,
+        frame: &Scene<'_>,
         pose: &P,
         attempt: &Attempt<'_>,
         half_length_px: f64,
@@ -339,15 +356,42 @@ impl Convergence {
         self.agrees.resize(self.lines.len(), false);
         let shown = match attempt.sight.mixture {
             Some(mixture) => self.image.of(frame, mixture, region(&self.lines))?,
-            None => *frame,
+            None => **frame,
         };
-        self.search.search(
-            &shown,
-            attempt.sight.cue,
-            attempt.scale,
-            &self.lines,
-            &mut self.measurements,
-        )
+        let Attempt { sight, scale, .. } = attempt;
+        self.search.search(&shown, sight.cue, *scale, &self.lines, &mut self.measurements)?;
+        let Some(background) = frame.background().filter(|_| !matches!(sight.cue, Cue::Votes(_)))
+        else {
+            return Ok(());
+        };
+        // Edges that the background explains are not the hand's. Where along the line the hand
+        // begins before the background, it may have an edge of its own.
+        self.again.clear();
+        self.replaced.clear();
+        for (i, line) in self.lines.iter().enumerate() {
+            let Ok(edge) = &self.measurements[i] else { continue };
+            if !is_background(frame, background, line, edge.offset_px) {
+                continue;
+            }
+            self.measurements[i] = Err(Miss::NoContrast);
+            if let Some(begins_px) = where_hand_begins(frame, background, line) {
+                let sample = PlacedSample {
+                    position: line.sample.position + line.sample.normal * begins_px,
+                    ..line.sample
+                };
+                self.again.push(SearchLine { sample, half_length_px: BEGINS_WITHIN_PX, ..*line });
+                self.replaced.push(Replaced { line: i, begins_px });
+            }
+        }
+        self.search.search(&shown, sight.cue, *scale, &self.again, &mut self.found_again)?;
+        for (&Replaced { line, begins_px }, found) in self.replaced.iter().zip(&self.found_again) {
+            let Ok(mut edge) = *found else { continue };
+            edge.offset_px += begins_px;
+            if !is_background(frame, background, &self.lines[line], edge.offset_px) {
+                self.measurements[line] = Ok(edge);
+            }
+        }
+        Ok(())
     }
 
     /// Notes whose edges agree with the last solution.
@@ -400,6 +444,57 @@ impl Convergence {
             rank: fit.rank,
         }
     }
+}
+
+/// An edge is the background's if these places inside of it \[px\] are hardly foreground.
+const INSIDE_PX: [f64; 3] = [2.0, 3.0, 4.0];
+const HARDLY: f64 = 0.3;
+/// The hand's own edge is looked for so far from where it begins to differ from the background
+/// \[px\].
+const BEGINS_WITHIN_PX: f64 = 4.0;
+
+/// How likely a place on a search line is foreground.
+fn foreground(
+    frame: &Frame<'_>,
+    background: &Background,
+    line: &SearchLine,
+    at: f64,
+) -> Option<f64> {
+    let place = line.sample.position + line.sample.normal * at;
+    background.foreground(frame, place.x, place.y)
+}
+
+/// Whether what is inside of an edge is the background; not if that is unknown.
+fn is_background(
+    frame: &Frame<'_>,
+    background: &Background,
+    line: &SearchLine,
+    offset_px: f64,
+) -> bool {
+    let (mut sum, mut count) = (0.0, 0.0);
+    for inside_px in INSIDE_PX {
+        if let Some(likely) = foreground(frame, background, line, offset_px - inside_px) {
+            sum += likely;
+            count += 1.0;
+        }
+    }
+    sum < HARDLY * count
+}
+
+/// Where along a line foreground ends and background begins, from inside outwards: the place that
+/// parts them best; none without both.
+fn where_hand_begins(frame: &Frame<'_>, background: &Background, line: &SearchLine) -> Option<f64> {
+    let reach = line.half_length_px.floor();
+    let (mut sum, mut best, mut begins_px) = (0.0, 0.0, None);
+    let mut at = -reach;
+    while at <= reach {
+        sum += foreground(frame, background, line, at).map_or(0.0, |likely| likely - 0.5);
+        if sum > best && at < reach {
+            (best, begins_px) = (sum, Some(at + 0.5));
+        }
+        at += 1.0;
+    }
+    begins_px
 }
 
 /// One equation for every edge that a search found.

@@ -9,9 +9,9 @@
 use super::convergence::{Attempt, Converged, Convergence, Support};
 use super::looks::Sight;
 use super::options::TrackerOptions;
+use super::scene::Scene;
 use crate::Result;
 use crate::fit::Prior;
-use crate::frame::Frame;
 use crate::search::{MAX_HALF_LENGTH_PX, Polarity, Scale};
 use crate::shape_space::{Axis, BandMeasure, RIBBON_DOF, Ribbon, RibbonVector};
 use crate::template::{Limb, Part, TemplateSample};
@@ -82,7 +82,7 @@ impl Mould<'_> {
     /// The hand at the waiting template, if the image shows one. The thumb counts only where it is
     /// seen well: the finger is found and followed without it, and a thumb in the wrong place
     /// would turn it.
-    pub fn find(&self, convergence: &mut Convergence, frame: &Frame<'_>) -> Result<Moulded> {
+    pub fn find(&self, convergence: &mut Convergence, frame: &Scene<'_>) -> Result<Moulded> {
         let mut finger = Converged::at(*self.waiting);
         let mut finger_polarity = self.options.polarity;
         for angle_rad in ANGLES_RAD {
@@ -121,7 +121,7 @@ impl Mould<'_> {
     pub fn refit(
         &self,
         convergence: &mut Convergence,
-        frame: &Frame<'_>,
+        frame: &Scene<'_>,
         from: &RibbonVector,
         kind: Kind,
     ) -> Result<Moulded> {
@@ -200,7 +200,7 @@ impl Mould<'_> {
     fn finger(
         &self,
         convergence: &mut Convergence,
-        frame: &Frame<'_>,
+        frame: &Scene<'_>,
         from: &RibbonVector,
         polarity: Polarity,
     ) -> Result<Converged<RIBBON_DOF>> {
@@ -214,7 +214,7 @@ impl Mould<'_> {
     fn whole(
         &self,
         convergence: &mut Convergence,
-        frame: &Frame<'_>,
+        frame: &Scene<'_>,
         from: &RibbonVector,
         half_length_px: f64,
         polarity: Polarity,
@@ -227,7 +227,7 @@ impl Mould<'_> {
     fn bands<const D: usize>(
         &self,
         convergence: &mut Convergence,
-        frame: &Frame<'_>,
+        frame: &Scene<'_>,
         x: &RibbonVector,
         believed: &RibbonVector,
         half_length_px: f64,
@@ -248,7 +248,7 @@ impl Mould<'_> {
     fn thumb(
         &self,
         convergence: &mut Convergence,
-        frame: &Frame<'_>,
+        frame: &Scene<'_>,
         finger: &RibbonVector,
     ) -> Result<(Converged<RIBBON_DOF>, Polarity)> {
         let reach_px = (THUMB_REACH * self.measure.length_px).clamp(1.0, MAX_HALF_LENGTH_PX as f64);
@@ -292,7 +292,7 @@ impl Mould<'_> {
     fn support(
         &self,
         convergence: &mut Convergence,
-        frame: &Frame<'_>,
+        frame: &Scene<'_>,
         x: &RibbonVector,
         reach_px: f64,
         polarity: Polarity,
