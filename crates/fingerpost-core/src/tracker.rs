@@ -447,6 +447,12 @@ const SOUGHT: f64 = 0.5;
 /// Turns of the hand that are sought \[rad\].
 const SOUGHT_TURNS_RAD: [f64; 3] = [0.0, -0.25, 0.25];
 
+/// What stands free of the table is foreground this far inside its outline, in parts of its
+/// half-width and at least \[px\], background as far outside, to this part on either side.
+const FREE_PART: f64 = 0.4;
+const FREE_PX: f64 = 3.0;
+const FREE_SHARE: f64 = 0.5;
+
 /// A lost hand is looked for this much further than a tracked one.
 const LOST_REACH: f64 = 2.0;
 /// A fit that explains this part of the contour needs no second look from afar.
@@ -631,8 +637,12 @@ impl ContourTracker {
     ) -> Result<Track> {
         let AcquireOptions { accept, settle_frames, settle_change, .. } = self.options.acquire;
         let width_before = self.hand.shape.width();
-        let found = self.mould(frame, settled)?;
-        let accepted = found.is_accepted(&accept);
+        let mut found = self.mould(&frame.alone(), settled)?;
+        let mut accepted = found.is_accepted(&accept) && self.stands_free(frame, &found.shape);
+        if !accepted && frame.background().is_some() {
+            found = self.mould(frame, settled)?;
+            accepted = found.is_accepted(&accept) && self.stands_free(frame, &found.shape);
+        }
         let change = (found.shape.width() / width_before - 1.0).abs();
         let settled = match (accepted, settled) {
             (false, _) => 0,
@@ -659,6 +669,25 @@ impl ContourTracker {
             });
         self.phase = phase;
         Ok(track(time_s, status, &found, &accept, found.refusal(&accept)))
+    }
+
+    /// Whether a shape shows foreground inside its outline and background outside, as far as what
+    /// is behind it is known: neither what lies on the table nor the inside of a hand does.
+    fn stands_free(&self, frame: &Scene<'_>, shape: &Shape) -> bool {
+        let Some(background) = frame.background() else { return true };
+        let away_px = (FREE_PART * shape.width()).max(FREE_PX);
+        let mut sides = [(0.0, 0.0); 2];
+        self.hand.outline(shape, &self.samples, &self.waiting.measure, |placed| {
+            for ((sum, count), px) in sides.iter_mut().zip([-away_px, away_px]) {
+                let at = placed.position + placed.normal * px;
+                if let Some(likely) = background.foreground(frame, at.x, at.y) {
+                    *sum += likely;
+                    *count += 1.0;
+                }
+            }
+        });
+        let [inside, outside] = sides;
+        inside.0 >= FREE_SHARE * inside.1 && outside.0 <= FREE_SHARE * outside.1
     }
 
     /// The hand at the waiting template, or where an earlier frame has found it.

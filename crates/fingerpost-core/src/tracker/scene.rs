@@ -17,6 +17,11 @@ impl<'a> Scene<'a> {
         Self { frame: *frame, background: background.filter(|b| b.is_exact()) }
     }
 
+    /// The frame alone.
+    pub fn alone(&self) -> Self {
+        Self { background: None, ..*self }
+    }
+
     /// What is behind the hand, if that is known.
     pub fn background(&self) -> Option<&'a Background> {
         self.background
