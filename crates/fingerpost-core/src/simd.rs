@@ -110,29 +110,35 @@ pub(crate) fn each<T: Copy + Default, const N: usize>(of: impl Fn(usize) -> T) -
     lanes
 }
 
-/// Replaces every place by the two bytes that begin there and, above them, the two that begin
-/// `stride` bytes later; by zeros if one of the places is too near to the end of `bytes`.
+/// Fills every cell with the two bytes that begin at its place, the first one lowest, and with the
+/// two that begin `stride` bytes later; with zeros if one of the places is too near to the end of
+/// `bytes`.
 #[inline(always)]
-pub(crate) fn gather_cells<const N: usize>(bytes: &[u8], stride: u32, places: &mut [[u32; N]]) {
-    if furthest(places) + u64::from(stride) + 2 > bytes.len() as u64 {
-        places.fill([0; N]);
+pub(crate) fn gather_cells<const N: usize>(
+    bytes: &[u8],
+    stride: usize,
+    places: &[[u32; N]],
+    cells: &mut [[[u16; N]; 2]],
+) {
+    let lower = bytes.get(stride..).unwrap_or_default();
+    if furthest(places) + 2 > lower.len() as u64 {
+        cells.fill([[0; N]; 2]);
         return;
     }
-    let stride = stride as usize;
-    for place in places.as_flattened_mut() {
-        let at = *place as usize;
-        #[expect(
-            unsafe_code,
-            reason = "checked one by one, the loads make a search a quarter longer"
-        )]
-        // SAFETY: at + stride + 2 ≤ furthest(places) + stride + 2 ≤ bytes.len(), as was checked in
-        // 64 bits, which three numbers of 32 do not overflow; so none of them overflows usize
-        // either. An array of bytes needs no alignment.
-        let [above, below] = unsafe {
-            let first = bytes.as_ptr().add(at);
-            [first, first.add(stride)].map(|pair| pair.cast::<[u8; 2]>().read())
-        };
-        *place = u32::from(u16::from_le_bytes(above)) | u32::from(u16::from_le_bytes(below)) << 16;
+    for (places, [above, below]) in places.iter().zip(cells) {
+        for j in 0..N {
+            let at = places[j] as usize;
+            #[expect(
+                unsafe_code,
+                reason = "checked one by one, the loads make a search a quarter longer"
+            )]
+            // SAFETY: at + 2 ≤ furthest(places) + 2 ≤ lower.len() ≤ bytes.len(), as was checked in
+            // 64 bits, which the sum of a place, of 32 bits, and 2 does not overflow. An array of
+            // bytes needs no alignment.
+            let pairs =
+                unsafe { [bytes, lower].map(|row| row.as_ptr().add(at).cast::<[u8; 2]>().read()) };
+            [above[j], below[j]] = pairs.map(u16::from_le_bytes);
+        }
     }
 }
 

@@ -34,42 +34,21 @@ pub(super) const MAX_SIDE_PX: usize = i16::MAX as usize;
 /// The longest row, so that the place of every byte fits 32 bits.
 pub(super) const MAX_STRIDE: usize = (1 << 17) - 1;
 
-/// Where one line's samples lie, in 16.16 fixed point: the first, and the step to the next.
-#[derive(Debug, Clone, Copy, Default)]
-pub(super) struct Track {
-    start: [i32; 2],
-    step: [i32; 2],
+/// Where lines begin and where they go, axis by axis \[px\].
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Starts<const N: usize> {
+    pub positions: [[f64; N]; 2],
+    pub normals: [[f64; N]; 2],
 }
 
-impl Track {
-    /// `samples` places from `start`, `step` apart \[px\]; none if one of them is not surrounded
-    /// by four pixels of an image of `size`. A start that is less than a step of the interpolation
-    /// outside is put inside.
-    #[inline]
-    pub(super) fn new(
-        start: [f64; 2],
-        step: [f64; 2],
-        samples: usize,
-        size: [usize; 2],
-    ) -> Option<Self> {
-        let mut track = Self::default();
-        let mut inside = true;
-        for axis in 0..2 {
-            // Half a step of the interpolation is added later.
-            let last = ((size[axis] as i32 - 1) << PIXEL_BITS) - 2 * HALF_STEP[1];
-            let from = fixed(start[axis]).clamp(0, last.max(0));
-            let by = fixed(step[axis]);
-            // The places are evenly spaced: those between two places inside are inside.
-            let to = i64::from(from) + i64::from(by) * (samples as i64 - 1);
-            inside &= 0 <= to && to <= i64::from(last);
-            (track.start[axis], track.step[axis]) = (from, by);
-        }
-        inside.then_some(track)
+impl<const N: usize> Default for Starts<N> {
+    fn default() -> Self {
+        Self { positions: [[0.0; N]; 2], normals: [[0.0; N]; 2] }
     }
 }
 
 /// To the nearest 2⁻¹⁶ px. (The bit pattern of 1.5 · 2³⁶ + x ends in x with 16 binary places.)
-#[inline]
+#[inline(always)]
 fn fixed(x: f64) -> i32 {
     const SHIFT: f64 = (3_u64 << 35) as f64;
     (x + SHIFT).to_bits() as i32
@@ -107,10 +86,14 @@ pub(super) struct Peak {
 pub(super) struct Lanes<const N: usize> {
     start: [[i32; N]; 2],
     step: [[i32; N]; 2],
-    /// The places of the bytes of every sample, or what was read there.
+    /// Whether all samples of a line are inside the image.
+    inside: [bool; N],
+    /// The places of the bytes of every sample, or the words that were read there.
     places: Vec<[u32; N]>,
     /// How far the samples lie across and down their cells, in 1/256 and 1/128 px.
     fractions: Vec<[[u16; N]; 2]>,
+    /// The pixels about every sample: two above, two below.
+    cells: Vec<[[u16; N]; 2]>,
     /// The votes of the samples.
     cast: Vec<[i16; N]>,
     /// The kernel's weights, repeated in every lane.
@@ -122,7 +105,6 @@ pub(super) struct Lanes<const N: usize> {
     /// Sums of the votes from the inner end up to each sample.
     votes: Vec<[i32; N]>,
     peaks: [i16; N],
-    rises_to_end: [bool; N],
 }
 
 /// No peak was found.
@@ -134,34 +116,71 @@ impl<const N: usize> Lanes<N> {
         Self {
             start: [[0; N]; 2],
             step: [[0; N]; 2],
+            inside: [false; N],
             places: Vec::with_capacity(samples),
             fractions: Vec::with_capacity(samples),
+            cells: Vec::with_capacity(samples),
             cast: Vec::with_capacity(samples),
             weights: Vec::with_capacity(samples),
             grey: Vec::with_capacity(samples),
             answers: Vec::with_capacity(samples),
             votes: Vec::with_capacity(samples + 1),
             peaks: [NONE; N],
-            rises_to_end: [false; N],
         }
     }
 
-    /// Sets the lines: lanes without one repeat the last.
-    #[inline]
-    pub fn set(&mut self, tracks: &[Track], samples: usize) {
-        let Some(last) = tracks.last() else { return };
-        for j in 0..N {
-            let track = tracks.get(j).unwrap_or(last);
-            for axis in 0..2 {
-                self.start[axis][j] = track.start[axis];
-                self.step[axis][j] = track.step[axis];
-            }
+    /// Sets `count` lines of so many samples, from an offset on, in an image of `size`. A line that
+    /// leaves the image stays at its first pixel, as do lanes without one.
+    #[inline(always)]
+    pub fn set(
+        &mut self,
+        starts: &Starts<N>,
+        count: usize,
+        from: i32,
+        samples: usize,
+        size: [usize; 2],
+    ) {
+        let steps = samples as i32 - 1;
+        let (first, last) = (f64::from(from), f64::from(from + steps));
+        let mut inside = each(|j| j < count);
+        for axis in 0..2 {
+            let (position, normal) = (&starts.positions[axis], &starts.normals[axis]);
+            let side = size[axis] as i32 - 1;
+            // Half a step of the interpolation is added later; a start that is nearer than a step
+            // to the far side is put inside.
+            let limit = (side << PIXEL_BITS) - 2 * HALF_STEP[1];
+            let side = f64::from(side);
+            let near: [f64; N] = each(|j| position[j] + normal[j] * first);
+            let far: [f64; N] = each(|j| position[j] + normal[j] * last);
+            self.start[axis] = each(|j| fixed(near[j]).clamp(0, limit.max(0)));
+            self.step[axis] = each(|j| fixed(normal[j]));
+            inside = each(|j| {
+                // An image is convex: a line with both ends inside is inside. Such an end does not
+                // overflow; but rounding may have put it outside.
+                let end = self.step[axis][j].wrapping_mul(steps).wrapping_add(self.start[axis][j]);
+                let ends_inside =
+                    (near[j] >= 0.0) & (near[j] <= side) & (far[j] >= 0.0) & (far[j] <= side);
+                inside[j] & ends_inside & (0 <= end) & (end <= limit)
+            });
         }
+        let kept: [i32; N] = each(|j| -i32::from(inside[j]));
+        for axis in 0..2 {
+            self.start[axis] = each(|j| self.start[axis][j] & kept[j]);
+            self.step[axis] = each(|j| self.step[axis][j] & kept[j]);
+        }
+        self.inside = inside;
         self.places.resize(samples, [0; N]);
         self.fractions.resize(samples, [[0; N]; 2]);
+        self.cells.resize(samples, [[0; N]; 2]);
         self.cast.resize(samples, [0; N]);
         self.grey.resize(samples, [0; N]);
         self.votes.resize(samples + 1, [0; N]);
+    }
+
+    /// Whether line `j` was searched: all its samples are inside the image.
+    #[inline]
+    pub fn is_inside(&self, j: usize) -> bool {
+        self.inside[j]
     }
 
     /// Finds the best peak of every line.
@@ -173,7 +192,7 @@ impl<const N: usize> Lanes<N> {
         ballot: Option<(&Ballot<'_>, &Scoring)>,
     ) {
         self.locate(image.stride(), 1, HALF_STEP);
-        gather_cells(image.data(), image.stride() as u32, &mut self.places);
+        gather_cells(image.data(), image.stride(), &self.places, &mut self.cells);
         self.interpolate();
         self.correlate(kernel.weights);
         match kernel.polarity {
@@ -206,14 +225,31 @@ impl<const N: usize> Lanes<N> {
 
     /// The peak of line `j`, or why there is none.
     #[inline]
-    pub fn peak(&self, j: usize) -> Result<Peak, Miss> {
-        let at = self.peaks[j];
-        if at == NONE {
-            return Err(if self.rises_to_end[j] { Miss::BeyondEnd } else { Miss::NoContrast });
+    pub fn peak(&self, j: usize, kernel: &Kernel<'_>) -> Result<Peak, Miss> {
+        let at = usize::from(self.peaks[j] as u16);
+        if self.peaks[j] == NONE {
+            return Err(if self.rises_to_end(j, kernel) {
+                Miss::BeyondEnd
+            } else {
+                Miss::NoContrast
+            });
         }
-        let at = at as usize;
         let answers = each(|i| self.answers[at + i - 1][j]);
         Ok(Peak { at, answers })
+    }
+
+    /// Whether line `j` answers more and more, as is wanted, up to one of its ends.
+    fn rises_to_end(&self, j: usize, kernel: &Kernel<'_>) -> bool {
+        let n = self.answers.len();
+        let [first, second, before_last, last] = [0, 1, n - 2, n - 1].map(|i| {
+            let answer = self.answers[i][j];
+            match kernel.polarity {
+                Polarity::Bright => answer,
+                Polarity::Dark => -answer,
+                Polarity::Unknown => answer.abs(),
+            }
+        });
+        (first >= kernel.least && first > second) || (last >= kernel.least && last >= before_last)
     }
 
     /// Mean vote of the pixels inside the peak at `at` of line `j` minus that of those outside,
@@ -266,11 +302,8 @@ impl<const N: usize> Lanes<N> {
     /// Grey levels at all samples.
     #[inline(always)]
     fn interpolate(&mut self) {
-        for ((grey, cells), [across, down]) in
-            self.grey.iter_mut().zip(&self.places).zip(&self.fractions)
-        {
-            let above: [_; N] = each(|j| cells[j] as u16);
-            let below: [_; N] = each(|j| (cells[j] >> 16) as u16);
+        let cells = self.cells.iter().zip(&self.fractions);
+        for (grey, ([above, below], [across, down])) in self.grey.iter_mut().zip(cells) {
             *grey = each(|j| {
                 let (right, lower) = (across[j], down[j]);
                 let row = |pair: u16| (pair & 255) * (256 - right) + (pair >> 8) * right;
@@ -282,20 +315,17 @@ impl<const N: usize> Lanes<N> {
     /// Inside minus outside, weighted by the kernel, at every offset that the kernel fits.
     #[inline(always)]
     fn correlate(&mut self, weights: &[u16]) {
-        let (reach, grey) = (weights.len(), &self.grey);
-        let count = grey.len() - 2 * reach;
-        self.answers.clear();
-        self.answers.resize(count, [0; N]);
+        self.answers.resize(self.grey.len() - 2 * weights.len(), [0; N]);
         // Repeated in memory: the compiler sees a product of 16-bit numbers only in vectors of them.
         self.weights.clear();
         self.weights.extend(weights.iter().map(|&w| [w; N]));
-        for (k, weight) in (1..).zip(&self.weights) {
-            let (inside, outside) = (&grey[reach - k..][..count], &grey[reach + k..][..count]);
-            for ((answer, inside), outside) in self.answers.iter_mut().zip(inside).zip(outside) {
-                let (plus, minus) = (scaled(inside, weight), scaled(outside, weight));
-                let sum = *answer;
-                *answer = each(|j| sum[j].wrapping_add(plus[j].wrapping_sub(minus[j]) as i16));
-            }
+        let (several, rest) = self.answers.as_chunks_mut::<ANSWERS>();
+        let ahead = ANSWERS * several.len();
+        for (i, answers) in several.iter_mut().enumerate() {
+            *answers = correlated(&self.weights, &self.grey[ANSWERS * i..]);
+        }
+        for (i, answer) in rest.iter_mut().enumerate() {
+            [*answer] = correlated(&self.weights, &self.grey[ahead + i..]);
         }
     }
 
@@ -314,28 +344,21 @@ impl<const N: usize> Lanes<N> {
         } else {
             self.strongest(kernel.least, strength);
         }
-        let n = self.answers.len();
-        let [first, second, before_last, last] = [0, 1, n - 2, n - 1].map(|i| &self.answers[i]);
-        for j in 0..N {
-            let [first, second, before_last, last] =
-                [first[j], second[j], before_last[j], last[j]].map(strength);
-            self.rises_to_end[j] = (first >= kernel.least && first > second)
-                || (last >= kernel.least && last >= before_last);
-        }
     }
 
     #[inline(always)]
     fn strongest(&mut self, least: i16, strength: impl Fn(i16) -> i16 + Copy) {
         let (mut best, mut at) = ([least - 1; N], [NONE; N]);
-        for (i, three) in (1_i16..).zip(self.answers.windows(3)) {
-            for j in 0..N {
-                let before = strength(three[0][j]);
-                let here = strength(three[1][j]);
-                let after = strength(three[2][j]);
-                let better = (here >= before) & (here > after) & (here > best[j]);
-                best[j] = if better { here } else { best[j] };
-                at[j] = if better { i } else { at[j] };
-            }
+        let all = |answers: &[i16; N]| -> [i16; N] { each(|j| strength(answers[j])) };
+        let [first, second, others @ ..] = self.answers.as_slice() else { return };
+        let (mut before, mut here) = (all(first), all(second));
+        for (i, after) in (1_i16..).zip(others) {
+            let after = all(after);
+            // No less than before, more than after and more than the best so far.
+            let beaten: [_; N] = each(|j| (before[j] - 1).max(after[j]).max(best[j]));
+            at = each(|j| if here[j] > beaten[j] { i } else { at[j] });
+            best = each(|j| if here[j] > beaten[j] { here[j] } else { best[j] });
+            (before, here) = (here, after);
         }
         self.peaks = at;
     }
@@ -388,6 +411,28 @@ impl<const N: usize> Lanes<N> {
             *total = sum;
         }
     }
+}
+
+/// Answers that are worked out together: their sums fit the registers.
+const ANSWERS: usize = 4;
+
+/// The answers of a kernel to the samples from its first offset on.
+#[inline(always)]
+fn correlated<const N: usize, const M: usize>(
+    weights: &[[u16; N]],
+    samples: &[[u16; N]],
+) -> [[i16; N]; M] {
+    let mut answers = [[0_i16; N]; M];
+    let reach = weights.len();
+    for (k, weight) in (1..).zip(weights) {
+        let (inside, outside) = (&samples[reach - k..][..M], &samples[reach + k..][..M]);
+        for i in 0..M {
+            let (plus, minus) = (scaled(&inside[i], weight), scaled(&outside[i], weight));
+            answers[i] =
+                each(|j| answers[i][j].wrapping_add(plus[j].wrapping_sub(minus[j]) as i16));
+        }
+    }
+    answers
 }
 
 /// Every number times its weight, in 2⁻¹⁶.
