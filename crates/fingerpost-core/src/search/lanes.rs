@@ -19,7 +19,7 @@ use super::{Miss, Polarity};
 use crate::appearance::{Ballot, VOTE_UNIT, Voters, Votes};
 use crate::image::GrayView;
 use crate::logarithm::ln;
-use crate::simd::{each, gather_cells, gather_words};
+use crate::simd::{Layout, Places, each};
 
 /// The answer's and the samples' unit is a grey level over this.
 pub(super) const ANSWER_UNIT: f64 = 128.0;
@@ -88,12 +88,8 @@ pub(super) struct Lanes<const N: usize> {
     step: [[i32; N]; 2],
     /// Whether all samples of a line are inside the image.
     inside: [bool; N],
-    /// The places of the bytes of every sample, or the words that were read there.
-    places: Vec<[u32; N]>,
-    /// How far the samples lie across and down their cells, in 1/256 and 1/128 px.
-    fractions: Vec<[[u16; N]; 2]>,
-    /// The pixels about every sample: two above, two below.
-    cells: Vec<[[u16; N]; 2]>,
+    /// The places of the bytes of every sample.
+    places: Places<N>,
     /// The votes of the samples.
     cast: Vec<[i16; N]>,
     /// The kernel's weights, repeated in every lane.
@@ -117,9 +113,7 @@ impl<const N: usize> Lanes<N> {
             start: [[0; N]; 2],
             step: [[0; N]; 2],
             inside: [false; N],
-            places: Vec::with_capacity(samples),
-            fractions: Vec::with_capacity(samples),
-            cells: Vec::with_capacity(samples),
+            places: Places::with_capacity(samples),
             cast: Vec::with_capacity(samples),
             weights: Vec::with_capacity(samples),
             grey: Vec::with_capacity(samples),
@@ -169,9 +163,6 @@ impl<const N: usize> Lanes<N> {
             self.step[axis] = each(|j| self.step[axis][j] & kept[j]);
         }
         self.inside = inside;
-        self.places.resize(samples, [0; N]);
-        self.fractions.resize(samples, [[0; N]; 2]);
-        self.cells.resize(samples, [[0; N]; 2]);
         self.cast.resize(samples, [0; N]);
         self.grey.resize(samples, [0; N]);
         self.votes.resize(samples + 1, [0; N]);
@@ -192,8 +183,7 @@ impl<const N: usize> Lanes<N> {
         ballot: Option<(&Ballot<'_>, &Scoring)>,
     ) {
         self.locate(image.stride(), 1, HALF_STEP);
-        gather_cells(image.data(), image.stride(), &self.places, &mut self.cells);
-        self.interpolate();
+        self.interpolate(image);
         self.correlate(kernel.weights);
         match kernel.polarity {
             Polarity::Bright => self.choose(kernel, ballot, |r| r),
@@ -208,12 +198,12 @@ impl<const N: usize> Lanes<N> {
         match ballot.pixels {
             Voters::Gray(bytes, stride) => {
                 self.locate(stride, 1, HALF_PIXEL);
-                gather_words(bytes, &mut self.places);
+                self.places.read_words(bytes);
                 self.sum_up(ballot.votes, |word| (word & 0xff) >> 2);
             }
             Voters::Colour(bytes, stride) => {
                 self.locate(stride, 3, HALF_PIXEL);
-                gather_words(bytes, &mut self.places);
+                self.places.read_words(bytes);
                 // The upper halves of three bytes, the first one's in front.
                 self.sum_up(ballot.votes, |word| {
                     ((word & 0xf0) << 4) | ((word >> 8) & 0xf0) | ((word >> 20) & 0xf)
@@ -279,36 +269,35 @@ impl<const N: usize> Lanes<N> {
         Ok((at, difference / (reach as f32 * VOTE_UNIT)))
     }
 
-    /// Places of all samples, rounded by `half`, of `pitch` bytes each; and where in their cells
-    /// they lie.
+    /// Places of all samples, rounded by `half`, of `pitch` bytes each.
     #[inline(always)]
-    fn locate(&mut self, stride: usize, pitch: u32, half: [i32; 2]) {
-        let stride = stride as u32;
-        let [dx, dy] = self.step;
-        let mut x: [_; N] = each(|j| self.start[0][j] + half[0]);
-        let mut y: [_; N] = each(|j| self.start[1][j] + half[1]);
-        for (place, [across, down]) in self.places.iter_mut().zip(&mut self.fractions) {
-            *place = each(|j| {
-                let (row, column) = ((y[j] >> PIXEL_BITS) as u32, (x[j] >> PIXEL_BITS) as u32);
-                row.wrapping_mul(stride).wrapping_add(column.wrapping_mul(pitch))
-            });
-            *across = each(|j| ((x[j] >> 8) & 255) as u16);
-            *down = each(|j| ((y[j] >> 9) & 127) as u16);
-            x = each(|j| x[j].wrapping_add(dx[j]));
-            y = each(|j| y[j].wrapping_add(dy[j]));
-        }
+    fn locate(&mut self, stride: usize, pitch: usize, half: [i32; 2]) {
+        let start = |axis: usize| -> [i32; N] { each(|j| self.start[axis][j] + half[axis]) };
+        let layout = Layout { stride: stride as u32, pitch: pitch as u32 };
+        self.places.locate([start(0), start(1)], self.step, self.grey.len(), layout);
     }
 
     /// Grey levels at all samples.
     #[inline(always)]
-    fn interpolate(&mut self) {
-        let cells = self.cells.iter().zip(&self.fractions);
-        for (grey, ([above, below], [across, down])) in self.grey.iter_mut().zip(cells) {
+    fn interpolate(&mut self, image: &GrayView<'_>) {
+        // Fractions of a pixel are the lower halves of the coordinates.
+        let fraction = |axis: usize| -> ([u16; N], [u16; N]) {
+            let start = each(|j| (self.start[axis][j] + HALF_STEP[axis]) as u16);
+            (start, each(|j| self.step[axis][j] as u16))
+        };
+        let ((mut x, dx), (mut y, dy)) = (fraction(0), fraction(1));
+        let Some(cells) = self.places.cells(image.data(), image.stride()) else {
+            self.grey.fill([0; N]);
+            return;
+        };
+        for (grey, [above, below]) in self.grey.iter_mut().zip(cells) {
             *grey = each(|j| {
-                let (right, lower) = (across[j], down[j]);
+                let (right, lower) = (x[j] >> 8, y[j] >> 9);
                 let row = |pair: u16| (pair & 255) * (256 - right) + (pair >> 8) * right;
                 high(row(above[j]), (128 - lower) << 8) + high(row(below[j]), lower << 8)
             });
+            x = each(|j| x[j].wrapping_add(dx[j]));
+            y = each(|j| y[j].wrapping_add(dy[j]));
         }
     }
 
@@ -395,11 +384,11 @@ impl<const N: usize> Lanes<N> {
     /// The sums of the votes of all samples, each in the bin that `bin` makes of its bytes.
     #[inline(always)]
     fn sum_up(&mut self, votes: &Votes, bin: impl Fn(u32) -> u32) {
-        for place in &mut self.places {
-            let words = *place;
-            *place = each(|j| bin(words[j]));
+        let words = self.places.words_mut();
+        for words in &mut *words {
+            *words = each(|j| bin(words[j]));
         }
-        for (vote, bins) in self.cast.iter_mut().zip(&self.places) {
+        for (vote, bins) in self.cast.iter_mut().zip(words.iter()) {
             for (vote, &bin) in vote.iter_mut().zip(bins) {
                 *vote = votes[bin as usize % votes.len()];
             }
