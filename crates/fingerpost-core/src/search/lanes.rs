@@ -137,9 +137,9 @@ impl<const N: usize> Lanes<N> {
         let steps = samples as i32 - 1;
         let (first, last) = (f64::from(from), f64::from(from + steps));
         let mut inside = each(|j| j < count);
-        for axis in 0..2 {
+        for (axis, &side) in size.iter().enumerate() {
             let (position, normal) = (&starts.positions[axis], &starts.normals[axis]);
-            let side = size[axis] as i32 - 1;
+            let side = side as i32 - 1;
             // Half a step of the interpolation is added later; a start that is nearer than a step
             // to the far side is put inside.
             let limit = (side << PIXEL_BITS) - 2 * HALF_STEP[1];
