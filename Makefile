@@ -35,16 +35,17 @@ RUST_SOURCES := Cargo.toml Cargo.lock \
 .DELETE_ON_ERROR:
 .NOTPARALLEL:
 
-.PHONY: help demo test lint bench setup clean
+.PHONY: help demo test lint instructions bench setup clean
 
 help: ## list the targets
-	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-6s  %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-12s  %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
 
 demo: $(STAMPS)/extension ## the main job with nothing plugged in: pictures, a table, a summary
 	$(BIN)/fingerpost demo
 
 test: lint ## every check there is, in both languages
 	cargo test --locked --quiet
+	$(MAKE) --no-print-directory instructions
 	$(BIN)/python -m pytest
 
 lint: $(STAMPS)/extension ## formats, lints, types, documentation links, stubs
@@ -55,6 +56,10 @@ lint: $(STAMPS)/extension ## formats, lints, types, documentation links, stubs
 	$(BIN)/ruff format --check --quiet
 	$(BIN)/mypy --no-error-summary
 	$(BIN)/stubtest --mypy-config-file pyproject.toml --concise fingerpost._core
+
+instructions: $(STAMPS)/rust $(STAMPS)/debian ## count those of fixed workloads against benches/instructions.txt
+	cargo bench --locked --quiet --package fingerpost-benches --profile release \
+		--bench instructions -- $(if $(RECORD),record)
 
 bench: $(STAMPS)/extension ## speed as ratios to the C limit, each stage alone, the simulated rig
 	cargo bench --locked --package fingerpost-benches --bench ratios
@@ -87,7 +92,7 @@ $(STAMPS)/rust: Cargo.toml
 	fi
 	@mkdir -p $(@D) && touch $@
 
-# Rust links with the C compiler; Debian's Python comes without the module that makes .venv; the
+# Rust links with the C compiler; valgrind counts instructions; Debian's Python comes without the module that makes .venv; the
 # simulated robot cell is drawn off the screen, by EGL.
 $(STAMPS)/debian:
 	@if ! "$(PYTHON)" -c '$(NEW_ENOUGH)' 2>/dev/null; then \
@@ -97,6 +102,7 @@ $(STAMPS)/debian:
 	@missing=; \
 	command -v cc >/dev/null || missing="gcc libc6-dev"; \
 	$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || missing="$$missing python3-venv"; \
+	[ "$$(uname -s)" != Linux ] || command -v valgrind >/dev/null || missing="$$missing valgrind"; \
 	$(PYTHON) -c '$(DRAWS)' 2>/dev/null || missing="$$missing libegl1 libgl1 libgl1-mesa-dri"; \
 	if [ -n "$$missing" ]; then \
 		echo "installing the Debian packages $$missing"; \

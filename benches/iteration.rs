@@ -1,6 +1,6 @@
 //! One iteration of the contour, and a tracker that follows a hand: what is timed.
 
-use crate::{Scene, frames};
+use crate::{Scene, first_frames};
 use fingerpost_core::fit::{EquationBuffer, FitOptions, Fitter, Outcome};
 use fingerpost_core::nalgebra::SVector;
 use fingerpost_core::search::{
@@ -108,13 +108,13 @@ impl Tracked {
     #[must_use]
     pub fn all() -> [(&'static str, Self); 2] {
         [("paper's model", Model::Paper), ("band model", Model::Ribbon)]
-            .map(|(name, model)| (name, Self::new(model)))
+            .map(|(name, model)| (name, Self::new(model, FRAMES)))
     }
 
-    /// A tracker that follows the hand already.
+    /// A tracker that follows the hand already, over the first `count` frames of its path.
     #[must_use]
-    pub fn new(model: Model) -> Self {
-        let scenes = frames([640, 480], FRAMES);
+    pub fn new(model: Model, count: usize) -> Self {
+        let scenes = first_frames([640, 480], count, FRAMES);
         let options = TrackerOptions { model, ..TrackerOptions::default() };
         let template = Template::pistol(Thumb::Right).unwrap();
         let tracker = ContourTracker::new(template, &scenes[0].pose, options).unwrap();
@@ -124,9 +124,9 @@ impl Tracked {
         tracked
     }
 
-    /// Frame `i` of the path, which closes.
+    /// Frame `i`; if it has all frames, the path closes.
     pub fn update(&mut self, i: usize) -> Status {
-        let Scene { pixels, size: [width, height], .. } = &self.scenes[i % FRAMES];
+        let Scene { pixels, size: [width, height], .. } = &self.scenes[i % self.scenes.len()];
         let image = GrayView::new(pixels, *width, *height, *width).unwrap();
         self.time_s += 0.04;
         self.tracker.update(&Frame::gray(image), self.time_s).unwrap().status

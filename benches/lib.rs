@@ -28,7 +28,12 @@ pub struct Scene {
 /// in turn: 64 VGA frames are 20 MB.
 #[must_use]
 pub fn frames(size: [usize; 2], count: usize) -> Vec<Scene> {
-    (0..count).map(|i| scene(size, i as f64 / count as f64)).collect()
+    first_frames(size, count, count)
+}
+
+/// The first `count` frames of a closed path of `all`.
+fn first_frames(size: [usize; 2], count: usize, all: usize) -> Vec<Scene> {
+    (0..count).map(|i| scene(size, i as f64 / all as f64)).collect()
 }
 
 /// The hand at a part of its closed path; it moves by at most 2 px per 1/64 in a VGA frame.

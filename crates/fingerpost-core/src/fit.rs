@@ -75,8 +75,11 @@ const INLIER_WEIGHT: f64 = 0.1;
 const FIRST_CUTOFF_FACTOR: f64 = 3.0;
 /// Turns the median absolute deviation of a normal distribution into its standard deviation.
 const MAD_TO_SIGMA: f64 = 1.4826;
-/// Reweighting has settled when no component moves by more than this part of its own sigma.
-const SETTLED: f64 = 1e-3;
+/// Reweighting has settled when the step moves by less than this part of its own sigma. What it
+/// would still move is less, for the moves shrink: no more than a thousandth of the variance.
+const SETTLED: f64 = 0.1;
+/// Solutions before that: of all equations alike, with the first cutoff, with the final one.
+const MIN_ITERATIONS: usize = 3;
 /// A direction is determined if its pivot exceeds this, every component scaled to unit information
 /// of its own.
 const RANK_TOLERANCE: f64 = 1e-9;
@@ -172,14 +175,8 @@ impl<const D: usize> Equations<'_, D> {
 
     #[inline(always)]
     fn groups(&self) -> impl Iterator<Item = Group<'_, D>> {
-        let measured = self.0.offsets_px.iter().zip(&self.0.variances_px2);
-        self.0
-            .rows
-            .as_chunks::<D>()
-            .0
-            .iter()
-            .zip(measured)
-            .map(|(rows, (offsets_px, variances_px2))| Group { rows, offsets_px, variances_px2 })
+        let rows = self.0.rows.as_chunks::<D>().0.iter();
+        rows.zip(&self.0.offsets_px).map(|(rows, offsets_px)| Group { rows, offsets_px })
     }
 
     fn variances_px2(&self) -> &[f64] {
@@ -191,7 +188,6 @@ impl<const D: usize> Equations<'_, D> {
 struct Group<'a, const D: usize> {
     rows: &'a [Lanes; D],
     offsets_px: &'a Lanes,
-    variances_px2: &'a Lanes,
 }
 
 impl<const D: usize> Group<'_, D> {
@@ -260,9 +256,11 @@ pub struct Fitter {
     misfit_px2: f64,
     count: usize,
     weights: Vec<Lanes>,
+    /// Weights over variances: what the equations count.
+    precisions: Vec<Lanes>,
     residuals: Vec<Lanes>,
-    /// Bit patterns of what is sorted: those of positive numbers have the numbers' order.
-    sorted: Vec<u64>,
+    /// Sizes of the residuals, in single precision, as bit patterns: they have the same order.
+    sizes: Vec<[i32; LANES]>,
     isa: Isa,
 }
 
@@ -284,14 +282,16 @@ impl Fitter {
         Error::within("least residual scale [px]", options.min_scale_px, "0 to 10", |s| {
             (0.0..=10.0).contains(&s)
         })?;
-        let buffer = || Vec::with_capacity(USUAL_EQUATIONS.div_ceil(LANES));
+        let groups = USUAL_EQUATIONS.div_ceil(LANES);
+        let buffer = || Vec::with_capacity(groups);
         Ok(Self {
             options,
             misfit_px2: 0.0,
             count: 0,
             weights: buffer(),
+            precisions: buffer(),
             residuals: buffer(),
-            sorted: Vec::with_capacity(USUAL_EQUATIONS),
+            sizes: Vec::with_capacity(groups),
             isa: Isa::detect(),
         })
     }
@@ -350,11 +350,13 @@ impl Fitter {
     ) -> FitReport<D> {
         let least_misfit_px2 = self.options.min_scale_px * self.options.min_scale_px;
         self.misfit_px2 = least_misfit_px2;
-        self.weights.clear();
-        self.weights.resize(equations.0.offsets_px.len(), [1.0; LANES]);
         self.count = equations.len();
         self.residuals.clear();
         self.residuals.extend_from_slice(&equations.0.offsets_px);
+        self.weights.resize(self.residuals.len(), [0.0; LANES]);
+        self.precisions.resize(self.residuals.len(), [0.0; LANES]);
+        self.sizes.resize(self.residuals.len(), [0; LANES]);
+        self.weigh(equations, f64::INFINITY);
         if prior.is_none() && equations.len() < D {
             return self.undetermined(equations, Outcome::TooFewEquations, SMatrix::zeros(), 0);
         }
@@ -383,15 +385,15 @@ impl Fitter {
             let moved = step - previous;
             let settled = moved.dot(&(normal.information * moved)) < SETTLED * SETTLED * D as f64;
             if self.options.loss == Loss::None
-                || (iteration > 1 && settled)
+                || (iteration >= MIN_ITERATIONS && settled)
                 || iteration >= self.options.max_iterations
             {
                 return self.determined(equations, step, &factor, normal.information, iteration);
             }
             let scale_px = self.residual_scale();
             let widened = if iteration == 1 { FIRST_CUTOFF_FACTOR } else { 1.0 };
-            self.reweight(widened * scale_px.max(min_scale_px));
             self.misfit_px2 = misfit(equations, scale_px).max(least_misfit_px2);
+            self.weigh(equations, widened * scale_px.max(min_scale_px));
         }
     }
 
@@ -400,16 +402,15 @@ impl Fitter {
         equations: &Equations<'_, D>,
         prior: Option<&Prior<D>>,
     ) -> NormalEquations<D> {
-        let (misfit_px2, weights) = (self.misfit_px2, &self.weights);
-        let mut information = SMatrix::<f64, D, D>::zeros();
-        let mut right = SVector::<f64, D>::zeros();
+        let (mut products, mut offsets) = ([[[0.0; LANES]; D]; D], [[0.0; LANES]; D]);
         self.isa.run(Accumulate {
             equations,
-            weights,
-            misfit_px2,
-            information: &mut information,
-            right: &mut right,
+            precisions: &self.precisions,
+            products: &mut products,
+            offsets: &mut offsets,
         });
+        let mut information = SMatrix::from_fn(|a, b| total(&products[a.min(b)][a.max(b)]));
+        let mut right = SVector::from_fn(|a, _| total(&offsets[a]));
         if let Some(prior) = prior {
             information += prior.information;
             right += prior.information * prior.mean;
@@ -422,31 +423,34 @@ impl Fitter {
         equations: &Equations<'_, D>,
         step: &SVector<f64, D>,
     ) {
-        self.isa.run(LeftOver { equations, step, residuals: &mut self.residuals });
+        let Self { residuals, sizes, .. } = self;
+        self.isa.run(LeftOver { equations, step, residuals, sizes });
     }
 
     /// Robust standard deviation of the residual offsets \[px\].
-    fn residual_scale(&mut self) -> f64 {
-        self.sorted.clear();
-        self.sorted
-            .extend(self.residuals.as_flattened()[..self.count].iter().map(|r| r.abs().to_bits()));
-        let middle = self.sorted.len() / 2;
-        if self.sorted.is_empty() {
+    fn residual_scale(&self) -> f64 {
+        if self.count == 0 {
             return 0.0;
         }
-        let (_, median, _) = self.sorted.select_nth_unstable(middle);
-        MAD_TO_SIGMA * f64::from_bits(*median)
+        let sizes = self.sizes.as_flattened();
+        // Lanes without an equation have the smallest size there is.
+        let rank = sizes.len() - self.count + self.count / 2;
+        let mut median = 0.0;
+        self.isa.run(Select { sizes, rank: rank as i32, selected: &mut median });
+        MAD_TO_SIGMA * f64::from(median)
     }
 
-    fn reweight(&mut self, scale_px: f64) {
-        let Loss::Tukey { cutoff } = self.options.loss else { return };
-        let limit = cutoff * scale_px;
-        let weights = self.weights.as_flattened_mut().iter_mut();
-        for (weight, residual) in weights.zip(self.residuals.as_flattened()) {
-            // Of a scale of zero, which exact data may have, zero residuals are within.
-            let t = if *residual == 0.0 { 0.0 } else { residual / limit };
-            *weight = (1.0 - t * t).max(0.0).powi(2);
-        }
+    /// Weighs the equations by their residual offsets, for these have such a scale \[px\].
+    fn weigh<const D: usize>(&mut self, equations: &Equations<'_, D>, scale_px: f64) {
+        let limit_px = match self.options.loss {
+            Loss::None => f64::INFINITY,
+            Loss::Tukey { cutoff } => cutoff * scale_px,
+        };
+        let Self { misfit_px2, residuals, weights, precisions, .. } = self;
+        let misfit_px2 = *misfit_px2;
+        // Of a scale of zero, which exact data may have, zero residuals are within.
+        let per_limit = limit_px.recip().min(f64::MAX);
+        self.isa.run(Weigh { equations, misfit_px2, residuals, per_limit, weights, precisions });
     }
 
     fn determined<const D: usize>(
@@ -466,8 +470,8 @@ impl Fitter {
             rank: D,
             iterations,
             equations: equations.len(),
-            inliers: statistics.inliers,
-            residual_rms_px: statistics.rms_px,
+            inliers: statistics.inliers as usize,
+            residual_rms_px: statistics.rms_px(),
             residual_scale_px: self.residual_scale(),
         }
     }
@@ -488,26 +492,21 @@ impl Fitter {
             rank,
             iterations: 0,
             equations: equations.len(),
-            inliers: statistics.inliers,
-            residual_rms_px: statistics.rms_px,
+            inliers: statistics.inliers as usize,
+            residual_rms_px: statistics.rms_px(),
             residual_scale_px: self.residual_scale(),
         }
     }
 
     fn statistics<const D: usize>(&self, equations: &Equations<'_, D>) -> Statistics {
-        let mut s = Statistics::default();
-        for ((variance, weight), residual) in
-            equations.variances_px2().iter().zip(self.weights()).zip(self.residuals())
-        {
-            s.weight += weight;
-            s.chi_squared += weight * residual * residual / (variance + self.misfit_px2);
-            if *weight > INLIER_WEIGHT {
-                s.inliers += 1;
-                s.rms_px += residual * residual;
-            }
-        }
-        s.rms_px = (s.rms_px / s.inliers.max(1) as f64).sqrt();
-        s
+        let mut statistics = Statistics::default();
+        let Self { weights, precisions, residuals, .. } = self;
+        self.isa.run(Tally { weights, precisions, residuals, statistics: &mut statistics });
+        // Lanes without an equation agree with every solution.
+        let empty = residuals.len() * LANES - equations.len();
+        statistics.weight -= empty as f64;
+        statistics.inliers -= empty as f64;
+        statistics
     }
 }
 
@@ -523,12 +522,14 @@ struct NormalEquations<const D: usize> {
     right: SVector<f64, D>,
 }
 
+/// Sums over the equations.
 #[derive(Default)]
 struct Statistics {
     weight: f64,
     chi_squared: f64,
-    inliers: usize,
-    rms_px: f64,
+    inliers: f64,
+    /// Of the inliers' residual offsets.
+    squares_px2: f64,
 }
 
 impl Statistics {
@@ -538,41 +539,58 @@ impl Statistics {
         let freedom = self.weight - unknowns as f64;
         if freedom > 0.0 { (self.chi_squared / freedom).max(1.0) } else { 1.0 }
     }
+
+    fn rms_px(&self) -> f64 {
+        (self.squares_px2 / self.inliers.max(1.0)).sqrt()
+    }
 }
 
-/// The normal equations of weighted equations.
+/// The normal equations of weighted equations, lane by lane: their totals are taken elsewhere, or
+/// the compiler would rather keep those of one lane side by side.
 struct Accumulate<'a, const D: usize> {
     equations: &'a Equations<'a, D>,
-    weights: &'a [Lanes],
-    misfit_px2: f64,
-    information: &'a mut SMatrix<f64, D, D>,
-    right: &'a mut SVector<f64, D>,
+    precisions: &'a [Lanes],
+    /// The matrix from the diagonal on; below it is nothing of use.
+    products: &'a mut [[Lanes; D]; D],
+    /// The right side.
+    offsets: &'a mut [Lanes; D],
+}
+
+impl<const D: usize> Accumulate<'_, D> {
+    /// Row `a`, if the matrix has so many.
+    #[expect(clippy::needless_range_loop, reason = "as indices the loops are unrolled")]
+    #[inline(always)]
+    fn row(&mut self, a: usize) {
+        if a >= D {
+            return;
+        }
+        let (mut products, mut offsets) = ([[0.0; LANES]; D], [0.0; LANES]);
+        for (group, precisions) in self.equations.groups().zip(self.precisions) {
+            let scaled: Lanes = each(|j| group.rows[a][j] * precisions[j]);
+            offsets = plus_product(&offsets, &scaled, group.offsets_px);
+            for b in a..D {
+                products[b] = plus_product(&products[b], &scaled, &group.rows[b]);
+            }
+        }
+        (self.products[a], self.offsets[a]) = (products, offsets);
+    }
 }
 
 impl<const D: usize> Work for Accumulate<'_, D> {
-    #[expect(clippy::needless_range_loop, reason = "as indices the loops are unrolled")]
     #[inline(always)]
-    fn run(self) {
-        let mut products = [[[0.0; LANES]; D]; D];
-        let mut right = [[0.0; LANES]; D];
-        for (group, weights) in self.equations.groups().zip(self.weights) {
-            let parts: Lanes = each(|j| weights[j] / (group.variances_px2[j] + self.misfit_px2));
-            for a in 0..D {
-                let scaled: Lanes = each(|j| group.rows[a][j] * parts[j]);
-                right[a] = plus_product(&right[a], &scaled, group.offsets_px);
-                for b in a..D {
-                    products[a][b] = plus_product(&products[a][b], &scaled, &group.rows[b]);
-                }
-            }
-        }
-        let sum = |lanes: &Lanes| (lanes[0] + lanes[1]) + (lanes[2] + lanes[3]);
-        for a in 0..D {
-            self.right[a] = sum(&right[a]);
-            for (b, lanes) in products[a].iter().enumerate().skip(a) {
-                let product = sum(lanes);
-                self.information[(a, b)] = product;
-                self.information[(b, a)] = product;
-            }
+    fn run(mut self) {
+        // The sums of one row fit the registers, those of all do not. Where the row is a constant
+        // the loops over its columns are unrolled.
+        self.row(0);
+        self.row(1);
+        self.row(2);
+        self.row(3);
+        self.row(4);
+        self.row(5);
+        self.row(6);
+        self.row(7);
+        for a in 8..D {
+            self.row(a);
         }
     }
 }
@@ -582,20 +600,118 @@ fn plus_product(sum: &Lanes, a: &Lanes, b: &Lanes) -> Lanes {
     each(|j| sum[j] + a[j] * b[j])
 }
 
+#[inline(always)]
+fn total(lanes: &Lanes) -> f64 {
+    (lanes[0] + lanes[1]) + (lanes[2] + lanes[3])
+}
+
 /// What a step leaves of the offsets.
 struct LeftOver<'a, const D: usize> {
     equations: &'a Equations<'a, D>,
     step: &'a SVector<f64, D>,
     residuals: &'a mut [Lanes],
+    sizes: &'a mut [[i32; LANES]],
 }
 
 impl<const D: usize> Work for LeftOver<'_, D> {
     #[inline(always)]
     fn run(self) {
-        for (residuals, group) in self.residuals.iter_mut().zip(self.equations.groups()) {
-            let moved = group.moved_by(self.step);
+        let Self { equations, step, residuals, sizes } = self;
+        // A copy, which nothing that is written here can change.
+        let step = *step;
+        for ((residuals, sizes), group) in residuals.iter_mut().zip(sizes).zip(equations.groups()) {
+            let moved = group.moved_by(&step);
             *residuals = each(|j| group.offsets_px[j] - moved[j]);
+            *sizes = each(|j| (residuals[j] as f32).abs().to_bits() as i32);
         }
+    }
+}
+
+/// The number at a place in the order of some numbers that are not negative, given as bit
+/// patterns: to a thousandth of itself, from below.
+struct Select<'a> {
+    sizes: &'a [i32],
+    rank: i32,
+    selected: &'a mut f32,
+}
+
+impl Select<'_> {
+    /// The bits that are told: all but the sign and the last of the mantissa.
+    const BITS: std::ops::Range<u32> = 13..31;
+}
+
+impl Work for Select<'_> {
+    #[inline(always)]
+    fn run(self) {
+        // Bisection: sorting would guess at branches, and miss.
+        let mut selected = 0;
+        for bit in Self::BITS.rev() {
+            let larger = selected | 1 << bit;
+            let below: i32 = self.sizes.iter().map(|&size| i32::from(size < larger)).sum();
+            selected = if below <= self.rank { larger } else { selected };
+        }
+        *self.selected = f32::from_bits(selected as u32);
+    }
+}
+
+/// Tukey's weights, and what equations of such weights count.
+struct Weigh<'a, const D: usize> {
+    equations: &'a Equations<'a, D>,
+    misfit_px2: f64,
+    residuals: &'a [Lanes],
+    /// One over where the weight reaches zero.
+    per_limit: f64,
+    weights: &'a mut [Lanes],
+    precisions: &'a mut [Lanes],
+}
+
+impl<const D: usize> Work for Weigh<'_, D> {
+    #[inline(always)]
+    fn run(self) {
+        let Self { equations, misfit_px2, residuals, per_limit, weights, precisions } = self;
+        let weighted = weights.iter_mut().zip(precisions).zip(residuals);
+        for (((weights, precisions), residuals), variances_px2) in
+            weighted.zip(&equations.0.variances_px2)
+        {
+            *weights = each(|j| {
+                let t = residuals[j] * per_limit;
+                let within = 1.0 - t * t;
+                if within > 0.0 { within * within } else { 0.0 }
+            });
+            *precisions = each(|j| weights[j] / (variances_px2[j] + misfit_px2));
+        }
+    }
+}
+
+/// What the solution is worth.
+struct Tally<'a> {
+    weights: &'a [Lanes],
+    precisions: &'a [Lanes],
+    residuals: &'a [Lanes],
+    statistics: &'a mut Statistics,
+}
+
+impl Work for Tally<'_> {
+    #[inline(always)]
+    fn run(self) {
+        let (mut weight, mut chi_squared) = ([0.0; LANES], [0.0; LANES]);
+        let (mut inliers, mut squares_px2) = ([0.0; LANES], [0.0; LANES]);
+        for ((weights, precisions), residuals) in
+            self.weights.iter().zip(self.precisions).zip(self.residuals)
+        {
+            let squares: Lanes = each(|j| residuals[j] * residuals[j]);
+            let agrees: Lanes = each(|j| if weights[j] > INLIER_WEIGHT { 1.0 } else { 0.0 });
+            weight = each(|j| weight[j] + weights[j]);
+            chi_squared = plus_product(&chi_squared, precisions, &squares);
+            inliers = each(|j| inliers[j] + agrees[j]);
+            squares_px2 = plus_product(&squares_px2, &agrees, &squares);
+        }
+        *self.statistics = Statistics {
+            weight: total(&weight),
+            chi_squared: total(&chi_squared),
+            inliers: total(&inliers),
+            squares_px2: total(&squares_px2),
+        };
     }
 }
 

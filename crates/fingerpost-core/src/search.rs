@@ -22,7 +22,7 @@ use crate::image::GrayView;
 use crate::shape_space::PlacedSample;
 use crate::simd::{Isa, Work};
 use crate::{Error, Result};
-use lanes::{Lanes, Peak, Scoring, Track};
+use lanes::{Lanes, Peak, Scoring, Starts};
 use nalgebra::Vector2;
 use std::f64::consts::PI;
 
@@ -239,26 +239,32 @@ impl EdgeSearch {
         measurements.resize(lines.len(), Err(Miss::OutOfImage));
         let mut batch = Batch::default();
         for (i, line) in lines.iter().enumerate() {
-            let reach = kernel.reach() as i32;
-            let wanted = whole_half_length(line)? + reach;
-            let whole = Span { from: -wanted, to: wanted };
-            let Some((span, track)) = whole.or_visible(image, &line.sample, reach) else {
+            let wanted = whole_half_length(line)? + kernel.reach() as i32;
+            let key = (Span { from: -wanted, to: wanted }, line.polarity);
+            if *isa == Isa::Scalar {
+                pass.measure(alone, &Batch::of_one(key, i, &line.sample), measurements);
                 continue;
-            };
-            let key = (span, line.polarity);
-            if span == whole && *isa != Isa::Scalar {
-                if batch.is_full() || (batch.key != key && !batch.is_empty()) {
-                    pass.measure(together, &mut batch, measurements);
+            }
+            if batch.is_full() || (batch.key != key && !batch.is_empty()) {
+                pass.measure(together, &batch, measurements);
+                batch.count = 0;
+            }
+            batch.key = key;
+            batch.push(i, &line.sample);
+        }
+        pass.measure(together, &batch, measurements);
+        // What is still out of the image may be inside in part.
+        for (i, line) in lines.iter().enumerate() {
+            if measurements[i] == Err(Miss::OutOfImage) {
+                let wanted = whole_half_length(line)? + kernel.reach() as i32;
+                if let Some(span) = visible_span(image, &line.sample, wanted)
+                    .filter(|visible| visible.holds_answers(kernel.reach() as i32))
+                {
+                    let key = (span, line.polarity);
+                    pass.measure(alone, &Batch::of_one(key, i, &line.sample), measurements);
                 }
-                batch.key = key;
-                batch.push(i, track);
-            } else {
-                let mut single = Batch { key, ..Batch::default() };
-                single.push(i, track);
-                pass.measure(alone, &mut single, measurements);
             }
         }
-        pass.measure(together, &mut batch, measurements);
         Ok(())
     }
 }
@@ -301,78 +307,60 @@ impl Span {
         (self.to - self.from + 1) as usize
     }
 
-    /// This span, or what of it is visible, and where its samples lie: none where the kernel has
-    /// too little room.
-    #[inline]
-    fn or_visible(
-        self,
-        image: &GrayView<'_>,
-        sample: &PlacedSample,
-        reach: i32,
-    ) -> Option<(Self, Track)> {
-        if let Some(track) = self.within(image, sample) {
-            return Some((self, track));
-        }
-        let visible = visible_span(image, sample, self.to).filter(|v| v.holds_answers(reach))?;
-        visible.within(image, sample).map(|track| (visible, track))
-    }
-
     /// Whether the kernel fits at zero and at three places or more.
     fn holds_answers(self, reach: i32) -> bool {
         let (first, last) = (self.from + reach, self.to - reach);
         last - first >= 2 && first <= 0 && last >= 0
     }
-
-    /// Where the samples lie, if all do so in the image.
-    #[inline]
-    fn within(self, image: &GrayView<'_>, sample: &PlacedSample) -> Option<Track> {
-        let PlacedSample { position: p, normal: n } = sample;
-        let size = [image.width(), image.height()];
-        // An image is convex: a line with both ends inside is inside.
-        let is_inside = |k: i32| {
-            let (u, v) = (p.x + n.x * f64::from(k), p.y + n.y * f64::from(k));
-            image.contains(u, v, 0.0)
-        };
-        if !(is_inside(self.from) && is_inside(self.to)) {
-            return None;
-        }
-        let from = f64::from(self.from);
-        Track::new([p.x + n.x * from, p.y + n.y * from], [n.x, n.y], self.samples(), size)
-    }
 }
 
 /// Lines to be searched side by side: samples at the same offsets, edges of the same polarity.
 #[derive(Debug, Clone, Copy)]
-struct Batch {
+struct Batch<const N: usize> {
     key: (Span, Polarity),
-    lines: [usize; LANES],
-    tracks: [Track; LANES],
+    lines: [usize; N],
+    starts: Starts<N>,
     count: usize,
 }
 
-impl Default for Batch {
+impl<const N: usize> Default for Batch<N> {
     fn default() -> Self {
         Self {
             key: (Span { from: 0, to: 0 }, Polarity::Unknown),
-            lines: [0; LANES],
-            tracks: [Track::default(); LANES],
+            lines: [0; N],
+            starts: Starts::default(),
             count: 0,
         }
     }
 }
 
-impl Batch {
+impl Batch<1> {
+    fn of_one(key: (Span, Polarity), line: usize, sample: &PlacedSample) -> Self {
+        let mut batch = Self { key, ..Self::default() };
+        batch.push(line, sample);
+        batch
+    }
+}
+
+impl<const N: usize> Batch<N> {
     fn is_empty(&self) -> bool {
         self.count == 0
     }
 
     fn is_full(&self) -> bool {
-        self.count == LANES
+        self.count == N
     }
 
-    fn push(&mut self, line: usize, track: Track) {
+    #[inline]
+    fn push(&mut self, line: usize, sample: &PlacedSample) {
+        let PlacedSample { position, normal } = sample;
         self.lines[self.count] = line;
-        self.tracks[self.count] = track;
+        for (axis, (p, n)) in
+            [(position.x, normal.x), (position.y, normal.y)].into_iter().enumerate()
+        {
+            self.starts.positions[axis][self.count] = p;
+            self.starts.normals[axis][self.count] = n;
+        }
         self.count += 1;
     }
 }
@@ -388,32 +376,39 @@ struct Pass<'a> {
 }
 
 impl Pass<'_> {
-    /// Searches the lines of a batch, and empties it.
+    /// Searches the lines of a batch, but for those that leave the image.
     fn measure<const N: usize>(
         &self,
         lanes: &mut Lanes<N>,
-        batch: &mut Batch,
+        batch: &Batch<N>,
         measurements: &mut [EdgeMeasurement],
     ) {
         if batch.is_empty() {
             return;
         }
         let (span, polarity) = batch.key;
-        lanes.set(&batch.tracks[..batch.count], span.samples());
-        self.isa.run(Search { pass: self, lanes, polarity });
+        self.isa.run(Search { pass: self, lanes, batch });
         for (j, &line) in batch.lines[..batch.count].iter().enumerate() {
-            measurements[line] = if self.by_votes {
-                self.change_of_votes(lanes, j, span)
-            } else {
-                self.edge(lanes, j, span)
-            };
+            if lanes.is_inside(j) {
+                measurements[line] = if self.by_votes {
+                    self.change_of_votes(lanes, j, span)
+                } else {
+                    self.edge(lanes, j, span, polarity)
+                };
+            }
         }
-        batch.count = 0;
     }
 
-    fn edge<const N: usize>(&self, lanes: &Lanes<N>, j: usize, span: Span) -> EdgeMeasurement {
+    #[inline]
+    fn edge<const N: usize>(
+        &self,
+        lanes: &Lanes<N>,
+        j: usize,
+        span: Span,
+        polarity: Polarity,
+    ) -> EdgeMeasurement {
         let (kernel, reach) = (self.kernel, self.kernel.reach());
-        let Peak { at, answers } = lanes.peak(j)?;
+        let Peak { at, answers } = lanes.peak(j, &kernel.looking_for(polarity))?;
         let contrast_grey = kernel.contrast(answers[1]);
         Ok(Edge {
             offset_px: f64::from(span.from + (reach + at) as i32) + parabola_peak(answers),
@@ -449,20 +444,23 @@ impl Pass<'_> {
 struct Search<'a, const N: usize> {
     pass: &'a Pass<'a>,
     lanes: &'a mut Lanes<N>,
-    polarity: Polarity,
+    batch: &'a Batch<N>,
 }
 
 impl<const N: usize> Work for Search<'_, N> {
     #[expect(clippy::inline_always, reason = "so that it is compiled for every instruction set")]
     #[inline(always)]
     fn run(self) {
-        let Self { pass: Pass { kernel, image, ballot, by_votes, .. }, lanes, polarity } = self;
+        let Self { pass: Pass { kernel, image, ballot, by_votes, .. }, lanes, batch } = self;
+        let Batch { key: (span, polarity), starts, count, .. } = batch;
+        let size = [image.width(), image.height()];
+        lanes.set(starts, *count, span.from, span.samples(), size);
         let ballot = ballot.as_ref();
         if let (true, Some(ballot)) = (*by_votes, ballot) {
             lanes.count_votes(ballot);
             return;
         }
-        let kernel = lanes::Kernel { weights: &kernel.weights, least: kernel.least, polarity };
+        let kernel = kernel.looking_for(*polarity);
         lanes.find_edges(image, &kernel, ballot.map(|ballot| (ballot, &SCORING)));
     }
 }
@@ -486,6 +484,11 @@ impl Kernel {
             contrast_per_answer,
             variance_at_one_grey: 0.75 * PI.sqrt() * blurred_scale_px.powi(6) / scale_px.powi(5),
         }
+    }
+
+    /// What lanes look for.
+    fn looking_for(&self, polarity: Polarity) -> lanes::Kernel<'_> {
+        lanes::Kernel { weights: &self.weights, least: self.least, polarity }
     }
 
     /// How many pixels it covers on either side.

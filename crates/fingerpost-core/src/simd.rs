@@ -110,58 +110,154 @@ pub(crate) fn each<T: Copy + Default, const N: usize>(of: impl Fn(usize) -> T) -
     lanes
 }
 
-/// Replaces every place by the two bytes that begin there and, above them, the two that begin
-/// `stride` bytes later; by zeros if one of the places is too near to the end of `bytes`.
-#[inline(always)]
-pub(crate) fn gather_cells<const N: usize>(bytes: &[u8], stride: u32, places: &mut [[u32; N]]) {
-    if furthest(places) + u64::from(stride) + 2 > bytes.len() as u64 {
-        places.fill([0; N]);
-        return;
+/// How the pixels of an image lie in memory.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Layout {
+    /// Bytes from one row to the next.
+    pub stride: u32,
+    /// Bytes from one column to the next.
+    pub pitch: u32,
+}
+
+/// Where the samples of lines lie in memory: lane j of every vector belongs to line j.
+#[derive(Debug, Clone)]
+pub(crate) struct Places<const N: usize> {
+    places: Vec<[u32; N]>,
+    /// No place is beyond this.
+    furthest: u64,
+}
+
+impl<const N: usize> Places<N> {
+    /// Room for so many samples of every line.
+    pub fn with_capacity(samples: usize) -> Self {
+        Self { places: Vec::with_capacity(samples), furthest: 0 }
     }
-    let stride = stride as usize;
-    for place in places.as_flattened_mut() {
-        let at = *place as usize;
-        #[expect(
-            unsafe_code,
-            reason = "checked one by one, the loads make a search a quarter longer"
-        )]
-        // SAFETY: at + stride + 2 ≤ furthest(places) + stride + 2 ≤ bytes.len(), as was checked in
-        // 64 bits, which three numbers of 32 do not overflow; so none of them overflows usize
-        // either. An array of bytes needs no alignment.
-        let [above, below] = unsafe {
-            let first = bytes.as_ptr().add(at);
-            [first, first.add(stride)].map(|pair| pair.cast::<[u8; 2]>().read())
-        };
-        *place = u32::from(u16::from_le_bytes(above)) | u32::from(u16::from_le_bytes(below)) << 16;
+
+    /// Sets the places of `samples` samples of every line, at least one, from `start` on and `step`
+    /// apart, in (column, row) of 16.16 fixed point. Where one of them is negative or not below
+    /// 32768, nothing will be read.
+    #[inline(always)]
+    pub fn locate(
+        &mut self,
+        start: [[i32; N]; 2],
+        step: [[i32; N]; 2],
+        samples: usize,
+        layout: Layout,
+    ) {
+        let Layout { stride, pitch } = layout;
+        self.furthest = furthest(&start, &step, samples, layout);
+        self.places.resize(samples, [0; N]);
+        let [mut x, mut y] = start;
+        let [dx, dy] = step;
+        for place in &mut self.places {
+            *place = each(|j| {
+                let (row, column) = ((y[j] >> 16) as u32, (x[j] >> 16) as u32);
+                row.wrapping_mul(stride).wrapping_add(column.wrapping_mul(pitch))
+            });
+            // The mask changes nothing of what is not negative. It keeps the compiler from working
+            // on several samples of one line at once, lane after lane.
+            x = each(|j| x[j].wrapping_add(dx[j]) & i32::MAX);
+            y = each(|j| y[j].wrapping_add(dy[j]) & i32::MAX);
+        }
+    }
+
+    /// What is about the places, sample by sample, in `bytes` whose rows are `stride` apart; none
+    /// if one of them may be too near to the end.
+    #[inline(always)]
+    pub fn cells<'a>(&'a self, bytes: &'a [u8], stride: usize) -> Option<Cells<'a, N>> {
+        let lower = bytes.get(stride..)?;
+        let all_inside = self.furthest.saturating_add(2) <= lower.len() as u64;
+        all_inside.then_some(Cells { places: self.places.iter(), upper: bytes, lower })
+    }
+
+    /// Replaces every place by the four bytes that begin there, the first one lowest; beyond the
+    /// end of `bytes` there are zeros.
+    #[inline(always)]
+    pub fn read_words(&mut self, bytes: &[u8]) {
+        let furthest = std::mem::replace(&mut self.furthest, u64::MAX);
+        if furthest.saturating_add(4) > bytes.len() as u64 {
+            for place in self.places.as_flattened_mut() {
+                let four = bytes.get(*place as usize..).unwrap_or_default().iter().take(4);
+                *place = four.rev().fold(0, |word, &byte| (word << 8) | u32::from(byte));
+            }
+            return;
+        }
+        for place in self.places.as_flattened_mut() {
+            #[expect(unsafe_code, reason = "as for cells")]
+            // SAFETY: place + 4 ≤ furthest + 4 ≤ bytes.len(), as was checked. No place is left
+            // that `furthest` was true of, and it says so from now on.
+            let four = unsafe { bytes.as_ptr().add(*place as usize).cast::<[u8; 4]>().read() };
+            *place = u32::from_le_bytes(four);
+        }
+    }
+
+    /// What was read; these are no places any more.
+    #[inline(always)]
+    pub fn words_mut(&mut self) -> &mut [[u32; N]] {
+        self.furthest = u64::MAX;
+        &mut self.places
     }
 }
 
-/// Replaces every place by the four bytes that begin there, the first one lowest; beyond the end
-/// of `bytes` there are zeros.
-#[inline(always)]
-pub(crate) fn gather_words<const N: usize>(bytes: &[u8], places: &mut [[u32; N]]) {
-    if furthest(places) + 4 > bytes.len() as u64 {
-        for place in places.as_flattened_mut() {
-            let four = bytes.get(*place as usize..).unwrap_or_default().iter().take(4);
-            *place = four.rev().fold(0, |word, &byte| (word << 8) | u32::from(byte));
+/// For every sample the two bytes that begin at its places, the first one lowest, and the two that
+/// begin a row later.
+pub(crate) struct Cells<'a, const N: usize> {
+    /// No place is nearer to the end of `lower`, which is no longer than `upper`, than 2.
+    places: std::slice::Iter<'a, [u32; N]>,
+    upper: &'a [u8],
+    lower: &'a [u8],
+}
+
+impl<const N: usize> Iterator for Cells<'_, N> {
+    type Item = [[u16; N]; 2];
+
+    #[inline(always)]
+    fn next(&mut self) -> Option<Self::Item> {
+        let places = self.places.next()?;
+        let mut cells = [[0; N]; 2];
+        for (cells, bytes) in cells.iter_mut().zip([self.upper, self.lower]) {
+            *cells = each(|j| {
+                let pair = bytes.as_ptr().wrapping_add(places[j] as usize).cast::<[u8; 2]>();
+                #[expect(
+                    unsafe_code,
+                    reason = "checked one by one, the loads make a search a quarter longer"
+                )]
+                // SAFETY: places[j] + 2 ≤ lower.len() ≤ upper.len(), as `Places::cells` has made
+                // sure. An array of bytes needs no alignment.
+                let pair = unsafe { pair.read() };
+                u16::from_le_bytes(pair)
+            });
         }
-        return;
-    }
-    for place in places.as_flattened_mut() {
-        #[expect(unsafe_code, reason = "as for cells")]
-        // SAFETY: place + 4 ≤ furthest(places) + 4 ≤ bytes.len(), as for cells.
-        let four = unsafe { bytes.as_ptr().add(*place as usize).cast::<[u8; 4]>().read() };
-        *place = u32::from_le_bytes(four);
+        Some(cells)
     }
 }
 
+/// A bound on the places of samples on lines, or `u64::MAX` if there is none.
+///
+/// Coordinates along a line lie between those of its ends, and so do their whole parts; the last
+/// column of the last row is beyond all. Where the ends are not negative, steps are so short that
+/// no multiple of them overflows, and the bound fits 32 bits, 32-bit arithmetic is exact.
 #[inline(always)]
-fn furthest<const N: usize>(places: &[[u32; N]]) -> u64 {
-    let mut furthest = [0; N];
-    for places in places {
-        for j in 0..N {
-            furthest[j] = places[j].max(furthest[j]);
-        }
+fn furthest<const N: usize>(
+    start: &[[i32; N]; 2],
+    step: &[[i32; N]; 2],
+    samples: usize,
+    layout: Layout,
+) -> u64 {
+    let Ok(steps) = i32::try_from(samples) else { return u64::MAX };
+    let longest = i32::MAX / steps.max(1);
+    let mut wrong = [0; N];
+    let mut far = [[0; N]; 2];
+    for axis in 0..2 {
+        let (start, step) = (&start[axis], &step[axis]);
+        let end: [i32; N] = each(|j| start[j].wrapping_add(step[j].wrapping_mul(steps - 1)));
+        // What is negative has the highest bit set. A sum of two numbers that are not, of which
+        // one end is, overflows into it.
+        wrong = each(|j| wrong[j] | start[j] | end[j] | (longest - step[j].saturating_abs()));
+        far[axis] = each(|j| start[j].max(end[j]));
     }
-    furthest.into_iter().fold(0, u32::max).into()
+    let wrong = wrong.iter().fold(0, |any, one| any | one);
+    let [column, row] = far.map(|far| (far.into_iter().fold(0, i32::max) >> 16) as u64);
+    let place = row * u64::from(layout.stride) + column * u64::from(layout.pitch);
+    if wrong < 0 || place > u64::from(u32::MAX) { u64::MAX } else { place }
 }

@@ -19,7 +19,7 @@ use super::{Miss, Polarity};
 use crate::appearance::{Ballot, VOTE_UNIT, Voters, Votes};
 use crate::image::GrayView;
 use crate::logarithm::ln;
-use crate::simd::{each, gather_cells, gather_words};
+use crate::simd::{Layout, Places, each};
 
 /// The answer's and the samples' unit is a grey level over this.
 pub(super) const ANSWER_UNIT: f64 = 128.0;
@@ -34,42 +34,21 @@ pub(super) const MAX_SIDE_PX: usize = i16::MAX as usize;
 /// The longest row, so that the place of every byte fits 32 bits.
 pub(super) const MAX_STRIDE: usize = (1 << 17) - 1;
 
-/// Where one line's samples lie, in 16.16 fixed point: the first, and the step to the next.
-#[derive(Debug, Clone, Copy, Default)]
-pub(super) struct Track {
-    start: [i32; 2],
-    step: [i32; 2],
+/// Where lines begin and where they go, axis by axis \[px\].
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Starts<const N: usize> {
+    pub positions: [[f64; N]; 2],
+    pub normals: [[f64; N]; 2],
 }
 
-impl Track {
-    /// `samples` places from `start`, `step` apart \[px\]; none if one of them is not surrounded
-    /// by four pixels of an image of `size`. A start that is less than a step of the interpolation
-    /// outside is put inside.
-    #[inline]
-    pub(super) fn new(
-        start: [f64; 2],
-        step: [f64; 2],
-        samples: usize,
-        size: [usize; 2],
-    ) -> Option<Self> {
-        let mut track = Self::default();
-        let mut inside = true;
-        for axis in 0..2 {
-            // Half a step of the interpolation is added later.
-            let last = ((size[axis] as i32 - 1) << PIXEL_BITS) - 2 * HALF_STEP[1];
-            let from = fixed(start[axis]).clamp(0, last.max(0));
-            let by = fixed(step[axis]);
-            // The places are evenly spaced: those between two places inside are inside.
-            let to = i64::from(from) + i64::from(by) * (samples as i64 - 1);
-            inside &= 0 <= to && to <= i64::from(last);
-            (track.start[axis], track.step[axis]) = (from, by);
-        }
-        inside.then_some(track)
+impl<const N: usize> Default for Starts<N> {
+    fn default() -> Self {
+        Self { positions: [[0.0; N]; 2], normals: [[0.0; N]; 2] }
     }
 }
 
 /// To the nearest 2⁻¹⁶ px. (The bit pattern of 1.5 · 2³⁶ + x ends in x with 16 binary places.)
-#[inline]
+#[inline(always)]
 fn fixed(x: f64) -> i32 {
     const SHIFT: f64 = (3_u64 << 35) as f64;
     (x + SHIFT).to_bits() as i32
@@ -107,10 +86,10 @@ pub(super) struct Peak {
 pub(super) struct Lanes<const N: usize> {
     start: [[i32; N]; 2],
     step: [[i32; N]; 2],
-    /// The places of the bytes of every sample, or what was read there.
-    places: Vec<[u32; N]>,
-    /// How far the samples lie across and down their cells, in 1/256 and 1/128 px.
-    fractions: Vec<[[u16; N]; 2]>,
+    /// Whether all samples of a line are inside the image.
+    inside: [bool; N],
+    /// The places of the bytes of every sample.
+    places: Places<N>,
     /// The votes of the samples.
     cast: Vec<[i16; N]>,
     /// The kernel's weights, repeated in every lane.
@@ -122,7 +101,6 @@ pub(super) struct Lanes<const N: usize> {
     /// Sums of the votes from the inner end up to each sample.
     votes: Vec<[i32; N]>,
     peaks: [i16; N],
-    rises_to_end: [bool; N],
 }
 
 /// No peak was found.
@@ -134,34 +112,66 @@ impl<const N: usize> Lanes<N> {
         Self {
             start: [[0; N]; 2],
             step: [[0; N]; 2],
-            places: Vec::with_capacity(samples),
-            fractions: Vec::with_capacity(samples),
+            inside: [false; N],
+            places: Places::with_capacity(samples),
             cast: Vec::with_capacity(samples),
             weights: Vec::with_capacity(samples),
             grey: Vec::with_capacity(samples),
             answers: Vec::with_capacity(samples),
             votes: Vec::with_capacity(samples + 1),
             peaks: [NONE; N],
-            rises_to_end: [false; N],
         }
     }
 
-    /// Sets the lines: lanes without one repeat the last.
-    #[inline]
-    pub fn set(&mut self, tracks: &[Track], samples: usize) {
-        let Some(last) = tracks.last() else { return };
-        for j in 0..N {
-            let track = tracks.get(j).unwrap_or(last);
-            for axis in 0..2 {
-                self.start[axis][j] = track.start[axis];
-                self.step[axis][j] = track.step[axis];
-            }
+    /// Sets `count` lines of so many samples, from an offset on, in an image of `size`. A line that
+    /// leaves the image stays at its first pixel, as do lanes without one.
+    #[inline(always)]
+    pub fn set(
+        &mut self,
+        starts: &Starts<N>,
+        count: usize,
+        from: i32,
+        samples: usize,
+        size: [usize; 2],
+    ) {
+        let steps = samples as i32 - 1;
+        let (first, last) = (f64::from(from), f64::from(from + steps));
+        let mut inside = each(|j| j < count);
+        for (axis, &side) in size.iter().enumerate() {
+            let (position, normal) = (&starts.positions[axis], &starts.normals[axis]);
+            let side = side as i32 - 1;
+            // Half a step of the interpolation is added later; a start that is nearer than a step
+            // to the far side is put inside.
+            let limit = (side << PIXEL_BITS) - 2 * HALF_STEP[1];
+            let side = f64::from(side);
+            let near: [f64; N] = each(|j| position[j] + normal[j] * first);
+            let far: [f64; N] = each(|j| position[j] + normal[j] * last);
+            self.start[axis] = each(|j| fixed(near[j]).clamp(0, limit.max(0)));
+            self.step[axis] = each(|j| fixed(normal[j]));
+            inside = each(|j| {
+                // An image is convex: a line with both ends inside is inside. Such an end does not
+                // overflow; but rounding may have put it outside.
+                let end = self.step[axis][j].wrapping_mul(steps).wrapping_add(self.start[axis][j]);
+                let ends_inside =
+                    (near[j] >= 0.0) & (near[j] <= side) & (far[j] >= 0.0) & (far[j] <= side);
+                inside[j] & ends_inside & (0 <= end) & (end <= limit)
+            });
         }
-        self.places.resize(samples, [0; N]);
-        self.fractions.resize(samples, [[0; N]; 2]);
+        let kept: [i32; N] = each(|j| -i32::from(inside[j]));
+        for axis in 0..2 {
+            self.start[axis] = each(|j| self.start[axis][j] & kept[j]);
+            self.step[axis] = each(|j| self.step[axis][j] & kept[j]);
+        }
+        self.inside = inside;
         self.cast.resize(samples, [0; N]);
         self.grey.resize(samples, [0; N]);
         self.votes.resize(samples + 1, [0; N]);
+    }
+
+    /// Whether line `j` was searched: all its samples are inside the image.
+    #[inline]
+    pub fn is_inside(&self, j: usize) -> bool {
+        self.inside[j]
     }
 
     /// Finds the best peak of every line.
@@ -173,8 +183,7 @@ impl<const N: usize> Lanes<N> {
         ballot: Option<(&Ballot<'_>, &Scoring)>,
     ) {
         self.locate(image.stride(), 1, HALF_STEP);
-        gather_cells(image.data(), image.stride() as u32, &mut self.places);
-        self.interpolate();
+        self.interpolate(image);
         self.correlate(kernel.weights);
         match kernel.polarity {
             Polarity::Bright => self.choose(kernel, ballot, |r| r),
@@ -189,12 +198,12 @@ impl<const N: usize> Lanes<N> {
         match ballot.pixels {
             Voters::Gray(bytes, stride) => {
                 self.locate(stride, 1, HALF_PIXEL);
-                gather_words(bytes, &mut self.places);
+                self.places.read_words(bytes);
                 self.sum_up(ballot.votes, |word| (word & 0xff) >> 2);
             }
             Voters::Colour(bytes, stride) => {
                 self.locate(stride, 3, HALF_PIXEL);
-                gather_words(bytes, &mut self.places);
+                self.places.read_words(bytes);
                 // The upper halves of three bytes, the first one's in front.
                 self.sum_up(ballot.votes, |word| {
                     ((word & 0xf0) << 4) | ((word >> 8) & 0xf0) | ((word >> 20) & 0xf)
@@ -206,14 +215,31 @@ impl<const N: usize> Lanes<N> {
 
     /// The peak of line `j`, or why there is none.
     #[inline]
-    pub fn peak(&self, j: usize) -> Result<Peak, Miss> {
-        let at = self.peaks[j];
-        if at == NONE {
-            return Err(if self.rises_to_end[j] { Miss::BeyondEnd } else { Miss::NoContrast });
+    pub fn peak(&self, j: usize, kernel: &Kernel<'_>) -> Result<Peak, Miss> {
+        let at = usize::from(self.peaks[j] as u16);
+        if self.peaks[j] == NONE {
+            return Err(if self.rises_to_end(j, kernel) {
+                Miss::BeyondEnd
+            } else {
+                Miss::NoContrast
+            });
         }
-        let at = at as usize;
         let answers = each(|i| self.answers[at + i - 1][j]);
         Ok(Peak { at, answers })
+    }
+
+    /// Whether line `j` answers more and more, as is wanted, up to one of its ends.
+    fn rises_to_end(&self, j: usize, kernel: &Kernel<'_>) -> bool {
+        let n = self.answers.len();
+        let [first, second, before_last, last] = [0, 1, n - 2, n - 1].map(|i| {
+            let answer = self.answers[i][j];
+            match kernel.polarity {
+                Polarity::Bright => answer,
+                Polarity::Dark => -answer,
+                Polarity::Unknown => answer.abs(),
+            }
+        });
+        (first >= kernel.least && first > second) || (last >= kernel.least && last >= before_last)
     }
 
     /// Mean vote of the pixels inside the peak at `at` of line `j` minus that of those outside,
@@ -243,59 +269,52 @@ impl<const N: usize> Lanes<N> {
         Ok((at, difference / (reach as f32 * VOTE_UNIT)))
     }
 
-    /// Places of all samples, rounded by `half`, of `pitch` bytes each; and where in their cells
-    /// they lie.
+    /// Places of all samples, rounded by `half`, of `pitch` bytes each.
     #[inline(always)]
-    fn locate(&mut self, stride: usize, pitch: u32, half: [i32; 2]) {
-        let stride = stride as u32;
-        let [dx, dy] = self.step;
-        let mut x: [_; N] = each(|j| self.start[0][j] + half[0]);
-        let mut y: [_; N] = each(|j| self.start[1][j] + half[1]);
-        for (place, [across, down]) in self.places.iter_mut().zip(&mut self.fractions) {
-            *place = each(|j| {
-                let (row, column) = ((y[j] >> PIXEL_BITS) as u32, (x[j] >> PIXEL_BITS) as u32);
-                row.wrapping_mul(stride).wrapping_add(column.wrapping_mul(pitch))
-            });
-            *across = each(|j| ((x[j] >> 8) & 255) as u16);
-            *down = each(|j| ((y[j] >> 9) & 127) as u16);
-            x = each(|j| x[j].wrapping_add(dx[j]));
-            y = each(|j| y[j].wrapping_add(dy[j]));
-        }
+    fn locate(&mut self, stride: usize, pitch: usize, half: [i32; 2]) {
+        let start = |axis: usize| -> [i32; N] { each(|j| self.start[axis][j] + half[axis]) };
+        let layout = Layout { stride: stride as u32, pitch: pitch as u32 };
+        self.places.locate([start(0), start(1)], self.step, self.grey.len(), layout);
     }
 
     /// Grey levels at all samples.
     #[inline(always)]
-    fn interpolate(&mut self) {
-        for ((grey, cells), [across, down]) in
-            self.grey.iter_mut().zip(&self.places).zip(&self.fractions)
-        {
-            let above: [_; N] = each(|j| cells[j] as u16);
-            let below: [_; N] = each(|j| (cells[j] >> 16) as u16);
+    fn interpolate(&mut self, image: &GrayView<'_>) {
+        // Fractions of a pixel are the lower halves of the coordinates.
+        let fraction = |axis: usize| -> ([u16; N], [u16; N]) {
+            let start = each(|j| (self.start[axis][j] + HALF_STEP[axis]) as u16);
+            (start, each(|j| self.step[axis][j] as u16))
+        };
+        let ((mut x, dx), (mut y, dy)) = (fraction(0), fraction(1));
+        let Some(cells) = self.places.cells(image.data(), image.stride()) else {
+            self.grey.fill([0; N]);
+            return;
+        };
+        for (grey, [above, below]) in self.grey.iter_mut().zip(cells) {
             *grey = each(|j| {
-                let (right, lower) = (across[j], down[j]);
+                let (right, lower) = (x[j] >> 8, y[j] >> 9);
                 let row = |pair: u16| (pair & 255) * (256 - right) + (pair >> 8) * right;
                 high(row(above[j]), (128 - lower) << 8) + high(row(below[j]), lower << 8)
             });
+            x = each(|j| x[j].wrapping_add(dx[j]));
+            y = each(|j| y[j].wrapping_add(dy[j]));
         }
     }
 
     /// Inside minus outside, weighted by the kernel, at every offset that the kernel fits.
     #[inline(always)]
     fn correlate(&mut self, weights: &[u16]) {
-        let (reach, grey) = (weights.len(), &self.grey);
-        let count = grey.len() - 2 * reach;
-        self.answers.clear();
-        self.answers.resize(count, [0; N]);
+        self.answers.resize(self.grey.len() - 2 * weights.len(), [0; N]);
         // Repeated in memory: the compiler sees a product of 16-bit numbers only in vectors of them.
         self.weights.clear();
         self.weights.extend(weights.iter().map(|&w| [w; N]));
-        for (k, weight) in (1..).zip(&self.weights) {
-            let (inside, outside) = (&grey[reach - k..][..count], &grey[reach + k..][..count]);
-            for ((answer, inside), outside) in self.answers.iter_mut().zip(inside).zip(outside) {
-                let (plus, minus) = (scaled(inside, weight), scaled(outside, weight));
-                let sum = *answer;
-                *answer = each(|j| sum[j].wrapping_add(plus[j].wrapping_sub(minus[j]) as i16));
-            }
+        let (several, rest) = self.answers.as_chunks_mut::<ANSWERS>();
+        let ahead = ANSWERS * several.len();
+        for (i, answers) in several.iter_mut().enumerate() {
+            *answers = correlated(&self.weights, &self.grey[ANSWERS * i..]);
+        }
+        for (i, answer) in rest.iter_mut().enumerate() {
+            [*answer] = correlated(&self.weights, &self.grey[ahead + i..]);
         }
     }
 
@@ -314,28 +333,21 @@ impl<const N: usize> Lanes<N> {
         } else {
             self.strongest(kernel.least, strength);
         }
-        let n = self.answers.len();
-        let [first, second, before_last, last] = [0, 1, n - 2, n - 1].map(|i| &self.answers[i]);
-        for j in 0..N {
-            let [first, second, before_last, last] =
-                [first[j], second[j], before_last[j], last[j]].map(strength);
-            self.rises_to_end[j] = (first >= kernel.least && first > second)
-                || (last >= kernel.least && last >= before_last);
-        }
     }
 
     #[inline(always)]
     fn strongest(&mut self, least: i16, strength: impl Fn(i16) -> i16 + Copy) {
         let (mut best, mut at) = ([least - 1; N], [NONE; N]);
-        for (i, three) in (1_i16..).zip(self.answers.windows(3)) {
-            for j in 0..N {
-                let before = strength(three[0][j]);
-                let here = strength(three[1][j]);
-                let after = strength(three[2][j]);
-                let better = (here >= before) & (here > after) & (here > best[j]);
-                best[j] = if better { here } else { best[j] };
-                at[j] = if better { i } else { at[j] };
-            }
+        let all = |answers: &[i16; N]| -> [i16; N] { each(|j| strength(answers[j])) };
+        let [first, second, others @ ..] = self.answers.as_slice() else { return };
+        let (mut before, mut here) = (all(first), all(second));
+        for (i, after) in (1_i16..).zip(others) {
+            let after = all(after);
+            // No less than before, more than after and more than the best so far.
+            let beaten: [_; N] = each(|j| (before[j] - 1).max(after[j]).max(best[j]));
+            at = each(|j| if here[j] > beaten[j] { i } else { at[j] });
+            best = each(|j| if here[j] > beaten[j] { here[j] } else { best[j] });
+            (before, here) = (here, after);
         }
         self.peaks = at;
     }
@@ -372,11 +384,11 @@ impl<const N: usize> Lanes<N> {
     /// The sums of the votes of all samples, each in the bin that `bin` makes of its bytes.
     #[inline(always)]
     fn sum_up(&mut self, votes: &Votes, bin: impl Fn(u32) -> u32) {
-        for place in &mut self.places {
-            let words = *place;
-            *place = each(|j| bin(words[j]));
+        let words = self.places.words_mut();
+        for words in &mut *words {
+            *words = each(|j| bin(words[j]));
         }
-        for (vote, bins) in self.cast.iter_mut().zip(&self.places) {
+        for (vote, bins) in self.cast.iter_mut().zip(words.iter()) {
             for (vote, &bin) in vote.iter_mut().zip(bins) {
                 *vote = votes[bin as usize % votes.len()];
             }
@@ -388,6 +400,28 @@ impl<const N: usize> Lanes<N> {
             *total = sum;
         }
     }
+}
+
+/// Answers that are worked out together: their sums fit the registers.
+const ANSWERS: usize = 4;
+
+/// The answers of a kernel to the samples from its first offset on.
+#[inline(always)]
+fn correlated<const N: usize, const M: usize>(
+    weights: &[[u16; N]],
+    samples: &[[u16; N]],
+) -> [[i16; N]; M] {
+    let mut answers = [[0_i16; N]; M];
+    let reach = weights.len();
+    for (k, weight) in (1..).zip(weights) {
+        let (inside, outside) = (&samples[reach - k..][..M], &samples[reach + k..][..M]);
+        for i in 0..M {
+            let (plus, minus) = (scaled(&inside[i], weight), scaled(&outside[i], weight));
+            answers[i] =
+                each(|j| answers[i][j].wrapping_add(plus[j].wrapping_sub(minus[j]) as i16));
+        }
+    }
+    answers
 }
 
 /// Every number times its weight, in 2⁻¹⁶.
