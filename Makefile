@@ -56,8 +56,9 @@ lint: $(STAMPS)/extension ## formats, lints, types, documentation links, stubs
 	$(BIN)/mypy --no-error-summary
 	$(BIN)/stubtest --mypy-config-file pyproject.toml --concise fingerpost._core
 
-bench: $(STAMPS)/extension ## speed as ratios to the C limit, each stage alone, the simulated rig
+bench: $(STAMPS)/extension ## speed as ratios to the C limit, a pair from end to end, stages, the simulated rig
 	cargo bench --locked --package fingerpost-benches --bench ratios
+	$(BIN)/python benches/bench_pair.py
 	cargo bench --locked --package fingerpost-benches --bench stages
 	$(BIN)/python benches/bench_simulate.py
 
