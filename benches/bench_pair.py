@@ -141,7 +141,7 @@ def updated(
     """Update the trackers of all views in one call."""
     return update_views(
         [
-            (tracker, frame.grey(), frame.time_s, frame.image)
+            (tracker, frame.grey(), frame.time_s, frame.image, None)
             for tracker, frame in zip(trackers, frames, strict=True)
         ],
         schedule=schedule,
