@@ -1,5 +1,10 @@
 //! What a visit of a pixel teaches, side by side for many pixels of a row.
 
+#![expect(
+    clippy::inline_always,
+    reason = "what is inlined into a function with wider instructions is compiled for them"
+)]
+
 use crate::simd::Work;
 
 /// The constants of a frame's visits.
