@@ -61,8 +61,9 @@ instructions: $(STAMPS)/rust $(STAMPS)/debian ## count those of fixed workloads 
 	cargo bench --locked --quiet --package fingerpost-benches --profile release \
 		--bench instructions -- $(if $(RECORD),record)
 
-bench: $(STAMPS)/extension ## speed as ratios to the C limit, each stage alone, the simulated rig
+bench: $(STAMPS)/extension ## speed as ratios to the C limit, a pair from end to end, stages, the simulated rig
 	cargo bench --locked --package fingerpost-benches --bench ratios
+	$(BIN)/python benches/bench_pair.py
 	cargo bench --locked --package fingerpost-benches --bench stages
 	$(BIN)/python benches/bench_simulate.py
 

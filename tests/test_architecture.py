@@ -91,7 +91,7 @@ RUST_RULES = {
     "frame": {"error", "image"},
     "appearance": {"error", "image", "frame"} | _LANES,
     "discriminant": {"error", "image", "frame"},
-    "background": {"error", "image", "frame"},
+    "background": {"error", "image", "frame", "simd"},
     "candidates": {"error", "image", "frame", "background", "template"},
     "bspline": {"error"},
     "contour": {"error", "bspline"},

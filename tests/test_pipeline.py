@@ -2,6 +2,8 @@
 
 import csv
 import dataclasses
+import gc
+import tracemalloc
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -175,6 +177,44 @@ def test_a_frame_that_cannot_be_read_is_a_lost_frame_of_that_view():
     # The view without a frame has neighbours in time, so nothing is lost but one frame of delay.
     assert [step.index for step in gap + after] == [8, 9]
     assert all(step.fix.status is Status.OK for step in gap + after)
+
+
+# What a frame may borrow while it is worked on: finger lines, contours and search lines of two
+# views. A copy of one of its images would take 300 kB.
+MOST_BYTES_A_FRAME = 16_000
+# The least object, kept of each of 200 frames, would be 4,800; less than half is the test's own.
+MOST_BYTES_KEPT = 2000
+
+
+def test_a_frame_in_the_steady_state_borrows_little_and_keeps_nothing():
+    motion, rig = pointing_path(), SimulatedRig()
+    pointer = Pointer(as_configured(rig, motion))
+    rng = np.random.default_rng(SEED)
+    images = [rig.render(motion, time_s=0.0, rng=rng).images for _ in range(4)]
+    peak_bytes = 0
+
+    def feed(frames: range) -> None:
+        nonlocal peak_bytes
+        for k in frames:
+            tracemalloc.reset_peak()
+            before = tracemalloc.get_traced_memory()[0]
+            pair = [Frame(k, k / FPS, image) for image in images[k % 4]]
+            (status,) = [step.fix.status for step in pointer.update(pair)]
+            assert k < 30 or status is Status.OK
+            peak_bytes = max(peak_bytes, tracemalloc.get_traced_memory()[1] - before)
+
+    tracemalloc.start()
+    try:
+        feed(range(60))
+        gc.collect()
+        peak_bytes, kept = 0, tracemalloc.get_traced_memory()[0]
+        feed(range(60, 260))
+        gc.collect()
+        kept = tracemalloc.get_traced_memory()[0] - kept
+    finally:
+        tracemalloc.stop()
+    assert peak_bytes < MOST_BYTES_A_FRAME
+    assert kept < MOST_BYTES_KEPT
 
 
 def test_an_observation_tells_what_the_search_found_and_why_the_frame_counts():

@@ -38,6 +38,7 @@ from fingerpost.errors import FingerpostError, InvalidInputError
 from fingerpost.finding import (
     COME_FRAMES,
     DOUBTED_FRAMES,
+    LATELY,
     HandSearch,
     Viewpoint,
     are_two,
@@ -252,7 +253,8 @@ class HandView:
         self.search = HandSearch(tracker_options)
         self._tracker: ContourTracker | None = None
         self._track: Track | None = None
-        self._unproven: list[CoreFingerLine] = []
+        self._first: CoreFingerLine | None = None
+        self._unproven: deque[CoreFingerLine] = deque(maxlen=LATELY)
         self._come_frames = 0
         self._has_come = False
         self._is_proven = False
@@ -325,7 +327,7 @@ class HandView:
         self._come_frames = 0 if moves(self._unproven) else self._come_frames + 1
         if self._come_frames < COME_FRAMES:
             return False
-        self._tracker = self._waiting()
+        self._tracker, self._first = self._waiting(), None
         self._unproven.clear()
         return True
 
@@ -337,8 +339,8 @@ class HandView:
         line = self._track.finger_line if self._track is not None else None
         if line is None or self._is_proven:
             return
+        first = self._first = self._first or line
         self._unproven.append(line)
-        first = self._unproven[0]
         if self._has_come:
             self._is_proven = True
         elif has_moved(first, line) and self.search.stands_out(frame, line):

@@ -21,9 +21,14 @@
 //! Sources: Stauffer & Grimson 1999 for a background of levels that last; Horprasert, Harwood &
 //! Davis 1999 for shadows as a change of brightness without one of hue.
 
+mod visit;
+
 use crate::frame::Frame;
+use crate::simd::Isa;
 use crate::{Error, Result};
 use nalgebra::{Matrix2, Point2, Vector2};
+use std::ops::Range;
+use visit::{Learning, Visits};
 
 /// How a background is learned, and what counts as a change.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -696,52 +701,56 @@ impl Background {
         self.size.unwrap_or_default()
     }
 
-    /// One visit of every pixel of a row.
+    /// One visit of every pixel of a row, but for those that are kept out.
     fn learn_row(&mut self, frame: &Frame<'_>, y: usize, keep_out: Option<&KeepOut>) {
         let (Some((width, _)), Some(row)) = (self.size, frame.image().row(y)) else { return };
-        let most_seen = self.most_seen();
-        let rate = self.options.rate as f32;
+        let skip = keep_out.map_or(0..0, |k| k.columns(y as f64, width));
         let noise = self.options.noise_grey as f32;
         let sigmas = self.options.changed_sigmas as f32;
-        let (gain, offset) = (self.light.gain as f32, self.light.offset_grey as f32);
-        let skip = keep_out.map_or(0..0, |k| k.columns(y as f64, width));
-        let cells = width.div_ceil(CELL_PX);
+        let learning = Learning {
+            gain: self.light.gain as f32,
+            offset_grey: self.light.offset_grey as f32,
+            rate: self.options.rate as f32,
+            noise2: noise * noise,
+            sigmas2: sigmas * sigmas,
+            most_seen: self.most_seen(),
+        };
+        for part in [0..skip.start, skip.end..width] {
+            self.learn_colours(frame, y, part.clone(), &learning);
+            let at = y * width + part.start..y * width + part.end;
+            Isa::detect().run(Visits {
+                learning,
+                level: &mut self.grey.level[at.clone()],
+                variance: &mut self.grey.variance[at.clone()],
+                seen: &mut self.grey.seen[at],
+                now: &row[part],
+            });
+        }
+    }
+
+    /// One visit of the cells of a part of a row, each by its first pixel, whose grey level has not
+    /// been learned yet.
+    fn learn_colours(
+        &mut self,
+        frame: &Frame<'_>,
+        y: usize,
+        part: Range<usize>,
+        learning: &Learning,
+    ) {
+        let (Some((width, _)), Some(row)) = (self.size, frame.image().row(y)) else { return };
         let colours = frame.colour().filter(|_| y.is_multiple_of(CELL_PX));
-        let Plane { level, variance, seen } = &mut self.grey;
-        let at = y * width..(y + 1) * width;
-        let pixels = level[at.clone()].iter_mut().zip(&mut variance[at.clone()]);
-        for (x, ((level, variance), (seen, &now))) in
-            pixels.zip(seen[at].iter_mut().zip(row)).enumerate()
-        {
-            if skip.contains(&x) {
-                continue;
-            }
-            let now = (f32::from(now) - offset) / gain;
-            let change = now - *level;
-            let sigma2 = variance.max(noise * noise);
-            // The first level of a pixel, or another one that has outlasted it.
-            let starts = *seen == 0;
-            let agrees = change * change <= sigmas * sigmas * sigma2;
-            let part = if starts { 1.0 } else { rate.max(1.0 / (1.0 + f32::from(*seen))) };
-            if starts || agrees {
-                *level += part * change;
-                *variance = if starts {
-                    noise * noise
-                } else {
-                    *variance + rate * (change * change - *variance)
-                };
-                *seen = (*seen + 1).min(most_seen);
-            } else {
-                *seen -= 1;
-            }
-            if let Some(colours) = colours
-                && x.is_multiple_of(CELL_PX)
-                && (starts || agrees)
-                && let Some(now) = colours.pixel(x, y)
-                && let Some(known) = self.colour.get_mut(y / CELL_PX * cells + x / CELL_PX)
-            {
-                for (known, now) in known.iter_mut().zip(now) {
-                    *known += part * ((f32::from(now) - offset) / gain - *known);
+        let Some(colours) = colours.and_then(|c| c.row(y)) else { return };
+        let cells = width.div_ceil(CELL_PX);
+        let Plane { level, variance, seen } = &self.grey;
+        for x in (part.start.next_multiple_of(CELL_PX)..part.end).step_by(CELL_PX) {
+            let i = y * width + x;
+            let visit = learning.visit(level[i], variance[i], seen[i], row[x]);
+            let Some(known) = self.colour.get_mut(y / CELL_PX * cells + x / CELL_PX) else {
+                return;
+            };
+            if let Some(part) = visit.part() {
+                for (known, &now) in known.iter_mut().zip(&colours[3 * x..]) {
+                    *known += part * (learning.in_its_light(now) - *known);
                 }
             }
         }
@@ -757,7 +766,7 @@ impl KeepOut {
     }
 
     /// The columns of a row that lie within it: it is convex, so they are one range.
-    fn columns(&self, y: f64, width: usize) -> std::ops::Range<usize> {
+    fn columns(&self, y: f64, width: usize) -> Range<usize> {
         let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
         let mut include = |x: f64| {
             low = low.min(x);

@@ -21,6 +21,7 @@ type View<'py> = (
 
 /// Takes one frame of every view and tells where the hand is in each.
 #[pyfunction]
+#[expect(clippy::needless_pass_by_value, reason = "pyo3 extracts sequences by value")]
 #[pyo3(signature = (views, *, schedule = None))]
 pub fn update_views<'py>(
     py: Python<'py>,

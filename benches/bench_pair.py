@@ -1,0 +1,279 @@
+"""What a frame of a stereo pair costs from end to end, and several views in one call.
+
+    python benches/bench_pair.py
+
+A simulated hand over a wooden table is written as two MJPEG files, as webcams send them, then
+decoded, tracked and shown again, on one core; the figures are medians over the frames in which both
+views follow the hand, for both views together. "Loop" is what `fingerpost.Pointer` does with a pair
+of frames; its parts are timed one by one beside it, on the same frames. The live view is a JPEG of
+each view. The last table has as many views in one call as it says, on all cores.
+"""
+
+import os
+
+# Decoding on one thread, as everything else: this must stand in the environment before OpenCV is.
+os.environ["OPENCV_FFMPEG_CAPTURE_OPTIONS"] = "threads;1"
+
+import dataclasses
+import statistics
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from fingerpost._core import ContourTracker, StartPose, Template, update_views
+from fingerpost.capture import Frame, open_source, read_views
+from fingerpost.config import Plane, Rig, Start, View
+from fingerpost.finding import HandSearch
+from fingerpost.pipeline import Observation, Pointer
+from fingerpost.pointing import BARE_HAND, FingerLine, PlaneView, indicated_point
+from fingerpost.recording.picture import draw_view
+from fingerpost.simulate import (
+    Background,
+    Hand,
+    Lighting,
+    Placement,
+    Sensor,
+    SimulatedRig,
+    Trajectory,
+    figure_eight,
+)
+
+FRAMES = 120
+FPS = 30.0
+SPEED_M_S = 0.35
+HOLD_S = 0.5
+VIEWS = (1, 2, 4, 8)
+SCHEDULES = ("in-turn", "side-by-side")
+CORE = 1
+TARGET = 0.03
+"""Tracking, refinement and geometry, as a share of decoding the pair and encoding its live view."""
+
+
+class Stopwatch:
+    """Times of named pieces of work, in the order in which they first came."""
+
+    def __init__(self) -> None:
+        self._times_us: dict[str, list[float]] = {}
+
+    @contextmanager
+    def time(self, name: str) -> Iterator[None]:
+        """Time what is done meanwhile."""
+        began = time.perf_counter()
+        yield
+        self._times_us.setdefault(name, []).append(1e6 * (time.perf_counter() - began))
+
+    def clear(self) -> None:
+        """Forget all times."""
+        self._times_us.clear()
+
+    def median_us(self, name: str) -> float:
+        """Median time of a piece of work."""
+        return statistics.median(self._times_us[name])
+
+
+def simulated(cameras: int) -> tuple[SimulatedRig, Trajectory]:
+    """Set up a hand over a wooden table, and how it moves."""
+    azimuths = (0.0,) if cameras == 1 else tuple(np.linspace(-30, 30, cameras).tolist())
+    rig = SimulatedRig(
+        Placement(azimuths_deg=(-15.0, 15.0) if cameras == 2 else azimuths),
+        device=Hand(),
+        background=Background(texture="wood"),
+        lighting=Lighting(side_light=0.2, limb_darkening=0.2, shadow=0.4),
+        sensor=Sensor(channels="bgr", cells_per_sigma=2),
+    )
+    path = figure_eight(rig.workspace)
+    return rig, Trajectory.hold(path[0], HOLD_S).then(Trajectory.through(path, SPEED_M_S))
+
+
+def described(rig: SimulatedRig, motion: Trajectory, sources: Sequence[str | int]) -> Rig:
+    """Describe the rig as a rig file would."""
+    truth = rig.truth(motion, time_s=0.0)
+    views = []
+    for seen, points, source in zip(truth.views, rig.reference_points_px, sources, strict=True):
+        start = seen.finger.start()
+        views.append(
+            View(
+                name=f"view {len(views)}",
+                source=source,
+                reference_points_px=tuple(map(tuple, points.tolist())),
+                start=Start(**dataclasses.asdict(start)),
+            )
+        )
+    plane = Plane(unit="mm", points=tuple(map(tuple, rig.plane_points.tolist())))
+    return Rig(plane=plane, views=tuple(views))
+
+
+def written(folder: Path, rig: SimulatedRig, motion: Trajectory) -> list[str]:
+    """Write one MJPEG file per view."""
+    files = [str(folder / f"{camera.name}.avi") for camera in rig.cameras]
+    size_px = rig.cameras[0].width_px, rig.cameras[0].height_px
+    codec = cv2.VideoWriter_fourcc(*"MJPG")
+    videos = [cv2.VideoWriter(file, codec, FPS, size_px) for file in files]
+    for index in range(FRAMES):
+        frame = rig.render(motion, time_s=index / FPS, rng=index)
+        for video, image in zip(videos, frame.images, strict=True):
+            video.write(image)
+    for video in videos:
+        video.release()
+    return files
+
+
+def trackers(rig: Rig, **options: object) -> list[ContourTracker]:
+    """Make one tracker per view."""
+    return [
+        ContourTracker(
+            Template.pistol(view.start.thumb),
+            StartPose(view.start.tip_px, np.radians(view.start.angle_deg), view.start.length_px),
+            options,
+        )
+        for view in rig.views
+    ]
+
+
+def updated(
+    trackers: Sequence[ContourTracker], frames: Sequence[Frame], schedule: str | None = None
+) -> list[object]:
+    """Update the trackers of all views in one call."""
+    return update_views(
+        [
+            (tracker, frame.grey(), frame.time_s, frame.image, None)
+            for tracker, frame in zip(trackers, frames, strict=True)
+        ],
+        schedule=schedule,
+    )
+
+
+def fix(observations: Sequence[Observation], views: Sequence[PlaneView]) -> object:
+    """Make finger lines of tracks, and a fix of finger lines."""
+    fingers = []
+    for seen in observations:
+        line = seen.track.finger_line
+        anchor, tip = np.array(line.anchor_px), np.array(line.tip_px)
+        time_s = seen.frame.time_s
+        fingers.append(FingerLine(anchor, line.angle_rad, line.covariance, tip, time_s))
+    return indicated_point(fingers, views, time_s=time_s, options=BARE_HAND)
+
+
+def end_to_end(folder: Path) -> Stopwatch:
+    """Time the life of every frame of a pair."""
+    scene, motion = simulated(2)
+    rig = described(scene, motion, written(folder, scene, motion))
+    pointer = Pointer(rig)
+    alone, unrefined = trackers(rig), trackers(rig, refine=False)
+    searches = [HandSearch() for _ in rig.views]
+    clock = Stopwatch()
+    sources = [open_source(view.source) for view in rig.views]
+    pairs = read_views(sources)
+    for _ in range(FRAMES):
+        with clock.time("decode"):
+            frames = next(pairs)
+        with clock.time("grey"):
+            for frame in frames:
+                frame.grey()
+        with clock.time("loop"):
+            (step,) = pointer.update(frames)
+        seen = step.observations
+        with clock.time("track and refine"):
+            updated(alone, frames)
+        with clock.time("track"):
+            updated(unrefined, frames)
+        with clock.time("learn"):
+            for search, observation in zip(searches, seen, strict=True):
+                search.learn(observation.frame, observation.track)
+        if any(observation.track.finger_line is None for observation in seen):
+            clock.clear()
+            continue
+        with clock.time("geometry"):
+            fix(seen, pointer.plane_views)
+        with clock.time("draw"):
+            drawn = [
+                draw_view(o, pointer.plane_views, k, step.fix, size_px=o.frame.image.shape[1::-1])
+                for k, o in enumerate(seen)
+            ]
+        with clock.time("encode"):
+            for image in drawn:
+                cv2.imencode(".jpg", image)
+    for source in sources:
+        source.close()
+    return clock
+
+
+def print_end_to_end(clock: Stopwatch) -> None:
+    """Print one line per stage, then the ratios."""
+    us = {
+        name: clock.median_us(name)
+        for name in ("decode", "grey", "track", "geometry", "learn", "draw", "encode")
+    }
+    us["refine"] = clock.median_us("track and refine") - us["track"]
+    pointing = us["track"] + us["refine"] + us["geometry"]
+    loop = clock.median_us("loop")
+    rows = [
+        ("decode both from MJPEG", us["decode"]),
+        ("grey", us["grey"]),
+        ("track", us["track"]),
+        ("refine", us["refine"]),
+        ("geometry: two finger lines, a fix", us["geometry"]),
+        ("learn what is behind the hand", us["learn"]),
+        ("the rest of the loop", loop - pointing - us["learn"]),
+        ("draw the live view", us["draw"]),
+        ("encode the live view as JPEG", us["encode"]),
+    ]
+    whole = sum(time_us for _, time_us in rows)
+    print(f"{'a stereo pair, 640 x 480, colour':<52} {'us':>8} {'share':>8}")
+    for name, time_us in rows:
+        print(f"{name:<52} {time_us:8.0f} {100 * time_us / whole:6.1f} %")
+    print(f"{'all':<52} {whole:8.0f} {1e6 / whole:4.0f} fps")
+    video = us["decode"] + us["encode"]
+    print(f"\n{'as a share of decoding and encoding':<52} {'':8} {'':8} to reach")
+    print(f"{'track, refine, geometry':<61} {100 * pointing / video:6.1f} % {100 * TARGET:6.0f} %")
+    print(f"{'the whole loop':<61} {100 * loop / video:6.1f} %")
+
+
+def print_views() -> None:
+    """Print how long several views take in one call."""
+    print(f"\n{'views in one call [us]':<40} {'looking for a hand':>20} {'following it':>20}")
+    for cameras in VIEWS:
+        scene, motion = simulated(cameras)
+        rig = described(scene, motion, range(cameras))
+        together = [
+            [
+                Frame(k, k / FPS, image)
+                for image in scene.render(motion, time_s=k / FPS, rng=k).images
+            ]
+            for k in range(FRAMES // 3)
+        ]
+        for frames in together:
+            for frame in frames:
+                frame.grey()
+        for schedule in SCHEDULES:
+            times_us: dict[bool, list[float]] = {False: [], True: []}
+            following = trackers(rig)
+            for frames in together:
+                began = time.perf_counter()
+                tracks = updated(following, frames, schedule)
+                taken_us = 1e6 * (time.perf_counter() - began)
+                times_us[all(track.status == "tracking" for track in tracks)].append(taken_us)
+            looking, follows = (statistics.median(times_us[key]) for key in (False, True))
+            print(f"{f'{cameras} {schedule}':<40} {looking:20.0f} {follows:20.0f}")
+
+
+def main() -> None:
+    """Print the tables."""
+    cv2.setNumThreads(1)
+    cores = os.sched_getaffinity(0) if hasattr(os, "sched_setaffinity") else set()
+    if CORE in cores:
+        os.sched_setaffinity(0, {CORE})
+    with tempfile.TemporaryDirectory() as folder:
+        print_end_to_end(end_to_end(Path(folder)))
+    if cores:
+        os.sched_setaffinity(0, cores)
+    print_views()
+
+
+if __name__ == "__main__":
+    main()
