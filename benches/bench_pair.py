@@ -5,8 +5,9 @@
 A simulated hand over a wooden table is written as two MJPEG files, as webcams send them, then
 decoded, tracked and shown again, on one core; the figures are medians over the frames in which both
 views follow the hand, for both views together. "Loop" is what `fingerpost.Pointer` does with a pair
-of frames; its parts are timed one by one beside it, on the same frames. The live view is a JPEG of
-each view. The last table has as many views in one call as it says, on all cores.
+of frames, its stages timed where it calls them; what refinement costs is the difference from a loop
+without. The live view is a JPEG of each view. The last table has as many views in one call as it
+says, on all cores.
 """
 
 import os
@@ -18,19 +19,21 @@ import dataclasses
 import statistics
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import ParamSpec, TypeVar
 
 import cv2
 import numpy as np
 
+from fingerpost import pipeline
 from fingerpost._core import ContourTracker, StartPose, Template, update_views
 from fingerpost.capture import Frame, open_source, read_views
 from fingerpost.config import Plane, Rig, Start, View
 from fingerpost.finding import HandSearch
-from fingerpost.pipeline import Observation, Pointer
-from fingerpost.pointing import BARE_HAND, FingerLine, PlaneView, indicated_point
+from fingerpost.pipeline import Observation, Pointer, Step
+from fingerpost.pointing import FingerLine
 from fingerpost.recording.picture import draw_view
 from fingerpost.simulate import (
     Background,
@@ -55,10 +58,15 @@ TARGET = 0.03
 """Tracking, refinement and geometry, as a share of decoding the pair and encoding its live view."""
 
 
+P, R = ParamSpec("P"), TypeVar("R")
+
+
 class Stopwatch:
-    """Times of named pieces of work, frame by frame."""
+    """Times of named pieces of work, frame by frame; pieces of one name add up."""
 
     def __init__(self) -> None:
+        self.scope = ""
+        """What comes before the names of all pieces."""
         self._times_us: dict[str, list[float]] = {}
         self._frame_us: dict[str, float] = {}
 
@@ -67,7 +75,18 @@ class Stopwatch:
         """Time what is done meanwhile."""
         began = time.perf_counter()
         yield
-        self._frame_us[name] = 1e6 * (time.perf_counter() - began)
+        name = self.scope + name
+        taken_us = 1e6 * (time.perf_counter() - began)
+        self._frame_us[name] = self._frame_us.get(name, 0.0) + taken_us
+
+    def timed(self, name: str, function: Callable[P, R]) -> Callable[P, R]:
+        """Return a function that is timed whenever it is called."""
+
+        def call(*args: P.args, **more: P.kwargs) -> R:
+            with self.time(name):
+                return function(*args, **more)
+
+        return call
 
     def end_frame(self, *, counts: bool) -> None:
         """Keep the times of a frame, or forget them."""
@@ -76,9 +95,21 @@ class Stopwatch:
                 self._times_us.setdefault(name, []).append(time_us)
         self._frame_us.clear()
 
-    def median_us(self, name: str) -> float:
-        """Median time of a piece of work."""
-        return statistics.median(self._times_us[name])
+    def median_us(self, *names: str) -> float:
+        """Sum of the median times of pieces of work."""
+        return sum(statistics.median(self._times_us[name]) for name in names)
+
+
+def time_stages(clock: Stopwatch) -> None:
+    """Have the stages of the main loop timed where it calls them."""
+    pipeline.update_views = clock.timed("track", pipeline.update_views)
+    pipeline.indicated_point = clock.timed("fix", pipeline.indicated_point)
+    pipeline.can_be_one = clock.timed("agree", pipeline.can_be_one)
+    pipeline.are_two = clock.timed("agree", pipeline.are_two)
+    HandSearch.look_behind = clock.timed("learn", HandSearch.look_behind)
+    HandSearch.learn = clock.timed("learn", HandSearch.learn)
+    finger = Observation.__dict__["finger"]
+    finger.func = clock.timed("finger lines", finger.func)
 
 
 def simulated(cameras: int) -> tuple[SimulatedRig, Trajectory]:
@@ -134,53 +165,30 @@ def written(folder: Path, rig: SimulatedRig, motion: Trajectory) -> list[str]:
     return files
 
 
-def trackers(rig: Rig, **options: object) -> list[ContourTracker]:
+def trackers(rig: Rig) -> list[ContourTracker]:
     """Make one tracker per view."""
     return [
         ContourTracker(
             Template.pistol(view.start.thumb),
             StartPose(view.start.tip_px, np.radians(view.start.angle_deg), view.start.length_px),
-            options,
         )
         for view in rig.views
     ]
 
 
-def updated(
-    trackers: Sequence[ContourTracker],
-    frames: Sequence[Frame],
-    behind: Sequence[object],
-    schedule: str | None = None,
-) -> list[object]:
-    """Update the trackers of all views in one call."""
-    return update_views(
-        [
-            (tracker, frame.grey(), frame.time_s, frame.image, background)
-            for tracker, frame, background in zip(trackers, frames, behind, strict=True)
-        ],
-        schedule=schedule,
-    )
-
-
-def fix(observations: Sequence[Observation], views: Sequence[PlaneView]) -> object:
-    """Make finger lines of tracks, and a fix of finger lines."""
-    fingers = []
-    for seen in observations:
-        line = seen.track.finger_line
-        anchor, tip = np.array(line.anchor_px), np.array(line.tip_px)
-        time_s = seen.frame.time_s
-        fingers.append(FingerLine(anchor, line.angle_rad, line.covariance, tip, time_s))
-    return indicated_point(fingers, views, time_s=time_s, options=BARE_HAND)
+def follow(pointer: Pointer, frames: Sequence[Frame]) -> tuple[Step, bool]:
+    """Give a pair to a pointer; tell its step, and whether both views follow the hand."""
+    (step,) = pointer.update(frames)
+    return step, all(isinstance(seen.finger, FingerLine) for seen in step.observations)
 
 
 def end_to_end(folder: Path) -> Stopwatch:
     """Time the life of every frame of a pair."""
     scene, motion = simulated(2)
     rig = described(scene, motion, written(folder, scene, motion))
-    pointer = Pointer(rig)
-    alone, unrefined = trackers(rig), trackers(rig, refine=False)
-    searches = [HandSearch() for _ in rig.views]
     clock = Stopwatch()
+    time_stages(clock)
+    pointer, unrefined = Pointer(rig), Pointer(rig, tracker_options={"refine": False})
     sources = [open_source(view.source) for view in rig.views]
     pairs = read_views(sources)
     for _ in range(FRAMES):
@@ -190,31 +198,19 @@ def end_to_end(folder: Path) -> Stopwatch:
             for frame in frames:
                 frame.grey()
         with clock.time("loop"):
-            (step,) = pointer.update(frames)
-        seen = step.observations
-        with clock.time("look behind"):
-            behind = [s.look_behind(frame) for s, frame in zip(searches, frames, strict=True)]
-        with clock.time("track and refine"):
-            updated(alone, frames, behind)
-        with clock.time("track"):
-            updated(unrefined, frames, behind)
-        with clock.time("learn"):
-            for search, observation in zip(searches, seen, strict=True):
-                search.learn(observation.frame, observation.track)
-        if any(observation.track.finger_line is None for observation in seen):
-            clock.end_frame(counts=False)
-            continue
-        with clock.time("geometry"):
-            fix(seen, pointer.plane_views)
+            step, follows = follow(pointer, frames)
         with clock.time("draw"):
             drawn = [
                 draw_view(o, pointer.plane_views, k, step.fix, size_px=o.frame.image.shape[1::-1])
-                for k, o in enumerate(seen)
+                for k, o in enumerate(step.observations)
             ]
         with clock.time("encode"):
             for image in drawn:
                 cv2.imencode(".jpg", image)
-        clock.end_frame(counts=True)
+        clock.scope = "unrefined "
+        _, follows_too = follow(unrefined, frames)
+        clock.scope = ""
+        clock.end_frame(counts=follows and follows_too)
     for source in sources:
         source.close()
     return clock
@@ -222,34 +218,29 @@ def end_to_end(folder: Path) -> Stopwatch:
 
 def print_end_to_end(clock: Stopwatch) -> None:
     """Print one line per stage, then the ratios."""
-    us = {
-        name: clock.median_us(name)
-        for name in ("decode", "grey", "track", "geometry", "draw", "encode")
-    }
-    learning = clock.median_us("look behind") + clock.median_us("learn")
-    us["refine"] = clock.median_us("track and refine") - us["track"]
-    pointing = us["track"] + us["refine"] + us["geometry"]
-    loop = clock.median_us("loop")
+    us = clock.median_us
+    pointing = us("track", "finger lines", "fix")
     rows = [
-        ("decode both from MJPEG", us["decode"]),
-        ("grey", us["grey"]),
-        ("track", us["track"]),
-        ("refine", us["refine"]),
-        ("geometry: two finger lines, a fix", us["geometry"]),
-        ("learn what is behind the hand", learning),
-        ("the rest of the loop", loop - pointing - learning),
-        ("draw the live view", us["draw"]),
-        ("encode the live view as JPEG", us["encode"]),
+        ("decode both from MJPEG", us("decode")),
+        ("grey", us("grey")),
+        ("track", us("unrefined track")),
+        ("refine", us("track") - us("unrefined track")),
+        ("geometry: two finger lines and a fix", us("finger lines", "fix")),
+        ("whether the views follow one finger", us("agree")),
+        ("learn what is behind the hand", us("learn")),
+        ("the rest of the loop", us("loop") - pointing - us("agree", "learn")),
+        ("draw the live view", us("draw")),
+        ("encode the live view as JPEG", us("encode")),
     ]
     whole = sum(time_us for _, time_us in rows)
     print(f"{'a stereo pair, 640 x 480, colour':<52} {'us':>8} {'share':>8}")
     for name, time_us in rows:
         print(f"{name:<52} {time_us:8.0f} {100 * time_us / whole:6.1f} %")
     print(f"{'all':<52} {whole:8.0f} {1e6 / whole:4.0f} fps")
-    video = us["decode"] + us["encode"]
+    video = us("decode", "encode")
     print(f"\n{'as a share of decoding and encoding':<52} {'':8} {'':8} to reach")
     print(f"{'track, refine, geometry':<61} {100 * pointing / video:6.1f} % {100 * TARGET:6.0f} %")
-    print(f"{'the whole loop':<61} {100 * loop / video:6.1f} %")
+    print(f"{'the whole loop':<61} {100 * us('loop') / video:6.1f} %")
 
 
 def print_views() -> None:
@@ -272,8 +263,12 @@ def print_views() -> None:
             times_us: dict[bool, list[float]] = {False: [], True: []}
             following = trackers(rig)
             for frames in together:
+                views = [
+                    (tracker, frame.grey(), frame.time_s, frame.image, None)
+                    for tracker, frame in zip(following, frames, strict=True)
+                ]
                 began = time.perf_counter()
-                tracks = updated(following, frames, [None] * cameras, schedule)
+                tracks = update_views(views, schedule=schedule)
                 taken_us = 1e6 * (time.perf_counter() - began)
                 times_us[all(track.status == "tracking" for track in tracks)].append(taken_us)
             looking, follows = (statistics.median(times_us[key]) for key in (False, True))
