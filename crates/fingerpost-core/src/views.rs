@@ -37,8 +37,8 @@ pub enum Schedule {
 }
 
 /// Updates the tracker of every view, and tells what each made of its frame, in their order: the
-/// error of one view ([`ContourTracker::update_before`] names them) costs no other view its track. Where
-/// the system starts no more threads, the calling one does the work.
+/// error of one view ([`ContourTracker::update_before`] names them) costs no other view its track.
+/// Where the system starts no more threads, the calling one does the work.
 ///
 /// ```
 /// use fingerpost_core::nalgebra::Point2;
