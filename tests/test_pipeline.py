@@ -179,6 +179,20 @@ def test_a_frame_that_cannot_be_read_is_a_lost_frame_of_that_view():
     assert all(step.fix.status is Status.OK for step in gap + after)
 
 
+def test_a_frame_that_one_tracker_refuses_costs_no_other_view_its_own():
+    motion, rig = pointing_path(), SimulatedRig()
+    pointer = Pointer(as_configured(rig, motion))
+    first, second = rig.render(motion, time_s=0.0, rng=SEED).images
+    for k in range(8):
+        list(pointer.update([Frame(k, k / FPS, first), Frame(k, k / FPS, second)]))
+    with pytest.raises(InvalidInputError, match="at or after the last frame's"):
+        list(pointer.update([Frame(8, 0.0, first), Frame(8, 8 / FPS, second)]))
+    assert pointer.views[0].track.time_s == 7 / FPS
+    assert pointer.views[1].track.time_s == 8 / FPS
+    (step,) = pointer.update([Frame(9, 9 / FPS, first), Frame(9, 9 / FPS, second)])
+    assert step.fix.status is Status.OK
+
+
 # What a frame may borrow while it is worked on: finger lines, contours and search lines of two
 # views. A copy of one of its images would take 300 kB.
 MOST_BYTES_A_FRAME = 16_000

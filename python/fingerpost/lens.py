@@ -143,7 +143,10 @@ class Lens:
         (..., 2, 2)
             NaN where `undistort` is.
         """
-        undistorted = self.undistort(points_px)
+        return self._undistort_jacobian_at(self.undistort(points_px))
+
+    def _undistort_jacobian_at(self, undistorted: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Differentiate `undistort` where it gave these points."""
         known = np.isfinite(undistorted)
         centre = np.array([self.cx, self.cy])
         inverse = np.linalg.inv(self.distort_jacobian(np.where(known, undistorted, centre)))
@@ -191,12 +194,13 @@ class Lens:
         normal = np.array([-tangent[1], tangent[0]])
         lever = np.array([-1.0, 1.0]) * half / np.sqrt(3.0)
         on_image = anchor + lever[:, None] * tangent
-        near, far = self.undistort(on_image)
+        undistorted = self.undistort(on_image)
+        near, far = undistorted
         new_tangent = far - near
         length = np.hypot(*new_tangent)
         new_normal = np.array([-new_tangent[1], new_tangent[0]]) / length
         # How far each moved point leaves the new line per unit of (offset, angle) of the old one.
-        leave = (self.undistort_jacobian(on_image) @ normal) @ new_normal
+        leave = (self._undistort_jacobian_at(undistorted) @ normal) @ new_normal
         leave = leave[:, None] * np.column_stack([np.ones(2), lever])
         jacobian = np.stack([leave.mean(axis=0), (leave[1] - leave[0]) / length])
         return (
