@@ -26,6 +26,7 @@ from fingerpost.simulate import (
     LightChange,
     Lighting,
     PoseSampler,
+    RodAndProng,
     Sensor,
     SimulatedRig,
     Trajectory,
@@ -152,6 +153,21 @@ def test_an_empty_cluttered_table_starts_nothing():
     assert {step.fix.status for step in steps} == {Status.ACQUIRING}
     rows = [o.track_row() for step in steps for o in step.observations]
     assert {row.status for row in rows} == {"acquiring"}
+
+
+def test_what_stands_on_the_table_starts_nothing():
+    # Nothing moves, and rods without a hand point at the plane as a finger would.
+    rod, rng = RodAndProng(prong_length_mm=0.0), np.random.default_rng(SEED)
+    poses = [
+        DevicePose.pointing_at(place, azimuth_deg=azimuth, slant_deg=60.0, hover_mm=30.0)
+        for place, azimuth in (((120.0, 130.0), 40.0), ((280.0, 240.0), -70.0))
+    ]
+    scene = SCENES["plain"]
+    pointer = Pointer(blind_rig(scene))
+    for k in range(25):
+        shot = scene.render(None, rng=rng, others=[(rod, pose) for pose in poses])
+        frames = [Frame(k, k / FPS, image) for image in shot.images]
+        assert [s.fix.status for s in pointer.update(frames)] == [Status.ACQUIRING]
 
 
 def test_the_same_frames_give_the_same_bits_twice(tmp_path: Path):

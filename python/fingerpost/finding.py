@@ -60,6 +60,10 @@ that has come into view, and for one that may have been there all the time."""
 LEAST_SCORE = {True: 0.15, False: 0.4}
 """The least score of a pair that is believed, in the same two cases."""
 
+HAND_SEEN = 0.5
+"""A pair that may have been there all the time is worth in full from where its fingers widen that
+much to a hand in either view [0 to 1]: what stands on the table, as a bottle or a pen, does not."""
+
 SETTLED_FRAMES = 10
 """A trial that starts in the background this many frames after that was known is no hand: that
 would have been seen to come."""
@@ -364,6 +368,60 @@ def flatness(
     return flat
 
 
+def widening(image: NDArray[np.uint8], line: CoreFingerLine, half_width_px: float) -> float:
+    """Tell how far a finger widens behind, as it does to a hand and a pen does not.
+
+    Parameters
+    ----------
+    image
+        (H, W) grey levels or (H, W, 3) colours.
+    line, half_width_px
+        The finger's axis, and half its width [px].
+
+    Returns
+    -------
+    float
+        The part of what lies behind it and beside its flanks, on the better side, that looks like
+        the finger, 0 to 1: an index finger is at the edge of its hand.
+    """
+    e = np.array([np.cos(line.angle_rad), np.sin(line.angle_rad)])
+    n = np.array([-e[1], e[0]])
+
+    def levels(along: Array, across: Array) -> Array:
+        places = along[:, None, None] * e + across[:, None] * n
+        return _shown(image, line.tip_px + half_width_px * places)
+
+    inside = levels(-np.linspace(1.0, 4.0, 12), np.linspace(-0.5, 0.5, 5))
+    inside = inside.reshape(-1, inside.shape[2] if inside.ndim == 3 else 1)
+    inside = inside[np.isfinite(inside).all(axis=1)]
+    if len(inside) < INSIDE_SEEN:
+        return 0.0
+    channels = inside.shape[1]
+    covariance = np.atleast_2d(np.cov(inside, rowvar=False)) + NOISE_GREY**2 * np.eye(channels)
+    rows = -np.linspace(*WIDENS, 12)
+    alike = []
+    for across in ((-0.6, 0.6), (-3.2, -1.7), (1.7, 3.2)):
+        differs = levels(rows, np.linspace(*across, 4)).reshape(len(rows), 4, channels)
+        differs -= inside.mean(axis=0)
+        square = (differs @ np.linalg.inv(covariance) * differs).sum(axis=-1)
+        # NaN, outside of the picture, is not alike.
+        part = (square < ALIKE[channels]).mean(axis=1)
+        alike.append(np.convolve(part, np.full(4, 0.25), mode="valid"))
+    behind, left, right = alike
+    return float(np.minimum(behind, np.maximum(left, right)).max())
+
+
+WIDENS = (4.5, 13.0)
+"""How far behind its tip a finger may widen to its hand [half-widths]; foreshortened, sooner."""
+
+INSIDE_SEEN = 20
+"""Pixels of a finger that tell its colours."""
+
+ALIKE = {1: 6.6, 3: 11.3}
+"""Squared distances from these colours, in standard deviations, below which 99 % of what is of one
+colour lies: a grey level and three channels."""
+
+
 def _outline() -> Array:
     """Return (2, 3, 8, 2) places inside and outside of the three parts of a finger's outline."""
     back = -np.linspace(0.9, 4.0, 8)
@@ -382,12 +440,14 @@ NOISE_GREY = 4.0
 """Grey levels that are noise when two pictures are compared."""
 
 
-def _shown(grey: NDArray[np.uint8], places: Array) -> Array:
+def _shown(image: NDArray[np.uint8], places: Array) -> Array:
     """Return the levels of the nearest pixels, NaN outside the picture."""
     x, y = np.moveaxis(np.nan_to_num(np.rint(places), nan=-1.0), -1, 0)
-    inside = (x >= 0) & (y >= 0) & (x < grey.shape[1]) & (y < grey.shape[0])
+    inside = (x >= 0) & (y >= 0) & (x < image.shape[1]) & (y < image.shape[0])
     rows, columns = (np.where(inside, c, 0).astype(int) for c in (y, x))
-    return np.where(inside, grey[rows, columns], np.nan)
+    levels = image[rows, columns].astype(float)
+    levels[~inside] = np.nan
+    return levels
 
 
 def _alike(first: _OnPlane, second: _OnPlane) -> Array:
@@ -460,6 +520,8 @@ class Trial:
         The tracker, and what it made of the last frame.
     score, foreground
         What the finder has said of it lately.
+    hand
+        How far it has widened to a hand behind the finger lately, 0 to 1.
     is_late
         Whether it was started when the background had long been known.
     frames, misses
@@ -471,6 +533,7 @@ class Trial:
     track: Track
     score: float
     foreground: float
+    hand: float
     is_late: bool
     frames: int = 1
     misses: int = 0
@@ -517,6 +580,8 @@ class Trial:
             self.misses, self.frames = self.misses + 1, 0
         else:
             self.misses, self.frames = 0, self.frames + 1
+            seen = widening(frame.image, self.track.finger_line, self.half_width_px)
+            self.hand += (1.0 - FORGET) * (seen - self.hand)
 
     def compare(self, candidates: Sequence[Candidate], worth: Array) -> None:
         """Take over what the finder says of the place where it is now.
@@ -685,9 +750,18 @@ class HandSearch:
             self._refused.append(_Refusal(start))
             return True
         place = self.candidates.index(candidate)
-        score, foreground = candidate.score * float(self._worth[place]), candidate.foreground
-        is_late = self._known_frames > SETTLED_FRAMES
-        self.trials.append(Trial(candidate, tracker, track, score, foreground, is_late))
+        score, is_late = candidate.score * self._worth[place], self._known_frames > SETTLED_FRAMES
+        self.trials.append(
+            Trial(
+                candidate,
+                tracker,
+                track,
+                score=float(score),
+                foreground=candidate.foreground,
+                hand=widening(frame.image, track.finger_line, candidate.half_width_px),
+                is_late=is_late,
+            )
+        )
         return True
 
     def believe(self, trial: Trial | None, frame: Frame) -> None:
@@ -905,6 +979,8 @@ def _gives_point(views: Sequence[PlaneView], tracks: Sequence[Track | None]) -> 
 def _belief(score: float, trials: Sequence[Trial], stays: bool) -> float:
     """Return how much a pair with these trials is worth; 0 if it is not to be believed yet."""
     has_come = all(trial.has_come for trial in trials)
+    if not has_come:
+        score *= min(min(trial.hand for trial in trials) / HAND_SEEN, 1.0)
     worth = score if has_come else 0.5 * score
     if stays:
         return STAYS * worth
