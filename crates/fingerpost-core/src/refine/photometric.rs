@@ -17,9 +17,13 @@
 //!   finger, and whatever of it runs along the flank, nearer than the blur, has shifted the edge
 //!   without a trace in the residuals. Such a shift is about the change of level over the contrast,
 //!   times the distance over which the edge is blurred; that much is added to the variance of the
-//!   block's edge.
+//!   block's edge. The same goes for where the finger's own level deviates: a nail does not end where
+//!   the flank does.
+//!
+//! And where the edges of neighbouring blocks deviate alike, as at a joint, the blocks are no
+//! independent witnesses: what they share counts several times.
 
-use super::block::{Deviation, EDGE_EFFECT, Evidence, OUTSIDE_EFFECT};
+use super::block::{Deviation, EDGE_EFFECT, Evidence, INSIDE_EFFECT, OUTSIDE_EFFECT};
 use super::blur::BlurTable;
 use super::gram::{Gram, Summing, Weighing};
 use super::pixels::{Block, LANES, Strip, USUAL_BLOCKS};
@@ -73,8 +77,10 @@ pub(super) struct Photometric {
 struct Flank {
     strip: Strip,
     deviations: Vec<Deviation>,
-    /// Variance of each deviation, in the square of its unit.
+    /// Variance of each deviation from block to block, in the square of its unit.
     variances: [f64; 3],
+    /// What runs of blocks whose edges deviate alike add to the edge's \[px²\].
+    runs_px2: f64,
 }
 
 /// A photometric line in the frame of the sketch that it was fitted from.
@@ -153,7 +159,7 @@ impl Photometric {
             flank.strip.gather(image, background, noise_grey, sketch, index, &self.options);
             flank.deviations.clear();
             flank.deviations.resize(flank.strip.blocks.len(), Deviation::none());
-            flank.variances = [0.0; 3];
+            (flank.variances, flank.runs_px2) = ([0.0; 3], 0.0);
             if flank.strip.blocks.len() < self.options.min_blocks {
                 return None;
             }
@@ -254,7 +260,7 @@ impl Photometric {
                     deviation.say = (MOST_CHI_SQUARED / deviation.chi_squared).powi(2).min(1.0);
                 }
                 let mut variances = flank.variances;
-                variances[EDGE_EFFECT] += deviation.restless_px2;
+                variances[EDGE_EFFECT] += flank.runs_px2 + deviation.restless_px2;
                 let reduced = deviation.eliminate(&gram, &variances, scale * scale, &mut evidence);
                 let factors = unknowns::factors(block.p, sketch.half_length_px);
                 equations.add(deviation.say, &factors, &reduced.information, &reduced.right);
@@ -262,9 +268,9 @@ impl Photometric {
             }
             equations.spread(index, &mut normal.information, &mut normal.right);
             if iteration <= ADAPTING_ITERATIONS {
-                flank.adapt(&evidence, iteration);
+                flank.adapt(&evidence, scale * scale, iteration);
                 let contrast = x.contrast_grey(index);
-                flank.watch_background(self.options.restlessness_px, contrast, scale);
+                flank.watch_levels(self.options.restlessness_px, contrast, scale);
             }
         }
         normal
@@ -308,7 +314,7 @@ impl Photometric {
             trusted: tally.say / blocks as f64,
             residual_grey,
             contrast_grey: [0, 1].map(|f| x.shaded_contrast_grey(sketch, f)),
-            inside_grey: sigma(0),
+            inside_grey: sigma(INSIDE_EFFECT),
             outside_grey: sigma(OUTSIDE_EFFECT),
             edge_px: sigma(EDGE_EFFECT),
             blur_px: x.blur_px(),
@@ -322,21 +328,24 @@ impl Photometric {
 impl Flank {
     fn new() -> Self {
         let deviations = Vec::with_capacity(USUAL_BLOCKS);
-        Self { strip: Strip::new(), deviations, variances: [0.0; 3] }
+        Self { strip: Strip::new(), deviations, variances: [0.0; 3], runs_px2: 0.0 }
     }
 
     /// Takes over the variances that the evidence speaks for; by half once there are some that owe
     /// nothing to the first look, which every block has a say in, so that they do not swing with the
     /// deviations that depend on them.
-    fn adapt(&mut self, evidence: &Evidence, iteration: usize) {
+    fn adapt(&mut self, evidence: &Evidence, noise2: f64, iteration: usize) {
         let keep = if iteration <= UNTRIED_ITERATIONS { 0.0 } else { 0.5 };
+        let blend = |old: &mut f64, told: f64| *old = keep * *old + (1.0 - keep) * told;
         for (variance, told) in self.variances.iter_mut().zip(evidence.variances()) {
-            *variance = keep * *variance + (1.0 - keep) * told;
+            blend(variance, told);
         }
+        blend(&mut self.runs_px2, evidence.runs(noise2));
     }
 
-    /// Works out how much the background's changes from block to block leave each edge in doubt.
-    fn watch_background(&mut self, restlessness_px: f64, contrast_grey: f64, scale: f64) {
+    /// Works out how much the background's changes from block to block, and the finger's deviations,
+    /// leave each edge in doubt.
+    fn watch_levels(&mut self, restlessness_px: f64, contrast_grey: f64, scale: f64) {
         for k in 0..self.deviations.len() {
             let level = |k: usize| self.deviations.get(k).map(|d| d.effects[OUTSIDE_EFFECT]);
             let Some(here) = level(k) else { continue };
@@ -353,6 +362,7 @@ impl Flank {
             let contrast2 = (contrast_grey - here).powi(2).max(9.0 * scale * scale);
             let change2 = if weight > 0.0 { sum / weight } else { 0.0 };
             if let Some(deviation) = self.deviations.get_mut(k) {
+                let change2 = change2 + deviation.effects[INSIDE_EFFECT].powi(2);
                 deviation.restless_px2 = restlessness_px.powi(2) * change2 / contrast2;
             }
         }
