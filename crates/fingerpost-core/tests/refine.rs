@@ -506,6 +506,51 @@ fn the_anchor_is_only_where_the_line_is_told() {
 }
 
 #[test]
+fn the_line_of_a_bent_finger_is_that_of_least_squares_through_its_stretch() {
+    const FINE: usize = 4;
+    let (mut noise, sagitta) = (Noise::new(13), 3e-4);
+    let (e, anchor) = (Vector2::new(0.8, 0.6), Point2::new(63.3, 64.2));
+    let n = Vector2::new(-e.y, e.x);
+    let mut fine = Canvas::new(SIZE * FINE, SIZE * FINE, TABLE);
+    for (i, grey) in fine.grey.iter_mut().enumerate() {
+        let place = |i: usize| (i as f64 + 0.5) / FINE as f64 - 0.5;
+        let d = Point2::new(place(i % (SIZE * FINE)), place(i / (SIZE * FINE))) - anchor;
+        let (p, q) = (d.dot(&e), d.dot(&n));
+        if (q - sagitta * p * p).abs() < 7.0 {
+            *grey += 80.0;
+        }
+    }
+    let fine = fine.blur(FINE as f64);
+    let mut canvas = Canvas::new(SIZE, SIZE, 0.0);
+    for (i, grey) in fine.grey.iter().enumerate() {
+        let (x, y) = (i % (SIZE * FINE) / FINE, i / (SIZE * FINE) / FINE);
+        canvas.grey[y * SIZE + x] += grey / (FINE * FINE) as f64;
+    }
+    let picture = canvas.take(0.5, &mut noise);
+    let whole = Stretch { from_px: -30.0, to_px: 30.0 };
+    for (flanks, middle_px, half_px) in [
+        ([whole, whole], 0.0, 30.0),
+        ([Stretch { from_px: 0.0, ..whole }; 2], 15.0, 15.0),
+        // Between those of either flank, whose middles are 0 and 10.
+        ([whole, Stretch { from_px: -10.0, ..whole }], 5.0, 25.0),
+    ] {
+        let axis = Axis::of_finger(anchor, e.y.atan2(e.x), 40.0);
+        let finger = Finger { axis, half_width_px: 7.0, taper: 0.0, flanks, round_end_px: None };
+        let refined = refine(&mut refiner(), &picture, &finger).unwrap();
+        assert_eq!(refined.source, Source::Photometric);
+        let Stretch { from_px, to_px } = refined.stretch;
+        let (middle, half) = (0.5 * (from_px + to_px), 0.5 * (to_px - from_px));
+        assert!((middle - middle_px).abs() < 3.0, "{:?}", refined.stretch);
+        assert!((half - half_px).abs() < 3.0, "{:?}", refined.stretch);
+        for p in [middle - half / 3_f64.sqrt(), middle + half / 3_f64.sqrt()] {
+            let on_line = refined.axis.anchor + refined.axis.direction() * p - anchor;
+            let (p, q) = (on_line.dot(&e), on_line.dot(&n));
+            assert!((q - sagitta * p * p).abs() < 0.02, "{p}: {q} and {}", sagitta * p * p);
+        }
+    }
+}
+
+#[test]
 fn a_refiner_remembers_nothing() {
     let (cone, finger, mut noise) = plain();
     let canvas = cone.render(&PLAIN, 1, &flat);

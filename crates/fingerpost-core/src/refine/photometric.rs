@@ -33,7 +33,7 @@ use super::unknowns::{
     self, BEND, BULGE, FlankEquations, Information, LEAST_CONTRAST_GREY, OFFSET, SLOPE, UNKNOWNS,
     Unknowns, Vector,
 };
-use super::{KnownBackground, PhotometricOptions, PhotometricReport};
+use super::{KnownBackground, PhotometricOptions, PhotometricReport, Stretch};
 use crate::image::GrayView;
 use crate::simd::Isa;
 use nalgebra::{Cholesky, Const, Matrix2, Matrix4, Vector2};
@@ -87,6 +87,8 @@ struct Flank {
 #[derive(Debug, Clone, Copy)]
 pub(super) struct PhotometricFit {
     pub line: FlankLines,
+    /// The stretch in p over which a line of least squares runs as this one does.
+    pub stretch: Stretch,
     /// Of d and ϑ.
     pub covariance: Matrix2<f64>,
     pub report: PhotometricReport,
@@ -201,7 +203,7 @@ impl Photometric {
                 let ending =
                     Ending { residual_grey: scale, iterations: iteration, converged: settled };
                 let report = self.report(sketch, &x, &normal.tally, &ending);
-                return straight(&x, &covariance, report);
+                return straight(&x, &covariance, sketch.half_length_px, report);
             }
         }
     }
@@ -398,18 +400,31 @@ fn covariance(
 fn straight(
     x: &Unknowns,
     covariance: &Matrix4<f64>,
+    half_length_px: f64,
     report: PhotometricReport,
 ) -> Option<PhotometricFit> {
     let information = covariance.try_inverse()?;
     let own: Matrix2<f64> = information.fixed_view::<2, 2>(0, 0).into_owned();
     let to_bend: Matrix2<f64> = information.fixed_view::<2, 2>(0, 2).into_owned();
     let covariance = own.try_inverse()?;
-    let shift = covariance * (to_bend * Vector2::new(x.0[BEND], x.0[BULGE]));
+    let by_bend = covariance * to_bend;
+    let shift = by_bend * Vector2::new(x.0[BEND], x.0[BULGE]);
     let mut line = x.line();
     line.offset_px += shift.x;
     line.slope += shift.y;
+    let stretch = stretch(&by_bend.column(0).into_owned(), half_length_px);
     let positive = covariance[(0, 0)] > 0.0 && covariance.determinant() > 0.0;
-    positive.then_some(PhotometricFit { line, covariance, report })
+    positive.then_some(PhotometricFit { line, stretch, covariance, report })
+}
+
+/// The stretch over which a line of least squares through a bend of 1 px is `line` (offset and
+/// slope): both cut the bend P₂(p / h) in the same two places, ± its half-length / √3 from its
+/// middle.
+fn stretch(line: &Vector2<f64>, h: f64) -> Stretch {
+    let middle_px = line.y * h * h / 3.0;
+    let cut_px2 = middle_px * middle_px + h * h * (1.0 + 2.0 * line.x) / 3.0;
+    let half_px = (3.0 * cut_px2.max(0.0)).sqrt();
+    Stretch { from_px: middle_px - half_px, to_px: middle_px + half_px }
 }
 
 /// Mean level of the block's pixels that are clear of the edge on one side of it.
