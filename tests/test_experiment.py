@@ -304,6 +304,7 @@ def test_the_recipe_of_1994_takes_sigmas_from_residual_offsets():
                 angle_rad=angles[-1],
                 covariance=np.zeros((2, 2)),
                 tip_px=tuple(finger.axis_point_px),
+                half_length_px=half_length_px,
             ),
             diagnostics=SimpleNamespace(residual_rms_px=residual_px),
         )

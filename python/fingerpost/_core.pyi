@@ -1826,7 +1826,10 @@ class FingerLine:
 
     @property
     def anchor_px(self) -> tuple[float, float]:
-        """The point of the line at which `covariance` holds: the middle of the finger [px]."""
+        """The point of the line at which `covariance` holds [px].
+
+        The middle of what the line was measured on.
+        """
 
     @property
     def tip_px(self) -> tuple[float, float]:
@@ -1835,6 +1838,13 @@ class FingerLine:
     @property
     def angle_rad(self) -> float:
         """Direction of pointing [rad], from +u towards +v, in (−π, π]."""
+
+    @property
+    def half_length_px(self) -> float:
+        """Half the length of what the line was measured on [px], positive.
+
+        A line through a slightly bent finger cuts the bend at ± this / √3 from the anchor.
+        """
 
     @property
     def covariance(self) -> NDArray[np.float64]:

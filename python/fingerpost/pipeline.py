@@ -118,6 +118,7 @@ class Observation:
                 line.covariance,
                 np.array(line.tip_px),
                 self.frame.time_s,
+                line.half_length_px,
             )
         return Status.ACQUIRING if self.track.status == "acquiring" else Status.LOST
 

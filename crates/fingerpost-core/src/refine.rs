@@ -173,6 +173,9 @@ pub struct Refined {
     pub axis: Axis,
     /// Covariance of the line's offset at the anchor \[px\] and of its angle \[rad\].
     pub covariance: Matrix2<f64>,
+    /// What the line stands for: through a slightly bent finger it runs as a line of least squares
+    /// through this stretch does.
+    pub stretch: Stretch,
     /// Half-width at the anchor \[px\].
     pub half_width_px: f64,
     /// Growth of the half-width per px towards the tip.
@@ -282,12 +285,13 @@ impl Refiner {
         photometric: Option<PhotometricFit>,
     ) -> Option<Refined> {
         let believed = |p: &PhotometricFit| self.options.believes_pixels(&p.report, noise_grey);
-        let (source, sketch, covariance) = match (&photometric, &bisector) {
+        let whole = Stretch { from_px: -start.half_length_px, to_px: start.half_length_px };
+        let (source, sketch, covariance, stretch) = match (&photometric, &bisector) {
             (Some(p), _) if believed(p) => {
-                (Source::Photometric, start.moved(&p.line), p.covariance)
+                (Source::Photometric, start.moved(&p.line), p.covariance, p.stretch)
             }
             (_, Some(b)) if self.options.believes_edges(&b.report) => {
-                (Source::Bisector, b.sketch, b.covariance)
+                (Source::Bisector, b.sketch, b.covariance, whole)
             }
             _ => return None,
         };
@@ -298,6 +302,7 @@ impl Refiner {
         Some(Refined {
             axis: Axis::of_finger(sketch.place(at, 0.0), angle_rad, sketch.tip_px - at),
             covariance: move_to * covariance * move_to.transpose(),
+            stretch: Stretch { from_px: stretch.from_px - at, to_px: stretch.to_px - at },
             half_width_px: sketch.half_width_at(at),
             taper: sketch.taper,
             source,

@@ -40,7 +40,7 @@ use crate::background::Background;
 use crate::dynamics::{Dynamics, Gate, Innovation, Prediction, chi_square_quantile};
 use crate::fit::Prior;
 use crate::frame::Frame;
-use crate::refine::{Finger, KnownBackground, RefineOptions, Refiner, Source, Stretch};
+use crate::refine::{Finger, KnownBackground, RefineOptions, Refined, Refiner, Source, Stretch};
 use crate::search::{EdgeMeasurement, MAX_HALF_LENGTH_PX, Polarity, Scale, SearchLine, check_size};
 use crate::shape_space::{
     Affine, AffineMap, Axis, BandMeasure, PlacedSample, PlanarSpace, Pose, RIBBON_DOF, Ribbon,
@@ -85,12 +85,30 @@ pub enum Status {
 /// The image line that the finger points along.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FingerLine {
-    /// The axis: a point of it, its tip and its direction.
+    /// The axis: the middle of what it was measured on, its tip and its direction.
     pub axis: Axis,
+    /// Half the length of what it was measured on \[px\]: a line through a slightly bent finger cuts
+    /// the bend at ± `half_length_px` / √3 from the anchor, where one through a parabola would.
+    pub half_length_px: f64,
     /// Covariance of (offset \[px\] along the line's normal at the anchor, angle \[rad\]).
     pub covariance: Matrix2<f64>,
     /// What it was measured on.
     pub source: LineSource,
+}
+
+impl FingerLine {
+    /// A refined line, told at the middle of the stretch that it stands for.
+    fn of_pixels(refined: &Refined) -> Self {
+        let Refined { axis, stretch, covariance, .. } = refined;
+        let shift_px = 0.5 * (stretch.from_px + stretch.to_px);
+        let shift = Matrix2::new(1.0, shift_px, 0.0, 1.0);
+        Self {
+            axis: Axis { anchor: axis.anchor + axis.direction() * shift_px, ..*axis },
+            half_length_px: 0.5 * stretch.length_px(),
+            covariance: shift * covariance * shift.transpose(),
+            source: LineSource::Pixels,
+        }
+    }
 }
 
 /// What a finger line was measured on.
@@ -1153,6 +1171,7 @@ impl ContourTracker {
         };
         let fitted = found.fit.map(|f| FingerLine {
             axis: f.axis,
+            half_length_px: (f.axis.tip - f.axis.anchor).norm(),
             covariance: f.line_covariance,
             source: LineSource::Contour,
         });
@@ -1175,11 +1194,8 @@ impl ContourTracker {
             self.refiner.refine(&shown, &finger, sight.polarity, looks, known.as_ref())?;
         // Where the pixels disagree with a finger, the contour knows more than two bare flanks: the
         // hand's colours, and its width.
-        Ok(refined.filter(|r| r.source == Source::Photometric).map(|r| FingerLine {
-            axis: r.axis,
-            covariance: r.covariance,
-            source: LineSource::Pixels,
-        }))
+        let of_pixels = refined.filter(|r| r.source == Source::Photometric);
+        Ok(of_pixels.as_ref().map(FingerLine::of_pixels))
     }
 
     /// The finger that the band template stands for, as far as both its flanks were seen.

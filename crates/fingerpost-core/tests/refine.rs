@@ -354,6 +354,115 @@ fn a_known_background_may_be_as_cluttered_as_it_likes() {
     assert!(score.rms_deg() < 0.035, "{}°", score.rms_deg());
 }
 
+/// What lies on a finger, in its own frame: p in parts of its length from the base, q in half-widths.
+#[derive(Debug, Clone, Copy)]
+enum Cover {
+    /// A thumb along the near part of one flank.
+    Thumb,
+    /// A ring, wider than the finger.
+    Ring,
+    /// A nail that reaches over one flank's inside.
+    Nail,
+    /// Dark creases across the finger.
+    Creases,
+    /// The edge of a sleeve, wider than the finger, at an angle.
+    Sleeve,
+    /// A joint that stands out to one side.
+    Joint,
+}
+
+impl Cover {
+    /// Lays one over a picture that has been blurred already.
+    fn lay(self, canvas: &mut Canvas, cone: &Cone, light: &Light, noise: &mut Noise) {
+        const FINE: usize = 3;
+        let [p0, p1] = cone.ends();
+        let [w0, w1] = cone.half_widths();
+        let (length, e) = ((p1 - p0).norm(), (p1 - p0).normalize());
+        let side = if noise.between(0.0, 1.0) < 0.5 { 1.0 } else { -1.0 };
+        let (a, b, c) =
+            (noise.between(0.0, 1.0), noise.between(0.0, 1.0), noise.between(-1.0, 1.0));
+        let finger = TABLE + light.contrast;
+        let level = match self {
+            Self::Thumb | Self::Joint => finger,
+            Self::Ring => finger + 60.0 * c,
+            Self::Nail => finger + 25.0,
+            Self::Creases => finger - 40.0,
+            Self::Sleeve => TABLE + 120.0 * c,
+        };
+        let covers = |p: f64, q: f64, half: f64| match self {
+            Self::Thumb => p < 0.15 + 0.3 * a && (q - half).abs() < 1.0 + 4.0 * b,
+            Self::Ring => (p - 0.2 - 0.3 * a).abs() < 0.05 && q.abs() < half + 0.3 + b,
+            Self::Nail => p > 0.8 && q > 0.3 * half && q < half - 0.5,
+            Self::Creases => {
+                [0.3, 0.35, 0.65].iter().any(|at| (p - at - 0.1 * a).abs() < 0.01) && q.abs() < half
+            }
+            Self::Sleeve => {
+                p < 0.1 + 0.2 * a + 0.04 * c * q / half && q.abs() < half + 1.0 + 3.0 * b
+            }
+            Self::Joint => {
+                let beyond = (0.3 + 0.7 * b) * (-0.5 * ((p - 0.2 - 0.6 * a) / 0.06).powi(2)).exp();
+                beyond > 0.02 && q > 0.0 && q < half + beyond
+            }
+        };
+        let size = SIZE;
+        let mut mask = Canvas::new(size * FINE, size * FINE, 0.0);
+        for y in 0..size * FINE {
+            for x in 0..size * FINE {
+                let place = |i: usize| (i as f64 + 0.5) / FINE as f64 - 0.5;
+                let d = Point2::new(place(x), place(y)) - p0;
+                let (p, q) = (d.dot(&e) / length, side * e.perp(&d));
+                let half = w0 + (w1 - w0) * p.clamp(0.0, 1.0);
+                mask.grey[y * size * FINE + x] =
+                    f64::from(u8::from(p > -0.3 && covers(p, q, half)));
+            }
+        }
+        let mask = mask.blur(light.blur_px * FINE as f64);
+        let mut parts = Canvas::new(size, size, 0.0);
+        for (i, part) in mask.grey.iter().enumerate() {
+            let (x, y) = (i % (size * FINE) / FINE, i / (size * FINE) / FINE);
+            parts.grey[y * size + x] += part / (FINE * FINE) as f64;
+        }
+        for (grey, part) in canvas.grey.iter_mut().zip(&parts.grey) {
+            // Where finger joins finger there is no edge.
+            let joined = matches!(self, Self::Thumb | Self::Joint);
+            let laid = *grey + part * (level - *grey);
+            *grey = if joined { grey.max(TABLE + part * (level - TABLE)) } else { laid };
+        }
+    }
+}
+
+#[test]
+fn what_lies_on_a_finger_is_left_out_or_counted() {
+    // Of how many fingers the pixels are to be believed: a joint may look like no finger.
+    for (kind, least) in [
+        (Cover::Thumb, 8.0),
+        (Cover::Ring, 11.0),
+        (Cover::Nail, 11.0),
+        (Cover::Creases, 11.0),
+        (Cover::Sleeve, 9.0),
+        (Cover::Joint, 3.0),
+    ] {
+        let (mut noise, mut refiner, mut score) = (Noise::new(11), refiner(), Score::default());
+        for _ in 0..14 {
+            let cone = Cone::random(&mut noise, 0.1, 1.0);
+            let mut canvas = cone.render(&PLAIN, 1, &flat);
+            kind.lay(&mut canvas, &cone, &PLAIN, &mut noise);
+            let finger = cone.believed(&mut noise, 0.3);
+            let picture = canvas.take(2.0, &mut noise);
+            let refined = refine(&mut refiner, &picture, &finger);
+            let Some(refined) = refined.filter(|r| r.source == Source::Photometric) else {
+                continue;
+            };
+            let bound = cone.bound(&refined.axis, &PLAIN, 2.0);
+            score.add(cone.error(&refined.axis), &refined.covariance, &bound);
+        }
+        assert!(score.count >= least, "{kind:?}: {score:?}");
+        assert!(score.covered / score.count >= 0.85, "{kind:?}: {score:?}");
+        assert!(score.nees.y / score.count < 1.6, "{kind:?}: {score:?}");
+        assert!(score.rms_deg() < 0.12, "{kind:?}: {score:?}");
+    }
+}
+
 /// A finger in the middle of the picture, at an angle, without noise in what is believed of it.
 fn plain() -> (Cone, Finger, Noise) {
     let mut noise = Noise::new(6);
@@ -394,6 +503,51 @@ fn the_anchor_is_only_where_the_line_is_told() {
     let transport = Matrix2::new(1.0, along, 0.0, 1.0);
     let expected = transport * here.covariance * transport.transpose();
     assert!((there.covariance - expected).norm() < 1e-3 * expected.norm());
+}
+
+#[test]
+fn the_line_of_a_bent_finger_is_that_of_least_squares_through_its_stretch() {
+    const FINE: usize = 4;
+    let (mut noise, sagitta) = (Noise::new(13), 3e-4);
+    let (e, anchor) = (Vector2::new(0.8, 0.6), Point2::new(63.3, 64.2));
+    let n = Vector2::new(-e.y, e.x);
+    let mut fine = Canvas::new(SIZE * FINE, SIZE * FINE, TABLE);
+    for (i, grey) in fine.grey.iter_mut().enumerate() {
+        let place = |i: usize| (i as f64 + 0.5) / FINE as f64 - 0.5;
+        let d = Point2::new(place(i % (SIZE * FINE)), place(i / (SIZE * FINE))) - anchor;
+        let (p, q) = (d.dot(&e), d.dot(&n));
+        if (q - sagitta * p * p).abs() < 7.0 {
+            *grey += 80.0;
+        }
+    }
+    let fine = fine.blur(FINE as f64);
+    let mut canvas = Canvas::new(SIZE, SIZE, 0.0);
+    for (i, grey) in fine.grey.iter().enumerate() {
+        let (x, y) = (i % (SIZE * FINE) / FINE, i / (SIZE * FINE) / FINE);
+        canvas.grey[y * SIZE + x] += grey / (FINE * FINE) as f64;
+    }
+    let picture = canvas.take(0.5, &mut noise);
+    let whole = Stretch { from_px: -30.0, to_px: 30.0 };
+    for (flanks, middle_px, half_px) in [
+        ([whole, whole], 0.0, 30.0),
+        ([Stretch { from_px: 0.0, ..whole }; 2], 15.0, 15.0),
+        // Between those of either flank, whose middles are 0 and 10.
+        ([whole, Stretch { from_px: -10.0, ..whole }], 5.0, 25.0),
+    ] {
+        let axis = Axis::of_finger(anchor, e.y.atan2(e.x), 40.0);
+        let finger = Finger { axis, half_width_px: 7.0, taper: 0.0, flanks, round_end_px: None };
+        let refined = refine(&mut refiner(), &picture, &finger).unwrap();
+        assert_eq!(refined.source, Source::Photometric);
+        let Stretch { from_px, to_px } = refined.stretch;
+        let (middle, half) = (0.5 * (from_px + to_px), 0.5 * (to_px - from_px));
+        assert!((middle - middle_px).abs() < 3.0, "{:?}", refined.stretch);
+        assert!((half - half_px).abs() < 3.0, "{:?}", refined.stretch);
+        for p in [middle - half / 3_f64.sqrt(), middle + half / 3_f64.sqrt()] {
+            let on_line = refined.axis.anchor + refined.axis.direction() * p - anchor;
+            let (p, q) = (on_line.dot(&e), on_line.dot(&n));
+            assert!((q - sagitta * p * p).abs() < 0.02, "{p}: {q} and {}", sagitta * p * p);
+        }
+    }
 }
 
 #[test]

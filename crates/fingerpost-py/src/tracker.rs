@@ -301,7 +301,7 @@ pub struct PyFingerLine(FingerLine);
 
 #[pymethods]
 impl PyFingerLine {
-    /// The point that the offset is measured at: the middle of the visible finger.
+    /// The point that the offset is measured at: the middle of what the line was measured on.
     #[getter]
     fn anchor_px(&self) -> (f64, f64) {
         (self.0.axis.anchor.x, self.0.axis.anchor.y)
@@ -317,6 +317,12 @@ impl PyFingerLine {
     #[getter]
     fn angle_rad(&self) -> f64 {
         self.0.axis.angle_rad
+    }
+
+    /// Half the length of what it was measured on.
+    #[getter]
+    fn half_length_px(&self) -> f64 {
+        self.0.half_length_px
     }
 
     /// Covariance of offset and angle.

@@ -17,6 +17,7 @@ use nalgebra::{Matrix3, Vector3};
 
 /// What deviates: the features it acts through.
 pub(super) const EFFECTS: [usize; 3] = [INSIDE, OUTSIDE, EDGE];
+pub(super) const INSIDE_EFFECT: usize = 0;
 pub(super) const OUTSIDE_EFFECT: usize = 1;
 pub(super) const EDGE_EFFECT: usize = 2;
 /// A deviation's variance is taken for no less than this part of what one block can tell of it:
@@ -24,6 +25,12 @@ pub(super) const EDGE_EFFECT: usize = 2;
 const LEAST_VARIANCE: f64 = 1e-3;
 /// A block that tells nothing of a deviation tells this much: Σ w f².
 const LEAST_INFORMATION: f64 = 1e-6;
+/// Neighbours' edges that agree by more than so many standard deviations of chance belong to
+/// something longer than a block, as a joint.
+const CHANCE: f64 = 1.5;
+/// What agrees from block to block counts as much as this many that do not: 2 / (1 − ρ), with
+/// ρ = ½ from one to the next.
+const RUN: f64 = 4.0;
 
 /// One block's deviations, and its equations when it was last looked at.
 #[derive(Debug, Clone, Copy)]
@@ -54,6 +61,12 @@ pub(super) struct Reduced {
 pub(super) struct Evidence {
     excess: [f64; 3],
     information: [f64; 3],
+    /// The edge of the last block: the root of what it tells, as far as it counts, and the edge.
+    last: Option<[f64; 2]>,
+    /// Of neighbours: products of their edges, what these tell, and how many they are.
+    together: f64,
+    shared: f64,
+    pairs: f64,
 }
 
 impl Deviation {
@@ -139,6 +152,29 @@ impl Evidence {
             let free = expected[k] * all / own;
             self.excess[k] += say * (own * free * free - noise2);
             self.information[k] += say * own;
+            if k == EDGE_EFFECT {
+                self.pair(own.sqrt(), free, say);
+            }
+        }
+    }
+
+    /// Puts a block's edge beside that of the block before: noise would have them independent.
+    fn pair(&mut self, root: f64, free: f64, say: f64) {
+        if let Some([last_root, last]) = self.last {
+            self.together += say * root * last_root * free * last;
+            self.shared += say * root * last_root;
+            self.pairs += say;
+        }
+        self.last = Some([say * root, free]);
+    }
+
+    /// What runs of blocks whose edges deviate alike add to the variance of an edge \[px²\].
+    pub fn runs(&self, noise2: f64) -> f64 {
+        if self.shared > 0.0 {
+            let chance = CHANCE * noise2 * self.pairs.sqrt();
+            RUN * ((self.together - chance) / self.shared).max(0.0)
+        } else {
+            0.0
         }
     }
 

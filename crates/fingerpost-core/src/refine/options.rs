@@ -57,8 +57,8 @@ pub struct PhotometricOptions {
     pub tolerance_px: f64,
     /// At most this many iterations, 1–100.
     pub max_iterations: usize,
-    /// How far background that changes from block to block may shift the edge unseen, for a change
-    /// as large as the contrast \[px\], 0–5.
+    /// How far background that changes from block to block, or a finger that has another level
+    /// there, may shift the edge unseen, for a change as large as the contrast \[px\], 0–5.
     pub restlessness_px: f64,
 }
 

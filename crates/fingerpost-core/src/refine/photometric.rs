@@ -17,9 +17,13 @@
 //!   finger, and whatever of it runs along the flank, nearer than the blur, has shifted the edge
 //!   without a trace in the residuals. Such a shift is about the change of level over the contrast,
 //!   times the distance over which the edge is blurred; that much is added to the variance of the
-//!   block's edge.
+//!   block's edge. The same goes for where the finger's own level deviates: a nail does not end where
+//!   the flank does.
+//!
+//! And where the edges of neighbouring blocks deviate alike, as at a joint, the blocks are no
+//! independent witnesses: what they share counts several times.
 
-use super::block::{Deviation, EDGE_EFFECT, Evidence, OUTSIDE_EFFECT};
+use super::block::{Deviation, EDGE_EFFECT, Evidence, INSIDE_EFFECT, OUTSIDE_EFFECT};
 use super::blur::BlurTable;
 use super::gram::{Gram, Summing, Weighing};
 use super::pixels::{Block, LANES, Strip, USUAL_BLOCKS};
@@ -29,7 +33,7 @@ use super::unknowns::{
     self, BEND, BULGE, FlankEquations, Information, LEAST_CONTRAST_GREY, OFFSET, SLOPE, UNKNOWNS,
     Unknowns, Vector,
 };
-use super::{KnownBackground, PhotometricOptions, PhotometricReport};
+use super::{KnownBackground, PhotometricOptions, PhotometricReport, Stretch};
 use crate::image::GrayView;
 use crate::simd::Isa;
 use nalgebra::{Cholesky, Const, Matrix2, Matrix4, Vector2};
@@ -73,14 +77,18 @@ pub(super) struct Photometric {
 struct Flank {
     strip: Strip,
     deviations: Vec<Deviation>,
-    /// Variance of each deviation, in the square of its unit.
+    /// Variance of each deviation from block to block, in the square of its unit.
     variances: [f64; 3],
+    /// What runs of blocks whose edges deviate alike add to the edge's \[px²\].
+    runs_px2: f64,
 }
 
 /// A photometric line in the frame of the sketch that it was fitted from.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct PhotometricFit {
     pub line: FlankLines,
+    /// The stretch in p over which a line of least squares runs as this one does.
+    pub stretch: Stretch,
     /// Of d and ϑ.
     pub covariance: Matrix2<f64>,
     pub report: PhotometricReport,
@@ -153,7 +161,7 @@ impl Photometric {
             flank.strip.gather(image, background, noise_grey, sketch, index, &self.options);
             flank.deviations.clear();
             flank.deviations.resize(flank.strip.blocks.len(), Deviation::none());
-            flank.variances = [0.0; 3];
+            (flank.variances, flank.runs_px2) = ([0.0; 3], 0.0);
             if flank.strip.blocks.len() < self.options.min_blocks {
                 return None;
             }
@@ -195,7 +203,7 @@ impl Photometric {
                 let ending =
                     Ending { residual_grey: scale, iterations: iteration, converged: settled };
                 let report = self.report(sketch, &x, &normal.tally, &ending);
-                return straight(&x, &covariance, report);
+                return straight(&x, &covariance, sketch.half_length_px, report);
             }
         }
     }
@@ -254,7 +262,7 @@ impl Photometric {
                     deviation.say = (MOST_CHI_SQUARED / deviation.chi_squared).powi(2).min(1.0);
                 }
                 let mut variances = flank.variances;
-                variances[EDGE_EFFECT] += deviation.restless_px2;
+                variances[EDGE_EFFECT] += flank.runs_px2 + deviation.restless_px2;
                 let reduced = deviation.eliminate(&gram, &variances, scale * scale, &mut evidence);
                 let factors = unknowns::factors(block.p, sketch.half_length_px);
                 equations.add(deviation.say, &factors, &reduced.information, &reduced.right);
@@ -262,9 +270,9 @@ impl Photometric {
             }
             equations.spread(index, &mut normal.information, &mut normal.right);
             if iteration <= ADAPTING_ITERATIONS {
-                flank.adapt(&evidence, iteration);
+                flank.adapt(&evidence, scale * scale, iteration);
                 let contrast = x.contrast_grey(index);
-                flank.watch_background(self.options.restlessness_px, contrast, scale);
+                flank.watch_levels(self.options.restlessness_px, contrast, scale);
             }
         }
         normal
@@ -308,7 +316,7 @@ impl Photometric {
             trusted: tally.say / blocks as f64,
             residual_grey,
             contrast_grey: [0, 1].map(|f| x.shaded_contrast_grey(sketch, f)),
-            inside_grey: sigma(0),
+            inside_grey: sigma(INSIDE_EFFECT),
             outside_grey: sigma(OUTSIDE_EFFECT),
             edge_px: sigma(EDGE_EFFECT),
             blur_px: x.blur_px(),
@@ -322,21 +330,24 @@ impl Photometric {
 impl Flank {
     fn new() -> Self {
         let deviations = Vec::with_capacity(USUAL_BLOCKS);
-        Self { strip: Strip::new(), deviations, variances: [0.0; 3] }
+        Self { strip: Strip::new(), deviations, variances: [0.0; 3], runs_px2: 0.0 }
     }
 
     /// Takes over the variances that the evidence speaks for; by half once there are some that owe
     /// nothing to the first look, which every block has a say in, so that they do not swing with the
     /// deviations that depend on them.
-    fn adapt(&mut self, evidence: &Evidence, iteration: usize) {
+    fn adapt(&mut self, evidence: &Evidence, noise2: f64, iteration: usize) {
         let keep = if iteration <= UNTRIED_ITERATIONS { 0.0 } else { 0.5 };
+        let blend = |old: &mut f64, told: f64| *old = keep * *old + (1.0 - keep) * told;
         for (variance, told) in self.variances.iter_mut().zip(evidence.variances()) {
-            *variance = keep * *variance + (1.0 - keep) * told;
+            blend(variance, told);
         }
+        blend(&mut self.runs_px2, evidence.runs(noise2));
     }
 
-    /// Works out how much the background's changes from block to block leave each edge in doubt.
-    fn watch_background(&mut self, restlessness_px: f64, contrast_grey: f64, scale: f64) {
+    /// Works out how much the background's changes from block to block, and the finger's deviations,
+    /// leave each edge in doubt.
+    fn watch_levels(&mut self, restlessness_px: f64, contrast_grey: f64, scale: f64) {
         for k in 0..self.deviations.len() {
             let level = |k: usize| self.deviations.get(k).map(|d| d.effects[OUTSIDE_EFFECT]);
             let Some(here) = level(k) else { continue };
@@ -353,6 +364,7 @@ impl Flank {
             let contrast2 = (contrast_grey - here).powi(2).max(9.0 * scale * scale);
             let change2 = if weight > 0.0 { sum / weight } else { 0.0 };
             if let Some(deviation) = self.deviations.get_mut(k) {
+                let change2 = change2 + deviation.effects[INSIDE_EFFECT].powi(2);
                 deviation.restless_px2 = restlessness_px.powi(2) * change2 / contrast2;
             }
         }
@@ -388,18 +400,31 @@ fn covariance(
 fn straight(
     x: &Unknowns,
     covariance: &Matrix4<f64>,
+    half_length_px: f64,
     report: PhotometricReport,
 ) -> Option<PhotometricFit> {
     let information = covariance.try_inverse()?;
     let own: Matrix2<f64> = information.fixed_view::<2, 2>(0, 0).into_owned();
     let to_bend: Matrix2<f64> = information.fixed_view::<2, 2>(0, 2).into_owned();
     let covariance = own.try_inverse()?;
-    let shift = covariance * (to_bend * Vector2::new(x.0[BEND], x.0[BULGE]));
+    let by_bend = covariance * to_bend;
+    let shift = by_bend * Vector2::new(x.0[BEND], x.0[BULGE]);
     let mut line = x.line();
     line.offset_px += shift.x;
     line.slope += shift.y;
+    let stretch = stretch(&by_bend.column(0).into_owned(), half_length_px);
     let positive = covariance[(0, 0)] > 0.0 && covariance.determinant() > 0.0;
-    positive.then_some(PhotometricFit { line, covariance, report })
+    positive.then_some(PhotometricFit { line, stretch, covariance, report })
+}
+
+/// The stretch over which a line of least squares through a bend of 1 px is `line` (offset and
+/// slope): both cut the bend P₂(p / h) in the same two places, ± its half-length / √3 from its
+/// middle.
+fn stretch(line: &Vector2<f64>, h: f64) -> Stretch {
+    let middle_px = line.y * h * h / 3.0;
+    let cut_px2 = middle_px * middle_px + h * h * (1.0 + 2.0 * line.x) / 3.0;
+    let half_px = (3.0 * cut_px2.max(0.0)).sqrt();
+    Stretch { from_px: middle_px - half_px, to_px: middle_px + half_px }
 }
 
 /// Mean level of the block's pixels that are clear of the edge on one side of it.
