@@ -173,7 +173,11 @@ impl Unknowns {
 }
 
 /// Information of the priors; their mean is where the search starts.
-pub(super) fn prior(options: &PhotometricOptions, half_width_px: f64, contrast_grey: f64) -> Vector {
+pub(super) fn prior(
+    options: &PhotometricOptions,
+    half_width_px: f64,
+    contrast_grey: f64,
+) -> Vector {
     let PhotometricOptions { bend_px, change, ramp, limb, .. } = options;
     let contrast = contrast_grey.max(LEAST_CONTRAST_GREY);
     let mut sigma = Vector::repeat(f64::INFINITY);
