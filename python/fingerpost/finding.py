@@ -77,16 +77,14 @@ PROVEN_FRAMES = 10
 followed for good."""
 
 STILL = 0.3
-LATELY = 6
+LATELY = 3
 """A finger whose tip has moved by less than so many half-widths in the last frames keeps still."""
 
 UNBELIEVED_FRAMES = 3
 """What has been found in one view is dropped when no other view has shown it for so many frames."""
 
 COME_PART = 0.3
-COME_FRAMES = 3
-"""A hand may have come to a waiting template if this much of the finger's place is foreground. What
-has been followed there, and keeps still for so many frames after that, is something else."""
+"""A hand may have come to a waiting template if this much of the finger's place is foreground."""
 
 BACKGROUND_PART = 0.1
 BACKGROUND_FRAMES = 8

@@ -36,7 +36,7 @@ from fingerpost.capture import Frame, open_source, read_views
 from fingerpost.config import Rig, View
 from fingerpost.errors import FingerpostError, InvalidInputError
 from fingerpost.finding import (
-    COME_FRAMES,
+    BACKGROUND_FRAMES,
     DOUBTED_FRAMES,
     LATELY,
     HandSearch,
@@ -256,8 +256,10 @@ class HandView:
         self._track: Track | None = None
         self._first: CoreFingerLine | None = None
         self._unproven: deque[CoreFingerLine] = deque(maxlen=LATELY)
-        self._come_frames = 0
+        self._second: ContourTracker | None = None
         self._has_come = False
+        self._is_table = False
+        self._table_frames = 0
         self._is_proven = False
         self._finds_by_itself = view.start is None
         self._doubts = 0
@@ -283,7 +285,7 @@ class HandView:
     def view_frame(self, frame: Frame) -> ViewFrame | None:
         """Return what the view's tracker is to be updated with; None while there is none."""
         background = self.search.look_behind(frame)
-        self._has_come = self._wait_again(frame)
+        self._has_come = self._welcome(frame)
         if self._tracker is None:
             return None
         colour = frame.image if frame.image.ndim == 3 else None
@@ -306,7 +308,8 @@ class HandView:
         if self._size_px != (width_px, height_px):
             self._size_px = width_px, height_px
             self.viewpoint = Viewpoint.of(self.plane_view, self._size_px)
-        if self._finds_by_itself and self.search.shows_background(frame, self._track):
+        self._is_table = self.search.shows_background(frame, self._track)
+        if self._finds_by_itself and self._is_table:
             self._let_go()
         self.search.learn(frame, self.track if self._is_proven or self._finds_by_itself else None)
         if self.is_searching:
@@ -314,23 +317,29 @@ class HandView:
         else:
             self.search.rest()
 
-    def _wait_again(self, frame: Frame) -> bool:
+    def _welcome(self, frame: Frame) -> bool:
         """Tell whether something has come to where the template waits for its first hand.
 
-        What it has followed there so far was something on the table, then, unless that moves: the
-        template waits anew.
+        What is followed there by then may be something on the table, unless it moves and stands
+        out: a second template waits for the hand beside it.
         """
         if self._start is None or self._is_proven or not self.search.has_come(frame, self._start):
-            self._come_frames = 0
+            self._second = None
             return False
         if not self._unproven:
             return True
-        self._come_frames = 0 if moves(self._unproven) else self._come_frames + 1
-        if self._come_frames < COME_FRAMES:
+        follows = self._track is not None and self._track.finger_line is not None
+        if follows and moves(self._unproven) and not self._is_table:
+            self._second = None
             return False
-        self._tracker, self._first = self._waiting(), None
-        self._unproven.clear()
-        return True
+        self._second = self._second or self._waiting()
+        colour = frame.image if frame.image.ndim == 3 else None
+        track = self._second.update(
+            frame.grey(), frame.time_s, colour, background=self.search.background
+        )
+        if track.finger_line is not None:
+            self._tracker, self._second, self._is_proven = self._second, None, True
+        return False
 
     def _prove(self, frame: Frame) -> None:
         """Believe in the first hand once it has come, or has moved before the background.
@@ -368,12 +377,15 @@ class HandView:
         else:
             is_alone = all(shared.are_two(self, other) for other in others)
         self._doubts = self._doubts + 1 if is_alone else 0
-        if self._doubts >= DOUBTED_FRAMES:
+        # A hand that has come into another view stands out from the table in this one too.
+        is_table = self._is_table and not self._is_proven and any(o._is_proven for o in others)
+        self._table_frames = self._table_frames + 1 if is_table else 0
+        if self._table_frames >= BACKGROUND_FRAMES or self._doubts >= DOUBTED_FRAMES:
             self._let_go()
 
     def _let_go(self) -> None:
         """Follow nothing any more, and look everywhere."""
-        self._tracker, self._track, self._doubts = None, None, 0
+        self._tracker, self._track, self._doubts, self._is_table = None, None, 0, False
         self._missing = Status.LOST
         self.search.rest()
 

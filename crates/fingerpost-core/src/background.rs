@@ -184,6 +184,7 @@ pub struct Background {
     moved_frames: usize,
     /// How far the picture lies from the background, if its edges tell \[px\].
     shift_px: Option<Vector2<f64>>,
+    bumped_frames: usize,
     frames: usize,
     slopes: Vec<Slope>,
     pairs: Vec<(f32, f32)>,
@@ -241,8 +242,10 @@ const STEEP_GREY_PX: f64 = 4.0;
 const FARTHEST_SHIFT_PX: f64 = 1.0;
 /// Fits of the shift, each with weights from the last.
 const SHIFT_FITS: usize = 3;
-/// A background that has shifted by more than this is not exact \[px\].
+/// A background that has shifted by more than this is not exact \[px\],
 const EXACT_PX: f64 = 0.15;
+/// and is learned anew if it has for so many frames: the camera will not come back.
+const BUMPED_FRAMES: usize = 30;
 /// A shadow changes no chromaticity (a share of the sum of the channels) by more than this, plus the
 /// noise.
 const SHADOW_HUE: f32 = 0.025;
@@ -273,6 +276,7 @@ impl Background {
             changed_share: 0.0,
             moved_frames: 0,
             shift_px: None,
+            bumped_frames: 0,
             frames: 0,
             slopes: Vec::with_capacity(2 * SAMPLES),
             pairs: Vec::with_capacity(2 * SAMPLES),
@@ -292,6 +296,7 @@ impl Background {
         self.frames = 0;
         self.moved_frames = 0;
         self.shift_px = None;
+        self.bumped_frames = 0;
         self.light = Light::UNCHANGED;
         self.changed_share = 0.0;
     }
@@ -360,6 +365,7 @@ impl Background {
         self.estimate_light(frame);
         self.notice_motion(frame);
         self.measure_shift(frame);
+        self.notice_bump();
     }
 
     /// Learns from the frame that was looked at last; nothing within `keep_out` is learned.
@@ -621,6 +627,19 @@ impl Background {
         }
         self.moved_frames += 1;
         if self.moved_frames >= MOVED_FRAMES {
+            let (share, coloured) = (self.changed_share, !self.colour.is_empty());
+            self.start(size, coloured);
+            self.changed_share = share;
+        }
+    }
+
+    /// Starts anew when the camera has been elsewhere for long.
+    fn notice_bump(&mut self) {
+        let bumped = self.shift_px.is_some_and(|shift| shift.norm() > EXACT_PX);
+        self.bumped_frames = if bumped { self.bumped_frames + 1 } else { 0 };
+        if let Some(size) = self.size
+            && self.bumped_frames >= BUMPED_FRAMES
+        {
             let (share, coloured) = (self.changed_share, !self.colour.is_empty());
             self.start(size, coloured);
             self.changed_share = share;

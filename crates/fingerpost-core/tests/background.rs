@@ -267,6 +267,70 @@ fn a_camera_that_moves_voids_the_background_and_one_that_keeps_still_learns_it_a
 }
 
 #[test]
+fn looking_learns_nothing_and_learning_follows() {
+    let mut noise = Noise::new(0x6c6f_6f6b);
+    let mut looked = learned(false, 20, &mut noise);
+    let mut observed = looked.clone();
+    for k in 0..8 {
+        let shot = Shot::of(with_hand(10 + k), 0.8, &mut noise);
+        let before = looked.expected(5.0, 5.0).unwrap();
+        shot.with(false, |f| looked.look(f));
+        assert!((looked.light().gain - 0.8).abs() < 0.02);
+        // What it expects is what it knew, in the light of this frame.
+        let now = looked.expected(5.0, 5.0).unwrap();
+        assert!(k > 0 || (now.grey - 0.8 * before.grey).abs() < 2.0, "{before:?} {now:?}");
+        shot.with(false, |f| looked.learn(f, None)).unwrap();
+        shot.with(false, |f| observed.observe(f, None)).unwrap();
+        assert_eq!(looked.expected(50.3, 30.6), observed.expected(50.3, 30.6));
+    }
+}
+
+#[test]
+fn a_bump_of_a_part_of_a_pixel_is_noticed_and_learned() {
+    // Ramps of 8 grey levels a pixel, smooth enough to be drawn anywhere between the pixels.
+    let waves = |du: f64| {
+        move |x: usize, y: usize| {
+            let (u, v) = (x as f64 + du, y as f64 - 0.5 * du);
+            [120.0 + 40.0 * (u / 5.0).sin() + 40.0 * (v / 5.0).cos(); 3]
+        }
+    };
+    let mut noise = Noise::new(0x6275_6d70);
+    let mut background = Background::new(BackgroundOptions::default()).unwrap();
+    let mut see = |du: f64, background: &mut Background| {
+        let shot = Shot::of(waves(du), 1.0, &mut noise);
+        shot.with(false, |f| background.observe(f, None)).unwrap();
+    };
+    for _ in 0..30 {
+        see(0.0, &mut background);
+    }
+    assert!(background.is_exact(), "{:?}", background.shift_px());
+    for du in [0.3, -0.4, 0.6] {
+        let mut bumped = background.clone();
+        see(du, &mut bumped);
+        let shift = bumped.shift_px().unwrap();
+        // The scene moves against the camera, and linear is what the gradient can tell.
+        assert!((shift.x + du).abs() < 0.1 && (shift.y - 0.5 * du).abs() < 0.1, "{du}: {shift:?}");
+        assert!(!bumped.is_exact());
+        for _ in 0..60 {
+            see(du, &mut bumped);
+        }
+        assert!(bumped.is_exact(), "{du}: {:?}", bumped.shift_px());
+    }
+}
+
+#[test]
+fn a_plain_background_tells_no_shift() {
+    let mut background = Background::new(BackgroundOptions::default()).unwrap();
+    let pixels = [90; 64 * 48];
+    for _ in 0..20 {
+        let frame = Frame::gray(GrayView::new(&pixels, 64, 48, 64).unwrap());
+        background.observe(&frame, None).unwrap();
+    }
+    assert_eq!(background.shift_px(), None);
+    assert!(background.is_exact());
+}
+
+#[test]
 fn a_single_bright_frame_is_no_motion() {
     let mut noise = Noise::new(0x666c_6173);
     let mut background = learned(false, 20, &mut noise);
