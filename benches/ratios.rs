@@ -13,6 +13,7 @@
 
 use fingerpost_benches::sequence::{NORMALS, Sequence};
 use fingerpost_benches::{Iteration, Tracked, median};
+use fingerpost_core::nalgebra::{Matrix3, Vector3};
 use fingerpost_core::simd::Isa;
 use fingerpost_core::{Frame, GrayView};
 use std::env;
@@ -25,8 +26,8 @@ const ROUNDS: usize = 5;
 const PINNED: &str = "FINGERPOST_BENCH_PINNED";
 /// Scale of the kernel that has seven taps, as the C limit's has \[px\].
 const SEVEN_TAPS_PX: f64 = 1.0;
-/// More than any cache holds \[bytes\].
-const FLUSH_BYTES: usize = 64 << 20;
+/// What caches hold together \[bytes\].
+const CACHE_LINE_BYTES: usize = 64;
 
 /// One line of the table.
 struct Row {
@@ -121,16 +122,33 @@ fn copied(sequence: &Sequence, iteration: &mut Iteration) -> f64 {
     median(&mut times.collect::<Vec<_>>())
 }
 
-/// The same with the frame in no cache; nor is anything else.
+/// The same with the frame in no cache, as the C limit has it.
 fn flushed(sequence: &Sequence, iteration: &mut Iteration) -> f64 {
-    let mut other = vec![0_u8; FLUSH_BYTES];
-    let times = (0..32).map(|i| {
-        other.iter_mut().step_by(64).for_each(|byte| *byte = byte.wrapping_add(1));
-        // What is not the frame is in use again before the next one comes.
-        iteration.run(&frame(sequence.frame(i + 64), sequence.size), &sequence.truth[i + 64]);
+    let times = (0..sequence.truth.len()).map(|i| {
+        flush(sequence.frame(i));
         iteration.time_us(&frame(sequence.frame(i), sequence.size), &sequence.truth[i])
     });
     median(&mut times.collect::<Vec<_>>())
+}
+
+#[cfg(target_arch = "x86_64")]
+#[expect(unsafe_code, reason = "nothing else takes a frame, and a frame alone, out of the caches")]
+fn flush(bytes: &[u8]) {
+    use std::arch::x86_64::{_mm_clflush, _mm_mfence};
+    for line in bytes.chunks(CACHE_LINE_BYTES) {
+        // SAFETY: the address is that of a byte that may be read; flushing changes none.
+        unsafe { _mm_clflush(line.as_ptr()) };
+    }
+    // SAFETY: every x86-64 processor has the instruction, which takes nothing.
+    unsafe { _mm_mfence() };
+}
+
+/// Reads so much else that nothing of the frame, nor of anything, is left in a cache.
+#[cfg(not(target_arch = "x86_64"))]
+fn flush(_: &[u8]) {
+    let mut other = vec![1_u8; 64 << 20];
+    other.iter_mut().step_by(CACHE_LINE_BYTES).for_each(|byte| *byte = byte.wrapping_add(1));
+    std::hint::black_box(&other);
 }
 
 /// Median times of placing, searching and fitting \[µs\].
@@ -176,27 +194,68 @@ fn accuracy(sequence: &Sequence, iteration: &mut Iteration) -> f64 {
     (squares.sum::<f64>() / sequence.truth.len() as f64).sqrt()
 }
 
-/// How the time of a search grows with the number and the length of the lines.
+/// How the time of an iteration grows with the number and the length of the lines and with the
+/// number of views, and the constants of it.
 fn scaling(vga: &Sequence) {
-    println!("\nsearch, {}: ns per line and pixel of full length", Isa::detect());
+    println!("\none iteration, {}, 7 taps [us]", Isa::detect());
     print!("{:>8}", "normals");
     let half_lengths_px = [5.0, 10.0, 20.0, 40.0, 80.0];
     for half_length_px in half_lengths_px {
         print!("{:>9}", format!("±{half_length_px} px"));
     }
     println!();
+    let mut normal = (Matrix3::zeros(), Vector3::zeros());
     for normals in [25, 50, 100, 200, 400, 800] {
         print!("{normals:>8}");
         for half_length_px in half_lengths_px {
             let samples = vga.template(normals);
             let mut iteration =
                 Iteration::new(Isa::detect(), samples, half_length_px, Some(SEVEN_TAPS_PX));
-            let (_, search_us, _) = stages(vga, &mut iteration);
-            let pixels = normals as f64 * (2.0 * half_length_px + 1.0);
-            print!("{:>9.2}", 1e3 * search_us / pixels);
+            let time_us = copied(vga, &mut iteration);
+            print!("{time_us:>9.2}");
+            // Relative errors are to be small, of short times and of long ones.
+            let lines = normals as f64;
+            let row = Vector3::new(1.0, lines, lines * (2.0 * half_length_px + 1.0)) / time_us;
+            normal = (normal.0 + row * row.transpose(), normal.1 + row);
         }
         println!();
     }
+    if let Some(inverse) = normal.0.try_inverse() {
+        let [once_us, line_us, pixel_us] = (inverse * normal.1).into();
+        println!(
+            "  about {once_us:.1} us + {:.1} ns a normal + {:.2} ns a pixel of a normal",
+            1e3 * line_us,
+            1e3 * pixel_us
+        );
+    }
+    println!("\nviews, one iteration each, on one core [us]");
+    for views in 1..=8 {
+        println!("{views:>8}{:>9.2}", of_views(vga, views));
+    }
+}
+
+/// One iteration of each view, on frames just written; the views are some frames apart.
+fn of_views(sequence: &Sequence, views: usize) -> f64 {
+    const APART: usize = 8;
+    let samples = sequence.template(NORMALS);
+    let isa = Isa::detect();
+    let mut all: Vec<_> = (0..views)
+        .map(|_| Iteration::new(isa, samples.clone(), 20.0, Some(SEVEN_TAPS_PX)))
+        .collect();
+    let mut pixels: Vec<_> = (0..views).map(|_| sequence.frame(0).to_vec()).collect();
+    let times = (0..sequence.truth.len()).map(|i| {
+        let at = |view: usize| (i + APART * view) % sequence.truth.len();
+        for (view, pixels) in pixels.iter_mut().enumerate() {
+            pixels.copy_from_slice(sequence.frame(at(view)));
+        }
+        let start = Instant::now();
+        for (view, iteration) in all.iter_mut().enumerate() {
+            let frame = frame(&pixels[view], sequence.size);
+            std::hint::black_box(iteration.run(&frame, &sequence.truth[at(view)]));
+        }
+        start.elapsed().as_secs_f64() * 1e6
+    });
+    median(&mut times.collect::<Vec<_>>())
 }
 
 fn frame(pixels: &[u8], [width, height]: [usize; 2]) -> Frame<'_> {
