@@ -255,7 +255,7 @@ impl EdgeSearch {
         pass.measure(together, &batch, measurements);
         // What is still out of the image may be inside in part.
         for (i, line) in lines.iter().enumerate() {
-            if measurements[i] == Err(Miss::OutOfImage) {
+            if matches!(measurements[i], Err(Miss::OutOfImage)) {
                 let wanted = whole_half_length(line)? + kernel.reach() as i32;
                 if let Some(span) = visible_span(image, &line.sample, wanted)
                     .filter(|visible| visible.holds_answers(kernel.reach() as i32))

@@ -46,9 +46,13 @@ use crate::shape_space::{
     Affine, AffineMap, Axis, BandMeasure, PlacedSample, PlanarSpace, Pose, RIBBON_DOF, Ribbon,
     RibbonVector, Rigid, RigidShear, ShapeSpace, Similarity, Translation, ribbon_of,
 };
+use crate::simd::Isa;
 use crate::template::{HALF_LENGTH, Limb, Part, Template, TemplateSample};
 use crate::{Error, Result};
-use convergence::{Attempt, Converged, Convergence, Fit, Seen, Window, max_residual_px};
+use convergence::{
+    Attempt, CONVERGED_PX, Converged, Convergence, Fit, Seen, TAKEN_OVER_PX, Window,
+    max_residual_px,
+};
 use looks::{Lead, Looks, Sight, Silhouette};
 use mould::{Kind, Mould, finger_samples};
 use nalgebra::{Matrix2, Matrix3, Point2, Rotation2, SMatrix, SVector, Vector2, Vector3};
@@ -284,11 +288,18 @@ struct Look {
     lead: Lead,
     scale: Scale,
     window: Option<Window>,
+    rest_px: f64,
 }
 
 impl Look {
     fn edges(half_length_px: f64) -> Self {
-        Self { half_length_px, lead: Lead::HandEdges, scale: Scale::Fine, window: None }
+        Self {
+            half_length_px,
+            lead: Lead::HandEdges,
+            scale: Scale::Fine,
+            window: None,
+            rest_px: CONVERGED_PX,
+        }
     }
 }
 
@@ -358,9 +369,9 @@ impl Hand {
         look: Look,
         polarity: Polarity,
     ) -> Attempt<'a> {
-        let Look { half_length_px, scale, lead, window } = look;
+        let Look { half_length_px, scale, lead, window, rest_px } = look;
         let sight = self.sight(frame, lead, polarity);
-        Attempt { samples, sight, scale, half_length_px, window }
+        Attempt { samples, sight, scale, half_length_px, window, rest_px }
     }
 
     /// How to look for it in a frame.
@@ -539,6 +550,14 @@ impl ContourTracker {
         let mut tracker = Self::new(template, start, options)?;
         tracker.phase = Phase::Acquiring { settled: 1 };
         Ok(tracker)
+    }
+
+    /// The same tracker with another instruction set than the processor's widest: slower, with the
+    /// same results to the last bit.
+    #[must_use]
+    pub fn with_isa(self, isa: Isa) -> Self {
+        let convergence = self.convergence.with_isa(isa);
+        Self { convergence, refiner: self.refiner.with_isa(isa), ..self }
     }
 
     /// Takes one frame, captured at `time_s`, and tells where the hand is.
@@ -989,14 +1008,15 @@ impl ContourTracker {
             Some(Window { gate, .. }) => Look { scale, window, ..Look::edges(gate.longest_px()) },
             None => look,
         };
+        let before_others = Look { rest_px: TAKEN_OVER_PX, ..first };
         Ok(match from {
             Shape::Planar(map) if self.shows_shear() => {
-                let turned = self.planar::<Rigid, 3>(frame, map, first)?;
+                let turned = self.planar::<Rigid, 3>(frame, map, before_others)?;
                 self.planar::<RigidShear, 4>(frame, turned.shape, look)?.into()
             }
             Shape::Planar(map) => self.planar::<Rigid, 3>(frame, map, first)?.into(),
             Shape::Ribbon(x) => {
-                let turned = self.run_ribbon::<3>(frame, &x, Limb::Finger, first, None)?;
+                let turned = self.run_ribbon::<3>(frame, &x, Limb::Finger, before_others, None)?;
                 let held = self.held::<5>(&x, 1.0);
                 let finger =
                     self.run_ribbon::<5>(frame, &turned.x, Limb::Finger, look, Some(&held))?;

@@ -318,6 +318,59 @@ fn tukey_ignores_gross_errors_and_plain_least_squares_does_not() {
     assert!(worst_plain > 1.0, "{worst_plain}");
 }
 
+/// Tukey's estimate as the fitter defines it, reweighted until nothing moves at all.
+fn reweighted<const D: usize>(system: &System<D>) -> (SVector<f64, D>, SMatrix<f64, D, D>) {
+    let mean_variance = system.variances_px2.iter().sum::<f64>() / system.rows.len() as f64;
+    let mut weights = vec![1.0; system.rows.len()];
+    let (mut step, mut information) = (SVector::zeros(), SMatrix::zeros());
+    let mut misfit = 0.0;
+    for sweep in 0..200 {
+        information = SMatrix::zeros();
+        let mut right = SVector::<f64, D>::zeros();
+        for (i, row) in system.rows.iter().enumerate() {
+            let precision = weights[i] / (system.variances_px2[i] + misfit);
+            information += precision * row * row.transpose();
+            right += precision * system.offsets_px[i] * row;
+        }
+        step = information.try_inverse().unwrap() * right;
+        let residuals = system.residuals(&step);
+        let mut sizes: Vec<_> = residuals.iter().map(|r| r.abs()).collect();
+        sizes.sort_by(f64::total_cmp);
+        let scale = 1.4826 * sizes[sizes.len() / 2];
+        misfit = (scale * scale - mean_variance).max(0.0);
+        let limit = 4.685 * scale * if sweep == 0 { 3.0 } else { 1.0 };
+        for (weight, r) in weights.iter_mut().zip(residuals) {
+            *weight = (1.0 - (r / limit).powi(2)).max(0.0).powi(2);
+        }
+    }
+    (step, information)
+}
+
+#[test]
+fn what_reweighting_leaves_undone_is_a_small_part_of_a_sigma() {
+    let mut random = Noise::new(0x7365_7474);
+    let (mut sweeps, mut squares) = (0, 0.0);
+    for k in 0..200 {
+        let truth = SVector::<f64, 5>::from_fn(|_, _| random.between(-3.0, 3.0));
+        let mut system = System::exact(60, &truth, &mut random);
+        system.variances_px2.fill(0.04);
+        let mut system = system.disturb(1.0, &mut random);
+        for offset in system.offsets_px.iter_mut().take(k % 10) {
+            *offset += random.between(0.5, 10.0);
+        }
+        let report = system.solve_with(FitOptions { loss: TUKEY, max_iterations: 100, ..PLAIN });
+        let (settled, information) = reweighted(&system);
+        let left = report.step - settled;
+        let sigmas = (left.dot(&(information * left)) / 5.0).sqrt();
+        assert!(sigmas < 0.2, "{sigmas} sigma after {} sweeps", report.iterations);
+        squares += sigmas * sigmas;
+        sweeps += report.iterations;
+    }
+    // On average a thousandth of the variance, for few sweeps.
+    assert!(squares <= 200.0 * 0.001, "{squares}");
+    assert!(sweeps <= 200 * 5, "{sweeps} sweeps for 200 fits");
+}
+
 #[test]
 fn the_residual_scale_is_the_median_deviation() {
     let mut random = Noise::new(5);

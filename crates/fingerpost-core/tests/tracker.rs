@@ -11,6 +11,7 @@ use fingerpost_core::image::GrayView;
 use fingerpost_core::nalgebra::{Point2, Vector2};
 use fingerpost_core::search::{Polarity, SearchOptions};
 use fingerpost_core::shape_space::{AffineMap, PlacedSample, Pose};
+use fingerpost_core::simd::Isa;
 use fingerpost_core::template::{HALF_LENGTH, OutlineAxis, Template, Thumb};
 use fingerpost_core::tracker::{
     AcceptOptions, AcquireOptions, ContourTracker, FingerLine, LineSource, Model, Refusal,
@@ -732,6 +733,25 @@ fn colours_may_come_and_go() {
             };
             let track = tracker.update(&frame, k as f64 * FRAME_S).unwrap();
             assert!(k < 4 || track.finger_line.is_some(), "{model:?}, frame {k}");
+        }
+    }
+}
+
+#[test]
+fn a_film_is_tracked_to_the_same_bits_by_every_instruction_set() {
+    for model in MODELS {
+        let mut noise = Noise::new(0x6269_7473);
+        let film: Vec<_> =
+            (0..12).map(|k| picture(&swaying(Thumb::Right, k), &mut noise)).collect();
+        let tracked = |isa| {
+            let mut tracker = tracker(model, Thumb::Right).with_isa(isa);
+            let times = (0..).map(|k| f64::from(k) * FRAME_S);
+            film.iter().zip(times).map(|(p, t)| update(&mut tracker, p, t)).collect::<Vec<_>>()
+        };
+        let reference = tracked(Isa::Scalar);
+        assert!(reference.iter().filter(|track| track.finger_line.is_some()).count() >= 8);
+        for isa in Isa::available() {
+            assert_eq!(tracked(isa), reference, "{model:?} {isa}");
         }
     }
 }

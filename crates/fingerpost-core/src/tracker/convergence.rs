@@ -13,11 +13,14 @@ use crate::frame::Frame;
 use crate::refine::Finger;
 use crate::search::{Cue, EdgeMeasurement, EdgeSearch, Miss, Scale, SearchLine};
 use crate::shape_space::{Axis, PlacedSample, Pose, ShapeSpace};
+use crate::simd::Isa;
 use crate::template::{Part, TemplateSample};
 use nalgebra::{Matrix2, Point2, SMatrix, SVector, Vector3};
 
 /// The contour has converged when no sample moves further than this \[px\].
-const CONVERGED_PX: f64 = 0.02;
+pub(super) const CONVERGED_PX: f64 = 0.02;
+/// The same where another shape space takes over and converges itself.
+pub(super) const TAKEN_OVER_PX: f64 = 0.25;
 /// What the search lines shrink by once a step stays well inside them, and how short they get.
 const SHRINK: f64 = 0.7;
 pub(super) const MIN_HALF_LENGTH_PX: f64 = 5.0;
@@ -47,6 +50,8 @@ pub(super) struct Attempt<'a> {
     pub half_length_px: f64,
     /// What shortens the lines further, if the hand's motion is known.
     pub window: Option<Window>,
+    /// It has come to rest when no sample moves further than this \[px\].
+    pub rest_px: f64,
 }
 
 /// Where a hand that moved on is expected, and how far from there its edges are looked for.
@@ -198,6 +203,11 @@ impl Convergence {
         })
     }
 
+    /// The same stages with another instruction set.
+    pub fn with_isa(self, isa: Isa) -> Self {
+        Self { search: self.search.with_isa(isa), fitter: self.fitter.with_isa(isa), ..self }
+    }
+
     /// Forgets the last frame.
     pub fn begin_frame(&mut self) {
         self.image.clear();
@@ -304,7 +314,7 @@ impl Convergence {
             at.x += fit.step;
             let support = self.support(attempt.samples);
             at.fit = Some(self.summarise(space, &at.x, &fit, support));
-            if moved_px < CONVERGED_PX {
+            if moved_px < attempt.rest_px {
                 break;
             }
             if moved_px < half_length_px / 2.0 {

@@ -104,7 +104,11 @@ impl Looks {
         self.discriminant.fade(keep);
         for &(p, is_hand) in &self.pixels {
             self.plain.observe(frame, p.x, p.y, is_hand);
-            self.discriminant.observe(frame, p.x, p.y, is_hand);
+        }
+        if frame.colour().is_some() {
+            for &(p, is_hand) in &self.pixels {
+                self.discriminant.observe(frame, p.x, p.y, is_hand);
+            }
         }
         self.plain.learn();
         // The image that the frame was searched in is there already.

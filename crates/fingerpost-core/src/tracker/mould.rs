@@ -6,7 +6,7 @@
 //! length, so a grid of thumbs is judged by the edges they lie on, and the best of them are fitted
 //! together with the finger.
 
-use super::convergence::{Attempt, Converged, Convergence, Support};
+use super::convergence::{Attempt, CONVERGED_PX, Converged, Convergence, Support};
 use super::looks::Sight;
 use super::options::TrackerOptions;
 use super::scene::Scene;
@@ -236,7 +236,14 @@ impl Mould<'_> {
         let has_thumb = D > 5;
         let samples = if has_thumb { self.samples } else { finger_samples(self.samples) };
         let sight = Sight::unknown(polarity);
-        let attempt = Attempt { samples, sight, scale: Scale::Fine, half_length_px, window: None };
+        let attempt = Attempt {
+            samples,
+            sight,
+            scale: Scale::Fine,
+            half_length_px,
+            window: None,
+            rest_px: CONVERGED_PX,
+        };
         let space = Ribbon::<D>::about(x, &self.measure.with_thumb(has_thumb))?;
         let prior = (D > 3).then(|| self.belief::<D>(believed));
         let start = Ribbon::<D>::free(x);
@@ -300,8 +307,14 @@ impl Mould<'_> {
         let space = Ribbon::<RIBBON_DOF>::about(x, &self.measure)?;
         let samples = thumb_samples(self.samples);
         let sight = Sight::unknown(polarity);
-        let attempt =
-            Attempt { samples, sight, scale: Scale::Fine, half_length_px: reach_px, window: None };
+        let attempt = Attempt {
+            samples,
+            sight,
+            scale: Scale::Fine,
+            half_length_px: reach_px,
+            window: None,
+            rest_px: CONVERGED_PX,
+        };
         let offsets = convergence.offsets(frame, &space, x, &attempt)?;
         Ok(offsets.map(|d| (1000.0 * (1.0 - (d / reach_px).abs()).max(0.0)) as u64).sum())
     }
