@@ -61,6 +61,7 @@ pub use options::{
 };
 use scene::Scene;
 use seek::{Judged, Seek};
+use std::f64::consts::TAU;
 pub use verdict::Refusal;
 use verdict::{Known, Motion};
 
@@ -101,6 +102,22 @@ pub struct FingerLine {
 }
 
 impl FingerLine {
+    /// The axis of a fitted template, which is told at its middle.
+    fn of_contour(axis: &Axis, covariance: &Matrix2<f64>) -> Self {
+        let half_length_px = (axis.tip - axis.anchor).norm();
+        Self { axis: *axis, half_length_px, covariance: *covariance, source: LineSource::Contour }
+    }
+
+    /// The same line, when another look at the finger has its axis elsewhere: which of them is wrong
+    /// is not known, and it may be wrong by as much as they differ.
+    fn doubted(self, other: &Axis) -> Self {
+        let turn = other.angle_rad - self.axis.angle_rad;
+        let turn = turn - (turn / TAU).round() * TAU;
+        let aside_px = self.axis.normal().dot(&(other.anchor - self.axis.anchor));
+        let apart = Vector2::new(aside_px, turn);
+        Self { covariance: self.covariance + apart * apart.transpose(), ..self }
+    }
+
     /// A refined line, told at the middle of the stretch that it stands for.
     fn of_pixels(refined: &Refined) -> Self {
         let Refined { axis, stretch, covariance, .. } = refined;
@@ -1189,20 +1206,21 @@ impl ContourTracker {
             Shape::Ribbon(x) if self.options.refine => self.refine(frame, &x)?,
             _ => None,
         };
-        let fitted = found.fit.map(|f| FingerLine {
-            axis: f.axis,
-            half_length_px: (f.axis.tip - f.axis.anchor).norm(),
-            covariance: f.line_covariance,
-            source: LineSource::Contour,
-        });
-        Ok(Track {
-            finger_line: refined.or(fitted),
-            ..track(time_s, Status::Tracking, found, accept, None)
-        })
+        // Where the pixels disagree with a finger, the contour knows more than two bare flanks: the
+        // hand's colours, and its width.
+        let contour = found.fit.map(|f| FingerLine::of_contour(&f.axis, &f.line_covariance));
+        let finger_line = match (refined, contour) {
+            (Some(refined), _) if refined.source == Source::Photometric => {
+                Some(FingerLine::of_pixels(&refined))
+            }
+            (Some(refined), Some(contour)) => Some(contour.doubted(&refined.axis)),
+            (None, contour) | (_, contour @ None) => contour,
+        };
+        Ok(Track { finger_line, ..track(time_s, Status::Tracking, found, accept, None) })
     }
 
-    /// The finger line by the flanks alone; none if they cannot be believed.
-    fn refine(&mut self, frame: &Scene<'_>, x: &RibbonVector) -> Result<Option<FingerLine>> {
+    /// The finger by its flanks alone; none if they cannot be believed.
+    fn refine(&mut self, frame: &Scene<'_>, x: &RibbonVector) -> Result<Option<Refined>> {
         let Some(finger) = self.finger(x)? else { return Ok(None) };
         let sight = self.hand.sight(frame, Lead::HandEdges, self.options.polarity);
         let shown = self.convergence.shown(frame, sight.mixture, &finger)?;
@@ -1210,12 +1228,7 @@ impl ContourTracker {
         // What is known of the background are grey levels.
         let known = frame.background().filter(|_| sight.mixture.is_none());
         let known = known.map(KnownBackground::from);
-        let refined =
-            self.refiner.refine(&shown, &finger, sight.polarity, looks, known.as_ref())?;
-        // Where the pixels disagree with a finger, the contour knows more than two bare flanks: the
-        // hand's colours, and its width.
-        let of_pixels = refined.filter(|r| r.source == Source::Photometric);
-        Ok(of_pixels.as_ref().map(FingerLine::of_pixels))
+        self.refiner.refine(&shown, &finger, sight.polarity, looks, known.as_ref())
     }
 
     /// The finger that the band template stands for, as far as both its flanks were seen.
@@ -1332,5 +1345,31 @@ impl Shape {
             Self::Ribbon(x) => x[3],
             Self::Planar(map) => map.linear.determinant() / map.linear.column(0).norm(),
         }
+    }
+}
+
+// The lines are private, and what they must agree with is arithmetic.
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// An axis, and one 2 px beside it that is turned by 0.1 rad across the angle's jump.
+    fn axes() -> [Axis; 2] {
+        let axis = Axis::of_finger(Point2::new(10.0, 20.0), 3.1, 30.0);
+        let aside = axis.anchor + axis.normal() * 2.0 + axis.direction() * 5.0;
+        [axis, Axis::of_finger(aside, 3.2, 30.0)]
+    }
+
+    #[test]
+    fn a_contour_is_doubted_by_as_much_as_the_flanks_lie_elsewhere() {
+        let [axis, other] = axes();
+        let covariance = Matrix2::new(0.04, 1e-4, 1e-4, 1e-4);
+        let line = FingerLine::of_contour(&axis, &covariance);
+        assert!((line.half_length_px - 30.0).abs() < 1e-12);
+        let doubted = line.doubted(&other);
+        let expected = covariance + Matrix2::new(4.0, 0.2, 0.2, 0.01);
+        assert!((doubted.covariance - expected).norm() < 1e-9, "{}", doubted.covariance);
+        assert_eq!(doubted.axis, line.axis);
+        assert_eq!(line.doubted(&axis), line);
     }
 }
