@@ -23,8 +23,10 @@ from fingerpost.simulate import (
     Background,
     Camera,
     DevicePose,
+    Hand,
     LightChange,
     Lighting,
+    Placement,
     PoseSampler,
     RodAndProng,
     Sensor,
@@ -101,6 +103,12 @@ SCENES = {
     "a dark finger": SimulatedRig(
         background=Background(level=150.0),
         lighting=Lighting(contrast=-80.0),
+        sensor=Sensor(cells_per_sigma=2),
+    ),
+    "a hand of a few pixels": SimulatedRig(
+        Placement(width_px=320, height_px=240),
+        device=Hand(),
+        background=Background(clutter=20.0),
         sensor=Sensor(cells_per_sigma=2),
     ),
     "the light drops while it is away": SimulatedRig(

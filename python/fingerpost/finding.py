@@ -443,7 +443,7 @@ def _shown(image: NDArray[np.uint8], places: Array) -> Array:
     x, y = np.moveaxis(np.nan_to_num(np.rint(places), nan=-1.0), -1, 0)
     inside = (x >= 0) & (y >= 0) & (x < image.shape[1]) & (y < image.shape[0])
     rows, columns = (np.where(inside, c, 0).astype(int) for c in (y, x))
-    levels = image[rows, columns].astype(float)
+    levels = np.asarray(image[rows, columns], dtype=float)
     levels[~inside] = np.nan
     return levels
 

@@ -6,7 +6,9 @@
 //! length, so a grid of thumbs is judged by the edges they lie on, and the best of them are fitted
 //! together with the finger.
 
-use super::convergence::{Attempt, CONVERGED_PX, Converged, Convergence, Support};
+use super::convergence::{
+    Attempt, CONVERGED_PX, Converged, Convergence, MIN_HALF_LENGTH_PX, Support,
+};
 use super::looks::Sight;
 use super::options::TrackerOptions;
 use super::scene::Scene;
@@ -39,6 +41,10 @@ const THUMB_SEEN: f64 = 0.7;
 const THUMB_IN_SIGHT: f64 = 0.5;
 /// How many of the thumbs are fitted.
 const THUMBS_FITTED: usize = 4;
+/// Half the width of a finger so slim that search lines of the usual length reach across it and far
+/// beyond \[px\], and how far its edges are looked for from nearby \[half-widths\].
+const SLIM_PX: f64 = 4.0;
+const NEAR_WIDTHS: f64 = 2.0;
 /// How far a thumb of the grid may be from the true one \[px per px of finger length\].
 const THUMB_REACH: f64 = 0.12;
 
@@ -117,7 +123,9 @@ impl Mould<'_> {
         self.refit(convergence, frame, &finger.x, kind)
     }
 
-    /// From an earlier fit, all of the hand at once.
+    /// From an earlier fit, all of the hand at once. Of a slim finger's edges the other flank's and
+    /// the fist's are within reach as well: where they are taken for its own, it is looked at once
+    /// more from nearby.
     pub fn refit(
         &self,
         convergence: &mut Convergence,
@@ -125,7 +133,25 @@ impl Mould<'_> {
         from: &RibbonVector,
         kind: Kind,
     ) -> Result<Moulded> {
-        let half_px = (self.options.acquire.half_length_px / 2.0).max(1.0);
+        let reach_px = (self.options.acquire.half_length_px / 2.0).max(1.0);
+        let moulded = self.refit_within(convergence, frame, from, kind, reach_px)?;
+        let near_px = (NEAR_WIDTHS * from[3]).max(MIN_HALF_LENGTH_PX).min(reach_px);
+        let least = self.options.acquire.accept.min_inliers;
+        if from[3] > SLIM_PX || moulded.hand.fit.is_some_and(|fit| fit.agreement >= least) {
+            return Ok(moulded);
+        }
+        self.refit_within(convergence, frame, from, kind, near_px)
+    }
+
+    /// The same with search lines of at most this half-length.
+    fn refit_within(
+        &self,
+        convergence: &mut Convergence,
+        frame: &Scene<'_>,
+        from: &RibbonVector,
+        kind: Kind,
+        half_px: f64,
+    ) -> Result<Moulded> {
         let Kind { has_thumb, polarity } = kind;
         let found = if has_thumb {
             self.whole(convergence, frame, from, half_px, polarity)?
