@@ -329,8 +329,8 @@ class HandView:
         if not self._unproven:
             return True
         follows = self._track is not None and self._track.finger_line is not None
-        if follows and moves(self._unproven) and not self._is_table:
-            self._second = None
+        is_hand = follows and moves(self._unproven) and not self._is_table
+        if is_hand and self._second is None:
             return False
         self._second = self._second or self._waiting()
         colour = frame.image if frame.image.ndim == 3 else None
@@ -353,7 +353,9 @@ class HandView:
         self._unproven.append(line)
         if self._has_come:
             self._is_proven = True
-        elif has_moved(first, line) and self.search.stands_out(frame, line):
+        elif (
+            self._second is None and has_moved(first, line) and self.search.stands_out(frame, line)
+        ):
             self._is_proven = True
             # What was learned where it stood from the start is the hand.
             self.search.forget(first)
