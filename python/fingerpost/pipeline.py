@@ -337,7 +337,11 @@ class HandView:
         track = self._second.update(
             frame.grey(), frame.time_s, colour, background=self.search.background
         )
-        if track.finger_line is not None:
+        line = track.finger_line
+        if line is not None:
+            if self._first is not None and not has_moved(self._unproven[-1], line):
+                # Both follow one hand: what was learned where it stood from the start is it.
+                self.search.forget(self._first)
             self._tracker, self._second, self._is_proven = self._second, None, True
         return False
 
