@@ -67,6 +67,9 @@ ViewFrame = tuple[
 """A tracker, and the frame to update it with: grey levels, capture time [s], colours if there are
 any, and what is behind the hand if that is known."""
 
+ONE_HAND_RAD = 0.1
+"""What moves and has turned by less than this between two frames may be one hand."""
+
 DEFAULT_REFERENCE_SIGMA_PX = 0.5
 """Standard deviation of a reference point that a person clicked or a line fit gave [px]."""
 
@@ -339,7 +342,12 @@ class HandView:
         )
         line = track.finger_line
         if line is not None:
-            if self._first is not None and not has_moved(self._unproven[-1], line):
+            turned_rad = np.remainder(
+                line.angle_rad - self._unproven[-1].angle_rad + np.pi, 2 * np.pi
+            )
+            same = abs(turned_rad - np.pi) < ONE_HAND_RAD and moves(self._unproven)
+            same |= not has_moved(self._unproven[-1], line)
+            if self._first is not None and same:
                 # Both follow one hand: what was learned where it stood from the start is it.
                 self.search.forget(self._first)
             self._tracker, self._second, self._is_proven = self._second, None, True
