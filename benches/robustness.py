@@ -1,4 +1,4 @@
-"""How the pointer fares where tracking is hard, on simulated sequences, beside what it should reach.
+"""How the pointer fares where tracking is hard, in simulation, beside what it should reach.
 
     python benches/robustness.py [CASE ...] [--sequences 40] [--seed 0] [--workers 1]
 
@@ -130,7 +130,7 @@ def fast(rng: np.random.Generator) -> Play:
 
 
 def occluded(rng: np.random.Generator, background: Background) -> Play:
-    """A hand nearly at rest; discs that cover 30 % of the contour come at once, and stay."""
+    """Put discs over 30 % of the contour of a hand nearly at rest, at once; they stay."""
     rig = SimulatedRig(background=background)
     poses = drawn(rng, rig, 20.0)
     path = Trajectory.hold(poses[0], 0.4).then(Trajectory.through(poses, 0.02))
@@ -138,17 +138,17 @@ def occluded(rng: np.random.Generator, background: Background) -> Play:
 
 
 def bar(rng: np.random.Generator) -> Play:
-    """A bar is drawn over the pointing finger and covers about 30 % of its contour."""
+    """Draw a bar over the pointing finger, which covers about 30 % of its contour."""
     return drawn_over(rng, RodAndProng(length_mm=140.0, diameter_mm=26.0, prong_length_mm=0.0))
 
 
 def pen(rng: np.random.Generator) -> Play:
-    """A pen is drawn over the pointing finger."""
+    """Draw a pen over the pointing finger."""
     return drawn_over(rng, RodAndProng(length_mm=140.0, diameter_mm=8.0, prong_length_mm=0.0))
 
 
 def drawn_over(rng: np.random.Generator, device: RodAndProng) -> Play:
-    """Something is drawn over the pointing finger, as bright as that."""
+    """Draw something over the pointing finger that is as bright as that."""
     rig = SimulatedRig(background=WOOD, device=Hand())
     first, last = drawn(rng, rig, 40.0)
     crossing = np.array(first.tip_mm) - 40.0 * first.direction + np.array([0, 0, 30.0])
@@ -181,17 +181,17 @@ class Delayed:
 def session(
     rng: np.random.Generator,
     *,
-    device: Hand = Hand(),
+    device: Hand | None = None,
     change: LightChange | None = None,
     second: bool = False,
     channels: str = "grey",
 ) -> Play:
-    """A hand comes, points, leaves and returns, over a table that was empty before."""
+    """Have a hand come, point, leave and return, over a table that was empty before."""
     rig = SimulatedRig(
         background=replace(WOOD, seed=int(rng.integers(1 << 31))),
         lighting=Lighting(shadow=0.3, side_light=0.2, limb_darkening=0.2, change=change),
         sensor=Sensor(channels=channels, cells_per_sigma=2),  # type: ignore[arg-type]
-        device=device,
+        device=device or Hand(),
     )
     poses = drawn(rng, rig, 60.0)
     path = Trajectory.hold(poses[0].retreated(700.0), 0.5).then(
@@ -235,7 +235,7 @@ CASES: dict[str, Case] = {
 
 
 def configured(play: Play, rng: np.random.Generator) -> Rig:
-    """The rig file of somebody who has measured well; the hand comes to where the template waits."""
+    """Return the rig of somebody who has measured well; the hand comes to the waiting template."""
     # A little after the finger has come into view for the first time.
     truths = (play.rig.truth(play.motion, time_s=(k + 9) / FPS) for k in range(play.frames))
     shown = next(
@@ -320,7 +320,7 @@ def played(case: str, seed: int, index: int) -> Result:
 
 
 def summary(results: Sequence[Result]) -> str:
-    """The figures of a case in one line."""
+    """Return the figures of a case in one line."""
     told = [t for r in results for t in r.told]
     error = np.array([t.error_mm for t in told])
     m2 = np.array([t.mahalanobis2 for t in told])
@@ -345,7 +345,7 @@ def summary(results: Sequence[Result]) -> str:
 
 
 def static_rows(sequences: int, seed: int, workers: int | None) -> Iterator[str]:
-    """The device that keeps still before clutter, unknown and known."""
+    """Measure a device that keeps still before clutter, unknown and known."""
     for name, frames, goal in (
         ("clutter, not known", 0, "RMS ≤ 0.5 %, coverage ≥ 90 %, gross ≤ 1 %"),
         ("clutter, learned", 40, "RMS ≤ 0.20 %, coverage ≥ 93 %, gross ≤ 0.5 %"),

@@ -86,11 +86,11 @@ class Session:
             shot = self.rig.render(pose, rng=self.rng)
             together = [Frame(self.frame, time_s, changed(image)) for image in shot.images]
             for step in self.pointer.update(together):
-                point = step.fix.point
-                known = point is not None and shot.truth.indicated_mm is not None
-                errors.append(
-                    float(np.hypot(*(point - shot.truth.indicated_mm))) if known else np.nan
-                )
+                point, target = step.fix.point, shot.truth.indicated_mm
+                if point is None or target is None:
+                    errors.append(np.nan)
+                else:
+                    errors.append(float(np.hypot(*(point - target))))
             self.frame += 1
         return errors
 

@@ -67,6 +67,9 @@ ViewFrame = tuple[
 """A tracker, and the frame to update it with: grey levels, capture time [s], colours if there are
 any, and what is behind the hand if that is known."""
 
+ONE_HAND_RAD = 0.1
+"""What moves and has turned by less than this between two frames may be one hand."""
+
 DEFAULT_REFERENCE_SIGMA_PX = 0.5
 """Standard deviation of a reference point that a person clicked or a line fit gave [px]."""
 
@@ -329,15 +332,24 @@ class HandView:
         if not self._unproven:
             return True
         follows = self._track is not None and self._track.finger_line is not None
-        if follows and moves(self._unproven) and not self._is_table:
-            self._second = None
+        is_hand = follows and moves(self._unproven) and not self._is_table
+        if is_hand and self._second is None:
             return False
         self._second = self._second or self._waiting()
         colour = frame.image if frame.image.ndim == 3 else None
         track = self._second.update(
             frame.grey(), frame.time_s, colour, background=self.search.background
         )
-        if track.finger_line is not None:
+        line = track.finger_line
+        if line is not None:
+            turned_rad = np.remainder(
+                line.angle_rad - self._unproven[-1].angle_rad + np.pi, 2 * np.pi
+            )
+            same = abs(turned_rad - np.pi) < ONE_HAND_RAD and moves(self._unproven)
+            same |= not has_moved(self._unproven[-1], line)
+            if self._first is not None and same:
+                # Both follow one hand: what was learned where it stood from the start is it.
+                self.search.forget(self._first)
             self._tracker, self._second, self._is_proven = self._second, None, True
         return False
 
@@ -353,7 +365,9 @@ class HandView:
         self._unproven.append(line)
         if self._has_come:
             self._is_proven = True
-        elif has_moved(first, line) and self.search.stands_out(frame, line):
+        elif (
+            self._second is None and has_moved(first, line) and self.search.stands_out(frame, line)
+        ):
             self._is_proven = True
             # What was learned where it stood from the start is the hand.
             self.search.forget(first)

@@ -719,6 +719,49 @@ fn a_background_never_seen_is_not_used() {
     assert_eq!(refine(Some(&background)).unwrap(), refine(None).unwrap());
 }
 
+/// The offsets and angles of a refined finger before a background that is known as `known` says, of
+/// a picture that shows `shown` behind it.
+fn before(
+    shown: &dyn Fn(f64, f64) -> f64,
+    known: Option<&dyn Fn(f64, f64) -> f64>,
+) -> (Cone, Option<Refined>) {
+    let (cone, finger, mut noise) = plain();
+    let picture = cone.render(&PLAIN, 1, &|u, v| shown(u, v)).take(2.0, &mut noise);
+    let mean: Option<Vec<f32>> = known.map(|level| {
+        let at = |i: usize| level((i % SIZE) as f64, (i / SIZE) as f64) as f32;
+        (0..SIZE * SIZE).map(at).collect()
+    });
+    let sigma = vec![0.4; SIZE * SIZE];
+    let background = mean.as_ref().map(|m| KnownBackground::new(m, &sigma, SIZE, SIZE).unwrap());
+    let frame = Frame::gray(picture.view());
+    let refined =
+        refiner().refine(&frame, &finger, Polarity::Unknown, None, background.as_ref()).unwrap();
+    (cone, refined)
+}
+
+#[test]
+fn a_known_background_may_lie_in_a_shadow() {
+    let waves = |u: f64, v: f64| TABLE + 25.0 * (u / 4.0).sin() * (v / 5.0).cos();
+    let lit = before(&waves, Some(&waves));
+    let shaded = before(&|u, v| 0.7 * waves(u, v), Some(&waves));
+    for (cone, refined) in [lit, shaded] {
+        let refined = refined.unwrap();
+        assert_eq!(refined.source, Source::Photometric);
+        let [offset_px, angle_rad] = cone.error(&refined.axis).into();
+        assert!(f64::abs(offset_px) < 0.05, "{offset_px} px");
+        assert!(f64::abs(angle_rad) < 0.002, "{angle_rad} rad");
+    }
+}
+
+#[test]
+fn a_background_that_is_not_there_is_not_believed() {
+    let stripes = |u: f64, _: f64| if u.rem_euclid(12.0) < 6.0 { 40.0 } else { 130.0 };
+    let flat_behind = |_: f64, _: f64| TABLE;
+    let (_, known) = before(&flat_behind, Some(&stripes));
+    let (_, unknown) = before(&flat_behind, None);
+    assert_eq!(known, unknown);
+}
+
 #[test]
 fn options_out_of_range_are_refused() {
     let refused = |change: &dyn Fn(&mut RefineOptions)| {

@@ -58,6 +58,9 @@ const LONGEST_STEP_PX: f64 = 1.0;
 const LARGEST_BLUR_CHANGE: f64 = 0.3;
 /// After the last iteration allowed, a motion of so many tolerances is still taken for settled.
 const NEARLY_SETTLED: f64 = 10.0;
+/// A background that is known and there leaves this part of the blocks of either flank: where it is
+/// not, some agree with it by chance.
+const LEAST_USABLE: f64 = 0.7;
 /// Levels to start from are those of the pixels so far inside and outside the sketch's edge \[px\].
 const CLEAR_INSIDE_PX: f32 = 2.0;
 const CLEAR_OUTSIDE_PX: f32 = 1.0;
@@ -162,7 +165,8 @@ impl Photometric {
             flank.deviations.clear();
             flank.deviations.resize(flank.strip.blocks.len(), Deviation::none());
             (flank.variances, flank.runs_px2) = ([0.0; 3], 0.0);
-            if flank.strip.blocks.len() < self.options.min_blocks {
+            let is_contradicted = background.is_some() && flank.strip.usable() < LEAST_USABLE;
+            if flank.strip.blocks.len() < self.options.min_blocks || is_contradicted {
                 return None;
             }
         }

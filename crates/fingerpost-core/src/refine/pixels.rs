@@ -56,6 +56,7 @@ pub(super) struct Strip {
     seen: Vec<Seen>,
     witnesses: Vec<Witness>,
     ratios: Vec<f32>,
+    usable: f64,
 }
 
 /// A pixel outside the strip, that shows how the background is lit.
@@ -112,11 +113,17 @@ impl Strip {
             seen: Vec::with_capacity(4 * LANES * USUAL_BLOCKS),
             witnesses: Vec::with_capacity(WITNESSES_PX.count() * 4 * USUAL_BLOCKS),
             ratios: Vec::with_capacity(WITNESSES_PX.count() * 4 * USUAL_BLOCKS),
+            usable: 0.0,
         }
     }
 
     pub fn chunks(&self, block: &Block) -> &[Chunk] {
         self.chunks.get(block.from_chunk..block.to_chunk).unwrap_or_default()
+    }
+
+    /// The part of the blocks that the frame and what is known of the background leave, 0–1.
+    pub fn usable(&self) -> f64 {
+        self.usable
     }
 
     /// All usable pixels in the block.
@@ -289,7 +296,9 @@ impl Strip {
             chunk.background_curvature[lane] = light * curvature;
             chunk.doubt[lane] = light * light * doubt;
         }
+        let possible = self.blocks.len();
         self.blocks.retain(|b| b.pixels > 0);
+        self.usable = self.blocks.len() as f64 / possible.max(1) as f64;
     }
 }
 
