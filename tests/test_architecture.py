@@ -33,6 +33,7 @@ PYTHON_GROUPS = {
     "live": "live",
     "config": "config",
     "finding": "pipeline",
+    "first_hand": "pipeline",
     "pipeline": "pipeline",
     "experiment": "application",
     "guidance": "application",

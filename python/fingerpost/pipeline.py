@@ -31,22 +31,19 @@ from fingerpost._core import (
     Track,
     update_views,
 )
-from fingerpost._core import FingerLine as CoreFingerLine
 from fingerpost.capture import Frame, open_source, read_views
 from fingerpost.config import Rig, View
 from fingerpost.errors import FingerpostError, InvalidInputError
 from fingerpost.finding import (
     BACKGROUND_FRAMES,
     DOUBTED_FRAMES,
-    LATELY,
     HandSearch,
     Viewpoint,
     are_two,
     can_be_one,
     find_hand,
-    has_moved,
-    moves,
 )
+from fingerpost.first_hand import FirstHand
 from fingerpost.pointing import (
     BARE_HAND,
     AlignmentState,
@@ -66,9 +63,6 @@ ViewFrame = tuple[
 ]
 """A tracker, and the frame to update it with: grey levels, capture time [s], colours if there are
 any, and what is behind the hand if that is known."""
-
-ONE_HAND_RAD = 0.1
-"""What moves and has turned by less than this between two frames may be one hand."""
 
 DEFAULT_REFERENCE_SIGMA_PX = 0.5
 """Standard deviation of a reference point that a person clicked or a line fit gave [px]."""
@@ -257,23 +251,18 @@ class HandView:
         self.search = HandSearch(tracker_options)
         self._tracker: ContourTracker | None = None
         self._track: Track | None = None
-        self._first: CoreFingerLine | None = None
-        self._unproven: deque[CoreFingerLine] = deque(maxlen=LATELY)
-        self._second: ContourTracker | None = None
-        self._has_come = False
         self._is_table = False
         self._table_frames = 0
-        self._is_proven = False
-        self._finds_by_itself = view.start is None
         self._doubts = 0
         self._missing = Status.ACQUIRING
-        self._start: StartPose | None = None
+        self._first_hand: FirstHand | None = None
         if view.start is not None:
             template = Template.pistol(view.start.thumb)
             tip_px, angle_deg = view.start.tip_px, view.start.angle_deg
-            self._start = StartPose(tip_px, np.radians(angle_deg), view.start.length_px)
-            self._waiting = partial(ContourTracker, template, self._start, tracker_options)
-            self._tracker = self._waiting()
+            start = StartPose(tip_px, np.radians(angle_deg), view.start.length_px)
+            waiting = partial(ContourTracker, template, start, tracker_options)
+            self._tracker = waiting()
+            self._first_hand = FirstHand(self.search, start, waiting)
 
     @property
     def is_searching(self) -> bool:
@@ -285,20 +274,26 @@ class HandView:
         """What the view's tracker, or the trial that is believed, made of the last frame."""
         return self.search.found.track if self.search.found is not None else self._track
 
+    @property
+    def has_hand(self) -> bool:
+        """Whether it follows, or has followed, a hand and not perhaps the table."""
+        return self._tracker is not None if self._first_hand is None else self._first_hand.is_proven
+
     def view_frame(self, frame: Frame) -> ViewFrame | None:
         """Return what the view's tracker is to be updated with; None while there is none."""
         background = self.search.look_behind(frame)
-        self._has_come = self._welcome(frame)
+        self._welcome(frame)
         if self._tracker is None:
             return None
         colour = frame.image if frame.image.ndim == 3 else None
-        known = background if self._is_proven or self._has_come else None
+        known = background if self._stands_free else None
         return self._tracker, frame.grey(), frame.time_s, colour, known
 
     def follow(self, frame: Frame, track: Track) -> None:
         """Take over what the tracker made of the view's frame."""
         self._track = track
-        self._prove(frame)
+        if self._first_hand is not None:
+            self._first_hand.prove(frame, track.finger_line)
 
     def observe(self, frame: Frame | None) -> None:
         """Learn from a frame that the tracker has had, and look for a hand that it does not follow.
@@ -312,71 +307,39 @@ class HandView:
             self._size_px = width_px, height_px
             self.viewpoint = Viewpoint.of(self.plane_view, self._size_px)
         self._is_table = self.search.shows_background(frame, self._track)
-        if self._finds_by_itself and self._is_table:
+        if self._first_hand is None and self._is_table:
             self._let_go()
-        self.search.learn(frame, self.track if self._is_proven or self._finds_by_itself else None)
+        is_hand = self._first_hand is None or self._first_hand.is_proven
+        self.search.learn(frame, self.track if is_hand else None)
         if self.is_searching:
             self.search.look(frame)
         else:
             self.search.rest()
 
-    def _welcome(self, frame: Frame) -> bool:
-        """Tell whether something has come to where the template waits for its first hand.
+    def _welcome(self, frame: Frame) -> None:
+        """Follow the hand that has come to where the template waits, if it is seen beside another.
 
-        What is followed there by then may be something on the table, unless it moves and stands
-        out: a second template waits for the hand beside it.
+        What has been followed there may be the table.
         """
-        if self._start is None or self._is_proven or not self.search.has_come(frame, self._start):
-            self._second = None
-            return False
-        if not self._unproven:
-            return True
-        follows = self._track is not None and self._track.finger_line is not None
-        is_hand = follows and moves(self._unproven) and not self._is_table
-        if is_hand and self._second is None:
-            return False
-        self._second = self._second or self._waiting()
-        colour = frame.image if frame.image.ndim == 3 else None
-        track = self._second.update(
-            frame.grey(), frame.time_s, colour, background=self.search.background
-        )
-        line = track.finger_line
-        if line is not None:
-            turned_rad = np.remainder(
-                line.angle_rad - self._unproven[-1].angle_rad + np.pi, 2 * np.pi
-            )
-            same = abs(turned_rad - np.pi) < ONE_HAND_RAD and moves(self._unproven)
-            same |= not has_moved(self._unproven[-1], line)
-            if self._first is not None and same:
-                # Both follow one hand: what was learned where it stood from the start is it.
-                self.search.forget(self._first)
-            self._tracker, self._second, self._is_proven = self._second, None, True
-        return False
-
-    def _prove(self, frame: Frame) -> None:
-        """Believe in the first hand once it has come, or has moved before the background.
-
-        Until then it may be something on the table.
-        """
-        line = self._track.finger_line if self._track is not None else None
-        if line is None or self._is_proven:
+        if self._first_hand is None:
             return
-        first = self._first = self._first or line
-        self._unproven.append(line)
-        if self._has_come:
-            self._is_proven = True
-        elif (
-            self._second is None and has_moved(first, line) and self.search.stands_out(frame, line)
-        ):
-            self._is_proven = True
-            # What was learned where it stood from the start is the hand.
-            self.search.forget(first)
+        track = None if self._is_table else self._track
+        line = track.finger_line if track is not None else None
+        self._tracker = self._first_hand.welcome(frame, line) or self._tracker
+
+    @property
+    def _stands_free(self) -> bool:
+        """Whether what is followed was no part of the background while that was learned."""
+        first = self._first_hand
+        return first is None or first.is_proven or first.has_come
 
     def settle(self) -> None:
         """Follow for good the hand that the search has found, once it is proven."""
         found = self.search.found
         if found is not None and found.is_proven:
-            self._tracker, self._track, self._is_proven = found.tracker, found.track, True
+            self._tracker, self._track = found.tracker, found.track
+            if self._first_hand is not None:
+                self._first_hand.believe()
             self._missing = Status.LOST
             self.search.rest()
 
@@ -386,13 +349,13 @@ class HandView:
         A hand that the view has found by itself must point at the plane with another view; of one
         that was held up to it, the other views must follow the same finger.
         """
-        if self._finds_by_itself:
+        if self._first_hand is None:
             is_alone = not any(shared.can_be_one(self, other) for other in others)
         else:
             is_alone = all(shared.are_two(self, other) for other in others)
         self._doubts = self._doubts + 1 if is_alone else 0
         # A hand that has come into another view stands out from the table in this one too.
-        is_table = self._is_table and not self._is_proven and any(o._is_proven for o in others)
+        is_table = self._is_table and not self.has_hand and any(o.has_hand for o in others)
         self._table_frames = self._table_frames + 1 if is_table else 0
         if self._table_frames >= BACKGROUND_FRAMES or self._doubts >= DOUBTED_FRAMES:
             self._let_go()

@@ -1,0 +1,113 @@
+"""The first hand that comes to a view whose template waits for it.
+
+A template may lock on to the table, on which anything can lie, before any hand has come: what it
+follows counts as a hand for the rest of the view only once it is proven.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+
+import numpy as np
+
+from fingerpost._core import ContourTracker, FingerLine, StartPose
+from fingerpost.capture import Frame
+from fingerpost.finding import LATELY, HandSearch, has_moved, moves
+
+ONE_HAND_RAD = 0.1
+"""What moves and has turned by less than this between two frames may be one hand."""
+
+
+class FirstHand:
+    """Tells whether what a view follows is a hand, and has a second template wait if it may not be.
+
+    Every frame goes to `welcome` before the view's tracker has had it, and to `prove` after.
+
+    Parameters
+    ----------
+    search
+        The view's; it knows the background.
+    start
+        Where the template waits.
+    waiting
+        Makes a tracker that waits there.
+    """
+
+    def __init__(
+        self, search: HandSearch, start: StartPose, waiting: Callable[[], ContourTracker]
+    ) -> None:
+        self.is_proven = False
+        """Whether the view has followed a hand; from then on none is waited for."""
+        self.has_come = False
+        """Whether something has come in this frame to where nothing was followed yet."""
+        self._search = search
+        self._start = start
+        self._waiting = waiting
+        self._earliest: FingerLine | None = None
+        self._latest: deque[FingerLine] = deque(maxlen=LATELY)
+        self._second: ContourTracker | None = None
+
+    def welcome(self, frame: Frame, followed: FingerLine | None) -> ContourTracker | None:
+        """Return the tracker that has found the hand in a frame which is new, if it is another.
+
+        What is followed by the time that something comes to the template may lie on the table,
+        unless it moves and stands out: a second template waits for the hand beside it.
+
+        Parameters
+        ----------
+        frame
+            The search has looked behind it.
+        followed
+            What the view's tracker has seen in the last frame, unless that was the table.
+        """
+        self.has_come = False
+        if self.is_proven or not self._search.has_come(frame, self._start):
+            self._second = None
+            return None
+        if not self._latest:
+            self.has_come = True
+            return None
+        if self._second is None and followed is not None and moves(self._latest):
+            return None
+        return self._wait_beside(frame)
+
+    def _wait_beside(self, frame: Frame) -> ContourTracker | None:
+        second = self._second = self._second or self._waiting()
+        colour = frame.image if frame.image.ndim == 3 else None
+        behind = self._search.background
+        line = second.update(frame.grey(), frame.time_s, colour, background=behind).finger_line
+        if line is None:
+            return None
+        if self._earliest is not None and self._is_same(line):
+            # Both follow one hand: what was learned where it stood from the start is it.
+            self._search.forget(self._earliest)
+        self._second, self.is_proven = None, True
+        return second
+
+    def _is_same(self, line: FingerLine) -> bool:
+        """Whether the second template may have found the hand that is followed already."""
+        turn_rad = line.angle_rad - self._latest[-1].angle_rad
+        has_turned = abs(np.remainder(turn_rad + np.pi, 2 * np.pi) - np.pi) >= ONE_HAND_RAD
+        return (moves(self._latest) and not has_turned) or not has_moved(self._latest[-1], line)
+
+    def prove(self, frame: Frame, line: FingerLine | None) -> None:
+        """Believe in a hand once it has come, or has moved before the background."""
+        if line is None or self.is_proven:
+            return
+        earliest = self._earliest = self._earliest or line
+        self._latest.append(line)
+        if self.has_come:
+            self.is_proven = True
+        elif (
+            self._second is None
+            and has_moved(earliest, line)
+            and self._search.stands_out(frame, line)
+        ):
+            self.is_proven = True
+            # What was learned where it stood from the start is the hand.
+            self._search.forget(earliest)
+
+    def believe(self) -> None:
+        """Take the search's word for it that the view follows a hand."""
+        self.is_proven = True
