@@ -16,12 +16,9 @@ from __future__ import annotations
 
 import argparse
 import math
-import os
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import partial
-from multiprocessing import get_context
 
 import numpy as np
 
@@ -48,6 +45,7 @@ from fingerpost.simulate import (
     pointing_session,
 )
 from fingerpost.simulate.motion import Motion
+from fingerpost.workers import sharing, worker_count
 
 FPS = 30.0
 PLANE_MM = 400.0
@@ -379,7 +377,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--workers", type=int, default=1, help="0: one for each core")
     given = parser.parse_args()
-    workers = given.workers or os.cpu_count() or 1
+    workers = worker_count(given.workers or None)
     wanted = given.cases or ["clutter", *CASES]
     unknown = set(wanted) - {"clutter", *CASES}
     if unknown:
@@ -387,7 +385,7 @@ def main() -> None:
     if "clutter" in wanted:
         for row in static_rows(10 * given.sequences, given.seed, workers):
             print(row, flush=True)
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+    with sharing(workers) as pool:
         for name in wanted:
             if name == "clutter":
                 continue
