@@ -1909,12 +1909,15 @@ class Diagnostics:
         """Whether the fit was determined and accepted."""
 
     @property
-    def refusal(self) -> Literal["no-fit", "size", "motion", "agreement", "residual"] | None:
+    def refusal(
+        self,
+    ) -> Literal["no-fit", "size", "motion", "agreement", "residual", "background"] | None:
         """Why the fit was not accepted; None if it was.
 
         "no-fit": none was determined that could be a finger. "size": it is much wider, slimmer or
         more tapered than the hand that is followed. "motion": no hand moves like that.
         "agreement", "residual": too few edges agree with it, or they lie too far from it.
+        "background": it lies on a table that is known, or inside of what stands before that.
         """
 
     @property

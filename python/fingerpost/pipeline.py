@@ -167,6 +167,7 @@ def _verdict(track: Track) -> str:
         "motion": "no hand moves like that",
         "agreement": agreement,
         "residual": residual,
+        "background": "it is no finger before the table",
     }
     return f"refused: {reasons.get(told.refusal or '', 'no fit that could be a finger')}"
 

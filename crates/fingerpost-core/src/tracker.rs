@@ -355,16 +355,19 @@ impl Hand {
         shape: &Shape,
         samples: &[TemplateSample],
         measure: &BandMeasure,
-        each: impl FnMut(PlacedSample),
+        mut each: impl FnMut(Part, PlacedSample),
     ) {
         match shape {
-            Shape::Planar(map) => self.planar(samples).iter().map(|s| map.place(s)).for_each(each),
+            Shape::Planar(map) => {
+                self.planar(samples).iter().for_each(|s| each(s.part(), map.place(s)));
+            }
             Shape::Ribbon(x) => {
                 let measure = measure.with_thumb(self.kind.has_thumb);
                 if let Ok(space) = Ribbon::<RIBBON_DOF>::about(x, &measure) {
                     let pose = space.pose(x);
                     let placed = self.bands(samples).iter().map(|s| (s, pose.place(s)));
-                    placed.filter(|(s, p)| !pose.is_hidden(s, p)).map(|(_, p)| p).for_each(each);
+                    let seen = placed.filter(|(s, p)| !pose.is_hidden(s, p));
+                    seen.for_each(|(s, p)| each(s.part(), p));
                 }
             }
         }
@@ -494,10 +497,12 @@ const SOUGHT: f64 = 0.5;
 const SOUGHT_TURNS_RAD: [f64; 3] = [0.0, -0.25, 0.25];
 
 /// What stands free of the table is foreground this far inside its outline, in parts of its
-/// half-width and at least \[px\], background as far outside, to this part on either side.
+/// half-width and at least \[px\]: to this part at least, and by so much more than as far outside,
+/// where the shadow that it throws may be taken for foreground too.
 const FREE_PART: f64 = 0.4;
 const FREE_PX: f64 = 3.0;
 const FREE_SHARE: f64 = 0.5;
+const FREE_CONTRAST: f64 = 0.2;
 
 /// A lost hand is looked for this much further than a tracked one.
 const LOST_REACH: f64 = 2.0;
@@ -649,7 +654,7 @@ impl ContourTracker {
     pub fn contour(&self) -> Vec<PlacedSample> {
         let mut contour = Vec::with_capacity(self.samples.len());
         let Self { hand, samples, waiting, .. } = self;
-        hand.outline(&hand.shape, samples, &waiting.measure, |placed| contour.push(placed));
+        hand.outline(&hand.shape, samples, &waiting.measure, |_, placed| contour.push(placed));
         contour
     }
 
@@ -691,12 +696,11 @@ impl ContourTracker {
     ) -> Result<Track> {
         let AcquireOptions { accept, settle_frames, settle_change, .. } = self.options.acquire;
         let width_before = self.hand.shape.width();
-        let mut found = self.mould(&frame.alone(), settled)?;
-        let mut accepted = found.is_accepted(&accept) && self.stands_free(frame, &found.shape);
-        if !accepted && frame.background().is_some() {
-            found = self.mould(frame, settled)?;
-            accepted = found.is_accepted(&accept) && self.stands_free(frame, &found.shape);
+        let (mut found, mut refusal) = self.settled(frame, &frame.alone(), settled)?;
+        if refusal.is_some() && frame.background().is_some() {
+            (found, refusal) = self.settled(frame, frame, settled)?;
         }
+        let accepted = refusal.is_none();
         let change = (found.shape.width() / width_before - 1.0).abs();
         let settled = match (accepted, settled) {
             (false, _) => 0,
@@ -722,16 +726,33 @@ impl ContourTracker {
                 (Phase::Lost { last, settled }, Status::Lost)
             });
         self.phase = phase;
-        Ok(track(time_s, status, &found, &accept, found.refusal(&accept)))
+        Ok(track(time_s, status, &found, &accept, refusal))
     }
 
-    /// Whether a shape shows foreground inside its outline and background outside, as far as what
-    /// is behind it is known: neither what lies on the table nor the inside of a hand does.
+    /// What is found at the waiting template or where it was, and why it is no hand. What lies on the
+    /// table is none, nor is the inside of a hand: a finger shows foreground inside its outline and
+    /// less of it outside, as far as what is behind it is known. A thumb may lie before the hand.
+    fn settled(
+        &mut self,
+        frame: &Scene<'_>,
+        seen: &Scene<'_>,
+        settled: usize,
+    ) -> Result<(Found, Option<Refusal>)> {
+        let found = self.mould(seen, settled)?;
+        let refusal = found.refusal(&self.options.acquire.accept);
+        let is_table = || !self.stands_free(frame, &found.shape);
+        let refusal = refusal.or_else(|| is_table().then_some(Refusal::Background));
+        Ok((found, refusal))
+    }
+
     fn stands_free(&self, frame: &Scene<'_>, shape: &Shape) -> bool {
         let Some(background) = frame.background() else { return true };
         let away_px = (FREE_PART * shape.width()).max(FREE_PX);
         let mut sides = [(0.0, 0.0); 2];
-        self.hand.outline(shape, &self.samples, &self.waiting.measure, |placed| {
+        self.hand.outline(shape, &self.samples, &self.waiting.measure, |part, placed| {
+            if part == Part::Thumb {
+                return;
+            }
             for ((sum, count), px) in sides.iter_mut().zip([-away_px, away_px]) {
                 let at = placed.position + placed.normal * px;
                 if let Some(likely) = background.foreground(frame, at.x, at.y) {
@@ -740,8 +761,10 @@ impl ContourTracker {
                 }
             }
         });
-        let [inside, outside] = sides;
-        inside.0 >= FREE_SHARE * inside.1 && outside.0 <= FREE_SHARE * outside.1
+        let [inside, outside] = sides.map(|(sum, count)| (count > 0.0).then(|| sum / count));
+        inside.is_none_or(|share| {
+            share >= FREE_SHARE && outside.is_none_or(|around| around <= share - FREE_CONTRAST)
+        })
     }
 
     /// The hand at the waiting template, or where an earlier frame has found it.
@@ -998,7 +1021,7 @@ impl ContourTracker {
             placement[2] += turn_rad;
             seek.clear(hand.acquired[3]);
             let turned = about.placed(&placement);
-            hand.outline(&turned, samples, &waiting.measure, |placed| seek.push(&placed));
+            hand.outline(&turned, samples, &waiting.measure, |_, placed| seek.push(&placed));
             let shown = convergence.shown_about(frame, sight.mixture, seek.pixels(), reach_px)?;
             let Judged { by_px, separation } = seek.best(&shown, appearance, reach_px);
             if separation > best.0 {

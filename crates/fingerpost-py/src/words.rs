@@ -84,6 +84,7 @@ words! {
         Motion = "motion",
         Agreement = "agreement",
         Residual = "residual",
+        Background = "background",
     }
     CueKind { Edges = "edges", HandEdges = "hand-edges", Votes = "votes" }
     Schedule { ByNeed = "by-need", InTurn = "in-turn", SideBySide = "side-by-side" }

@@ -25,6 +25,8 @@ pub enum Refusal {
     Agreement,
     /// Those that agree lie too far from it.
     Residual,
+    /// It lies on a table that is known, or inside of what stands before that.
+    Background,
 }
 
 /// A followed finger has grown or shrunk by no more than this factor since it was acquired, and its
