@@ -41,6 +41,8 @@ class FirstHand:
         """Whether the view has followed a hand; from then on none is waited for."""
         self.has_come = False
         """Whether something has come in this frame to where nothing was followed yet."""
+        self.is_newcomer = False
+        """Whether the hand has come after the table was known, and did not stand there before."""
         self._search = search
         self._start = start
         self._waiting = waiting
@@ -82,7 +84,7 @@ class FirstHand:
         if self._earliest is not None and self._is_same(line):
             # Both follow one hand: what was learned where it stood from the start is it.
             self._search.forget(self._earliest)
-        self._second, self.is_proven = None, True
+        self._second, self.is_proven, self.is_newcomer = None, True, True
         return second
 
     def _is_same(self, line: FingerLine) -> bool:
@@ -98,7 +100,7 @@ class FirstHand:
         earliest = self._earliest = self._earliest or line
         self._latest.append(line)
         if self.has_come:
-            self.is_proven = True
+            self.is_proven = self.is_newcomer = True
         elif (
             self._second is None
             and has_moved(earliest, line)

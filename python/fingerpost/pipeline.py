@@ -276,9 +276,15 @@ class HandView:
         return self.search.found.track if self.search.found is not None else self._track
 
     @property
-    def has_hand(self) -> bool:
-        """Whether it follows, or has followed, a hand and not perhaps the table."""
-        return self._tracker is not None if self._first_hand is None else self._first_hand.is_proven
+    def has_newcomer(self) -> bool:
+        """Whether it has followed a hand that came after the table was known."""
+        first = self._first_hand
+        return self._tracker is not None if first is None else first.is_newcomer
+
+    @property
+    def _is_sure(self) -> bool:
+        """Whether what is followed, if anything, is a hand and not perhaps the table."""
+        return self._first_hand is None or self._first_hand.is_proven
 
     def view_frame(self, frame: Frame) -> ViewFrame | None:
         """Return what the view's tracker is to be updated with; None while there is none."""
@@ -310,8 +316,7 @@ class HandView:
         self._is_table = self.search.shows_background(frame, self._track)
         if self._first_hand is None and self._is_table:
             self._let_go()
-        is_hand = self._first_hand is None or self._first_hand.is_proven
-        self.search.learn(frame, self.track if is_hand else None)
+        self.search.learn(frame, self.track if self._is_sure else None)
         if self.is_searching:
             self.search.look(frame)
         else:
@@ -331,8 +336,7 @@ class HandView:
     @property
     def _stands_free(self) -> bool:
         """Whether what is followed was no part of the background while that was learned."""
-        first = self._first_hand
-        return first is None or first.is_proven or first.has_come
+        return self._is_sure or (self._first_hand is not None and self._first_hand.has_come)
 
     def settle(self) -> None:
         """Follow for good the hand that the search has found, once it is proven."""
@@ -356,7 +360,7 @@ class HandView:
             is_alone = all(shared.are_two(self, other) for other in others)
         self._doubts = self._doubts + 1 if is_alone else 0
         # A hand that has come into another view stands out from the table in this one too.
-        is_table = self._is_table and not self.has_hand and any(o.has_hand for o in others)
+        is_table = self._is_table and not self._is_sure and any(o.has_newcomer for o in others)
         self._table_frames = self._table_frames + 1 if is_table else 0
         if self._table_frames >= BACKGROUND_FRAMES or self._doubts >= DOUBTED_FRAMES:
             self._let_go()
