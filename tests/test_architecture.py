@@ -102,7 +102,7 @@ RUST_RULES = {
     "dynamics": _SHAPES,
     "search": _SHAPES | _PIXELS | _LANES,
     "refine": _SHAPES | _PIXELS | {"fit", "search", "simd", "background"},
-    "tracker": _SHAPES | _PIXELS | {"fit", "dynamics", "search", "refine", "background"},
+    "tracker": _SHAPES | _PIXELS | {"fit", "dynamics", "search", "refine", "background", "simd"},
     "views": {"error", "frame", "tracker", "background"},
 }
 
