@@ -377,11 +377,15 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--workers", type=int, default=1, help="0: one for each core")
     given = parser.parse_args()
+    for name, least in (("sequences", 1), ("seed", 0), ("workers", 0)):
+        if getattr(given, name) < least:
+            parser.error(f"--{name} is {getattr(given, name)}; {least} or more is right")
     workers = worker_count(given.workers or None)
     wanted = given.cases or ["clutter", *CASES]
     unknown = set(wanted) - {"clutter", *CASES}
     if unknown:
-        parser.error(f"no case {', '.join(sorted(unknown))}; there are clutter, {', '.join(CASES)}")
+        known = "; ".join(["clutter", *CASES])
+        parser.error(f"no case {'; '.join(sorted(unknown))}; there are: {known}")
     if "clutter" in wanted:
         for row in static_rows(10 * given.sequences, given.seed, workers):
             print(row, flush=True)

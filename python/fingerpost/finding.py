@@ -669,18 +669,12 @@ class HandSearch:
 
     def has_come(self, frame: Frame, start: StartPose) -> bool:
         """Tell whether something stands before the background where a template waits."""
-        tip, ahead = (
-            np.array(start.tip_px),
-            np.array([np.cos(start.angle_rad), np.sin(start.angle_rad)]),
-        )
+        ahead = np.array([np.cos(start.angle_rad), np.sin(start.angle_rad)])
         aside = HALF_WIDTH * np.array([-ahead[1], ahead[0]])
-        core = tip - np.linspace(0.1, 1.0, 10)[:, None, None] * start.length_px * ahead
-        places = (core + start.length_px * np.array([-0.7, 0.0, 0.7])[:, None] * aside).reshape(
-            -1, 2
-        )
-        likely = self.background.foreground(frame.grey(), places, colour=_colour(frame))
-        known = likely[np.isfinite(likely)]
-        return bool(2 * len(known) > len(places) and known.mean() > COME_PART)
+        behind = np.linspace(0.1, 1.0, 10)[:, None, None] * ahead
+        across = np.array([-0.7, 0.0, 0.7])[:, None] * aside
+        places = start.tip_px + start.length_px * (across - behind)
+        return self._likely(frame, places.reshape(-1, 2)) > COME_PART
 
     def forget(self, line: CoreFingerLine) -> None:
         """Forget what was learned where a hand turns out to have been."""
@@ -697,10 +691,13 @@ class HandSearch:
     def _foreground(self, frame: Frame, line: CoreFingerLine) -> float:
         """Return how like foreground the inside of a finger is; NaN where little is known of it."""
         tip, anchor = np.array(line.tip_px), np.array(line.anchor_px)
-        core = tip + np.linspace(0.2, 1.2, 11)[:, None] * (anchor - tip)
-        likely = self.background.foreground(frame.grey(), core, colour=_colour(frame))
+        return self._likely(frame, tip + np.linspace(0.2, 1.2, 11)[:, None] * (anchor - tip))
+
+    def _likely(self, frame: Frame, places: Array) -> float:
+        """Return how like foreground places (N, 2) are; NaN where most are not known."""
+        likely = self.background.foreground(frame.grey(), places, colour=_colour(frame))
         known = likely[np.isfinite(likely)]
-        return float(known.mean()) if 2 * len(known) > len(core) else np.nan
+        return float(known.mean()) if 2 * len(known) > len(places) else np.nan
 
     def look(self, frame: Frame) -> None:
         """Go on with the trials, and find what else could be tried."""

@@ -113,3 +113,9 @@ class FirstHand:
     def believe(self) -> None:
         """Take the search's word for it that the view follows a hand."""
         self.is_proven = True
+
+    def recognise(self) -> None:
+        """Take another view's word for it that what is followed is a hand, not the table."""
+        self.is_proven = True
+        if self._earliest is not None:
+            self._search.forget(self._earliest)

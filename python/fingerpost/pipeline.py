@@ -359,11 +359,23 @@ class HandView:
         else:
             is_alone = all(shared.are_two(self, other) for other in others)
         self._doubts = self._doubts + 1 if is_alone else 0
+        self._recognise(others, shared)
         # A hand that has come into another view stands out from the table in this one too.
         is_table = self._is_table and not self._is_sure and any(o.has_newcomer for o in others)
         self._table_frames = self._table_frames + 1 if is_table else 0
         if self._table_frames >= BACKGROUND_FRAMES or self._doubts >= DOUBTED_FRAMES:
             self._let_go()
+
+    def _recognise(self, others: Sequence[HandView], shared: _Shared) -> None:
+        """Take for a hand what was here before the table was known, if another view shows one come.
+
+        What lies on the table is known for it before long.
+        """
+        first = self._first_hand
+        if first is None or first.is_proven or self._is_table:
+            return
+        if any(other.has_newcomer and shared.can_be_one(self, other) for other in others):
+            first.recognise()
 
     def _let_go(self) -> None:
         """Follow nothing any more, and look everywhere."""
