@@ -12,7 +12,7 @@ from fingerpost.config import Plane, Rig, Start, View
 from fingerpost.experiment import ExperimentOptions, run_experiment
 from fingerpost.pipeline import Pointer
 from fingerpost.pointing import PointingOptions, Status
-from fingerpost.simulate import Background, DevicePose, SimulatedRig, Trajectory
+from fingerpost.simulate import Background, DevicePose, Sensor, SimulatedRig, Trajectory
 
 # Targets whose waiting templates mostly take something on the cluttered table for a hand first.
 TARGETS = 5
@@ -24,12 +24,14 @@ FPS = 30.0
 BACK_FRAMES = 9
 
 
-def test_known_clutter_is_as_good_as_none():
+@pytest.mark.parametrize("channels", ["grey", "bgr"])
+def test_known_clutter_is_as_good_as_none(channels):
     options = ExperimentOptions(
         targets=TARGETS,
         background_frames=TABLE_FRAMES,
         background=Background(clutter=50),
         reference_noise_px=0.05,
+        sensor=Sensor(channels=channels),
     )
     trials = run_experiment(options, workers=1).trials
     assert all(trial.status is Status.OK for trial in trials)

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fingerpost._core import ContourTracker, FingerLine, StartPose, Template, Track
+from fingerpost._core import Background, ContourTracker, FingerLine, StartPose, Template, Track
 from fingerpost.errors import InvalidInputError
 
 FRAME_S = 1 / 30
@@ -145,6 +145,40 @@ def test_colour_and_grey_agree_on_a_hand_that_both_show():
     assert a is not None
     assert b.angle_rad == pytest.approx(a.angle_rad, abs=np.radians(0.1))
     assert b.tip_px == pytest.approx(a.tip_px, abs=0.3)
+
+
+def over_cloth(hand: Hand | None, rng: np.random.Generator) -> np.ndarray:
+    """A reddish hand over a cloth of waves in every colour, BGR."""
+    v, u = np.mgrid[:480, :640]
+    cover = np.zeros((480, 640)) if hand is None else replace(hand, grey=(255, 0)).draw() / 255
+    planes = []
+    for phase, skin in enumerate((110, 130, 160)):
+        cloth = 115 + 35 * np.sin(u / 6 + phase) * np.cos(v / 7 - 2 * phase)
+        planes.append(cloth * (1 - cover) + skin * cover)
+    image = np.stack(planes, axis=2) + rng.normal(0, NOISE_GREY, (480, 640, 3))
+    return np.clip(np.round(image), 0, 255).astype(np.uint8)
+
+
+def test_a_known_background_makes_a_line_surer_than_colours_alone():
+    rng = np.random.default_rng(17)
+    background, trackers = Background(), [waiting_for(Hand()), waiting_for(Hand())]
+    for _ in range(12):
+        image = over_cloth(None, rng)
+        background.observe(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), image)
+    errors: tuple[list[np.ndarray], list[np.ndarray]] = ([], [])
+    for i, hand in enumerate(waving(Hand(), 24)):
+        image = over_cloth(hand, rng)
+        grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+        background.look(grey, image)
+        for tracker, behind, told_of in zip(trackers, [background, None], errors, strict=True):
+            line = tracker.update(grey, FRAME_S * i, image, background=behind).finger_line
+            if line is not None:
+                told_of.append(hand.error(line))
+    known, unknown = (np.sqrt(np.mean(np.square(e), axis=0)) for e in errors)
+    assert len(errors[0]) >= 18
+    assert len(errors[1]) >= 12
+    assert np.all(known < 0.75 * unknown)
+    assert known[1] < np.radians(0.1)
 
 
 def test_a_hand_that_leaves_is_lost_and_found_where_it_returns():

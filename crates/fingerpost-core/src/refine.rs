@@ -231,11 +231,12 @@ impl Refiner {
     /// believed, because the flanks do not show, or show something else than a finger.
     ///
     /// `polarity` says which side of the flanks is brighter, `appearance` what the hand looks like,
-    /// `background` what is behind it; where the pixels contradict it, it does not count. The result depends on the arguments alone.
+    /// `background` what is behind it; where the pixels contradict it, it does not count. The result
+    /// depends on the arguments alone.
     ///
     /// # Errors
     /// When a number of the finger is not finite, its half-width is not positive, or the background
-    /// is not of the frame's size.
+    /// or the picture that it is behind is not of the frame's size.
     pub fn refine(
         &mut self,
         frame: &Frame<'_>,
@@ -246,9 +247,12 @@ impl Refiner {
     ) -> Result<Option<Refined>> {
         let image = frame.image();
         if let Some(known) = background {
-            let (gray, behind) = ((image.width(), image.height()), (known.width(), known.height()));
-            if gray != behind {
-                return Err(Error::BackgroundSize { gray, background: behind });
+            let gray = (image.width(), image.height());
+            let of = |image: &GrayView<'_>| (image.width(), image.height());
+            for background in [(known.width(), known.height()), known.image().map_or(gray, of)] {
+                if gray != background {
+                    return Err(Error::BackgroundSize { gray, background });
+                }
             }
         }
         let Some(sketch) = Sketch::of(finger)? else { return Ok(None) };
@@ -256,24 +260,26 @@ impl Refiner {
         let cue = appearance.map_or(Cue::Edges, Cue::HandEdges);
         let bisector = self.bisector.fit(frame, cue, polarity, noise_grey, &sketch)?;
         let start = bisector.map_or(sketch, |b| b.sketch);
-        let photometric = self.fit_pixels(image, background, noise_grey, &start);
+        let known = background.and_then(|known| self.fit_before(image, known, &start));
+        let photometric = known.or_else(|| {
+            let fit = self.photometric.fit(image, None, noise_grey, &start)?;
+            Some((fit, noise_grey))
+        });
         Ok(self.believed(noise_grey, &start, bisector, photometric))
     }
 
-    /// The photometric line before the known background; where that is not what is there after all,
-    /// before one that is not known.
-    fn fit_pixels(
+    /// The photometric line before a known background, and the noise of the picture that shows it;
+    /// none where that is not what is there after all.
+    fn fit_before(
         &mut self,
         image: &GrayView<'_>,
-        background: Option<&KnownBackground<'_>>,
-        noise_grey: f64,
+        known: &KnownBackground<'_>,
         start: &Sketch,
-    ) -> Option<PhotometricFit> {
-        let known =
-            background.and_then(|b| self.photometric.fit(image, Some(b), noise_grey, start));
-        known
-            .filter(|fit| self.options.believes_pixels(&fit.report, noise_grey))
-            .or_else(|| self.photometric.fit(image, None, noise_grey, start))
+    ) -> Option<(PhotometricFit, f64)> {
+        let image = known.image().unwrap_or(image);
+        let noise_grey = self.noise.estimate(image, start)?;
+        let fit = self.photometric.fit(image, Some(known), noise_grey, start)?;
+        self.options.believes_pixels(&fit.report, noise_grey).then_some((fit, noise_grey))
     }
 
     /// Decides which line counts.
@@ -282,12 +288,13 @@ impl Refiner {
         noise_grey: f64,
         start: &Sketch,
         bisector: Option<BisectorFit>,
-        photometric: Option<PhotometricFit>,
+        photometric: Option<(PhotometricFit, f64)>,
     ) -> Option<Refined> {
-        let believed = |p: &PhotometricFit| self.options.believes_pixels(&p.report, noise_grey);
+        let believed =
+            photometric.filter(|(p, noise)| self.options.believes_pixels(&p.report, *noise));
         let whole = Stretch { from_px: -start.half_length_px, to_px: start.half_length_px };
-        let (source, sketch, covariance, stretch) = match (&photometric, &bisector) {
-            (Some(p), _) if believed(p) => {
+        let (source, sketch, covariance, stretch) = match (believed, &bisector) {
+            (Some((p, _)), _) => {
                 (Source::Photometric, start.moved(&p.line), p.covariance, p.stretch)
             }
             (_, Some(b)) if self.options.believes_edges(&b.report) => {
@@ -306,9 +313,9 @@ impl Refiner {
             half_width_px: sketch.half_width_at(at),
             taper: sketch.taper,
             source,
-            noise_grey,
+            noise_grey: photometric.map_or(noise_grey, |(_, noise)| noise),
             bisector: bisector.map(|b| b.report),
-            photometric: photometric.map(|p| p.report),
+            photometric: photometric.map(|(p, _)| p.report),
         })
     }
 }

@@ -1248,9 +1248,8 @@ impl ContourTracker {
         let sight = self.hand.sight(frame, Lead::HandEdges, self.options.polarity);
         let shown = self.convergence.shown(frame, sight.mixture, &finger)?;
         let looks = sight.cue.appearance();
-        // What is known of the background are grey levels.
-        let known = frame.background().filter(|_| sight.mixture.is_none());
-        let known = known.map(KnownBackground::from);
+        // What is known of the background are grey levels, whatever mixture shows the hand best.
+        let known = frame.background().map(|b| KnownBackground::from(b).behind(*frame.image()));
         self.refiner.refine(&shown, &finger, sight.polarity, looks, known.as_ref())
     }
 

@@ -12,7 +12,7 @@ use fingerpost_core::refine::{
 use fingerpost_core::search::Polarity;
 use fingerpost_core::shape_space::Axis;
 use fingerpost_core::simd::Isa;
-use fingerpost_core::{Error, Frame};
+use fingerpost_core::{Error, Frame, GrayView};
 use std::f64::consts::{PI, TAU};
 
 const SIZE: usize = 128;
@@ -705,6 +705,41 @@ fn a_background_has_the_size_of_the_frame() {
         refined.unwrap_err(),
         Error::BackgroundSize { gray: (SIZE, SIZE), background: (4, 3) }
     );
+    let levels = vec![1.0_f32; SIZE * SIZE];
+    let known = KnownBackground::new(&levels, &levels, SIZE, SIZE).unwrap();
+    let elsewhere = GrayView::new(&[0; 12], 4, 3, 4).unwrap();
+    let behind = known.behind(elsewhere);
+    let refined = refiner().refine(&frame, &finger, Polarity::Unknown, None, Some(&behind));
+    assert_eq!(
+        refined.unwrap_err(),
+        Error::BackgroundSize { gray: (SIZE, SIZE), background: (4, 3) }
+    );
+}
+
+#[test]
+fn a_background_may_be_behind_another_picture_of_the_scene() {
+    let waves = |u: f64, v: f64| TABLE + 60.0 * (u / 4.0).sin() * (v / 5.0).cos();
+    let (cone, finger, mut noise) = plain();
+    let picture = cone.render(&PLAIN, 1, &|u, v| waves(u, v)).take(2.0, &mut noise);
+    let level = |i: usize| waves((i % SIZE) as f64, (i / SIZE) as f64) as f32;
+    let (mean, sigma) = ((0..SIZE * SIZE).map(level).collect::<Vec<_>>(), vec![0.4; SIZE * SIZE]);
+    let known = KnownBackground::new(&mean, &sigma, SIZE, SIZE).unwrap();
+    // What is refined shows the finger to the bisector, but with a contrast and a noise from which
+    // the pixels tell no line.
+    let faint = Light { contrast: 12.0, ..PLAIN };
+    let mixture = cone.render(&faint, 1, &flat).take(3.0, &mut noise);
+    let frame = Frame::gray(mixture.view());
+    let refine = |background: &KnownBackground<'_>| {
+        let refined = refiner().refine(&frame, &finger, Polarity::Unknown, None, Some(background));
+        refined.unwrap().filter(|r| r.source == Source::Photometric)
+    };
+    assert_eq!(refine(&known), None);
+    let refined = refine(&known.behind(picture.view())).unwrap();
+    let [offset_px, angle_rad] = cone.error(&refined.axis).into();
+    assert!(f64::abs(offset_px) < 0.05, "{offset_px} px");
+    assert!(f64::abs(angle_rad) < 0.002, "{angle_rad} rad");
+    // The noise is that of the picture that the line comes from.
+    assert!((1.6..2.6).contains(&refined.noise_grey), "{}", refined.noise_grey);
 }
 
 #[test]

@@ -1,6 +1,7 @@
 //! What a camera that does not move sees where the hand is not.
 
 use crate::background::Background;
+use crate::image::GrayView;
 use crate::{Error, Result};
 use nalgebra::Vector2;
 
@@ -18,6 +19,7 @@ use nalgebra::Vector2;
 #[derive(Debug, Clone, Copy)]
 pub struct KnownBackground<'a> {
     levels: Levels<'a>,
+    image: Option<GrayView<'a>>,
     width: usize,
     height: usize,
 }
@@ -32,7 +34,7 @@ enum Levels<'a> {
 impl<'a> From<&'a Background> for KnownBackground<'a> {
     fn from(learned: &'a Background) -> Self {
         let (width, height) = learned.size();
-        Self { levels: Levels::Learned(learned), width, height }
+        Self { levels: Levels::Learned(learned), image: None, width, height }
     }
 }
 
@@ -63,7 +65,19 @@ impl<'a> KnownBackground<'a> {
                 return Err(Error::WrongCount { what, given, needed });
             }
         }
-        Ok(Self { levels: Levels::Maps { mean_grey, sigma_grey }, width, height })
+        Ok(Self { levels: Levels::Maps { mean_grey, sigma_grey }, image: None, width, height })
+    }
+
+    /// The same, behind what `image` shows: where the refined frame is another picture of the scene,
+    /// such as a mixture of its colours, its levels are not those of the background.
+    #[must_use]
+    pub fn behind(self, image: GrayView<'a>) -> Self {
+        Self { image: Some(image), ..self }
+    }
+
+    /// The picture that it is the background of, if that is not the refined frame.
+    pub(super) fn image(&self) -> Option<&GrayView<'a>> {
+        self.image.as_ref()
     }
 
     /// Width in px.

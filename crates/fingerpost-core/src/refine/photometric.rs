@@ -172,7 +172,8 @@ impl Photometric {
         }
         let mut x = self.start(sketch)?;
         let pixels = self.pixels() as f64;
-        let contrast = x.contrast_grey(0).abs().max(x.contrast_grey(1).abs());
+        let contrast = [0, 1].map(|f| self.flanks[f].strip.contrast_grey(x.contrast_grey(f)).abs());
+        let contrast = contrast[0].max(contrast[1]);
         let prior = unknowns::prior(&self.options, sketch.half_width_px, contrast);
         let mean = x;
         let mut scale = (FIRST_SCALE * contrast.max(LEAST_CONTRAST_GREY)).max(noise_grey);
@@ -319,7 +320,8 @@ impl Photometric {
             blocks,
             trusted: tally.say / blocks as f64,
             residual_grey,
-            contrast_grey: [0, 1].map(|f| x.shaded_contrast_grey(sketch, f)),
+            contrast_grey: [0, 1]
+                .map(|f| self.flanks[f].strip.contrast_grey(x.shaded_contrast_grey(sketch, f))),
             inside_grey: sigma(INSIDE_EFFECT),
             outside_grey: sigma(OUTSIDE_EFFECT),
             edge_px: sigma(EDGE_EFFECT),
@@ -365,7 +367,8 @@ impl Flank {
                 }
             }
             // An edge of no contrast says nothing anyhow.
-            let contrast2 = (contrast_grey - here).powi(2).max(9.0 * scale * scale);
+            let behind = self.strip.blocks.get(k).map_or(0.0, |b| b.behind);
+            let contrast2 = (contrast_grey - behind - here).powi(2).max(9.0 * scale * scale);
             let change2 = if weight > 0.0 { sum / weight } else { 0.0 };
             if let Some(deviation) = self.deviations.get_mut(k) {
                 let change2 = change2 + deviation.effects[INSIDE_EFFECT].powi(2);

@@ -42,6 +42,8 @@ pub(super) struct Block {
     /// The middle of the slab.
     pub p: f64,
     pub pixels: usize,
+    /// Mean level of the known background behind it, or zero \[grey levels\].
+    pub behind: f64,
     /// How the known background behind it is lit: 1, less in a shadow, 0 if it is not there.
     light: f32,
     from_chunk: usize,
@@ -124,6 +126,18 @@ impl Strip {
     /// The part of the blocks that the frame and what is known of the background leave, 0–1.
     pub fn usable(&self) -> f64 {
         self.usable
+    }
+
+    /// How much a finger contrasts with what is behind it, that is `above_grey` above zero where
+    /// nothing is known of that: root mean square over the blocks, with the sign of the mean.
+    pub fn contrast_grey(&self, above_grey: f64) -> f64 {
+        let (mut sum, mut squares) = (0.0, 0.0);
+        for block in &self.blocks {
+            let contrast = above_grey - block.behind;
+            sum += contrast;
+            squares += contrast * contrast;
+        }
+        (squares / self.blocks.len().max(1) as f64).sqrt().copysign(sum)
     }
 
     /// All usable pixels in the block.
@@ -295,6 +309,10 @@ impl Strip {
             chunk.background_slope[lane] = light * slope;
             chunk.background_curvature[lane] = light * curvature;
             chunk.doubt[lane] = light * light * doubt;
+            block.behind += f64::from(light * level);
+        }
+        for block in &mut self.blocks {
+            block.behind /= block.pixels.max(1) as f64;
         }
         let possible = self.blocks.len();
         self.blocks.retain(|b| b.pixels > 0);
