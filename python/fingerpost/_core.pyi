@@ -1854,11 +1854,12 @@ class FingerLine:
         """
 
     @property
-    def source(self) -> Literal["contour", "pixels"]:
+    def source(self) -> Literal["contour", "pixels", "both"]:
         """What it was measured on.
 
         The contour is the axis of the fitted template, pixels the line of maximum likelihood given
-        what the camera recorded near the flanks, where that can be believed.
+        what the camera recorded near the flanks, where that can be believed. Where it is to be
+        believed only in part, the two are weighed.
         """
 
 @final

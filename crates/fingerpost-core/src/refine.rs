@@ -11,7 +11,8 @@
 //!    Cramér–Rao bound of two free flanks allows.
 //!
 //! The second line counts if the pixels agree with the model and the flanks stand out from what is
-//! behind them; otherwise the first, if its edges lie on two straight lines; otherwise none
+//! behind them. If they agree with it less, it is handed out as unsure, to be weighed against what
+//! else is known; otherwise the first counts, if its edges lie on two straight lines; otherwise none
 //! ([`Source`], [`RefineOptions`]).
 //!
 //! ```
@@ -119,6 +120,8 @@ pub struct Finger {
 pub enum Source {
     /// The pixels agree with the model of a finger: the line of maximum likelihood.
     Photometric,
+    /// They agree with it, but not well enough for the line to be believed alone.
+    Unsure,
     /// They do not, but the edges of the flanks agree with two straight lines: their bisector.
     Bisector,
 }
@@ -290,13 +293,11 @@ impl Refiner {
         bisector: Option<BisectorFit>,
         photometric: Option<(PhotometricFit, f64)>,
     ) -> Option<Refined> {
-        let believed =
-            photometric.filter(|(p, noise)| self.options.believes_pixels(&p.report, *noise));
+        let told =
+            photometric.and_then(|(p, noise)| Some((p, self.options.tells(&p.report, noise)?)));
         let whole = Stretch { from_px: -start.half_length_px, to_px: start.half_length_px };
-        let (source, sketch, covariance, stretch) = match (believed, &bisector) {
-            (Some((p, _)), _) => {
-                (Source::Photometric, start.moved(&p.line), p.covariance, p.stretch)
-            }
+        let (source, sketch, covariance, stretch) = match (told, &bisector) {
+            (Some((p, source)), _) => (source, start.moved(&p.line), p.covariance, p.stretch),
             (_, Some(b)) if self.options.believes_edges(&b.report) => {
                 (Source::Bisector, b.sketch, b.covariance, whole)
             }

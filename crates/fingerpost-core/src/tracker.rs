@@ -101,6 +101,13 @@ pub struct FingerLine {
     pub source: LineSource,
 }
 
+/// Correlation of the errors of two looks at one finger, contour and pixels: they share its edges. It
+/// is 0.1–0.5 on footage of hands.
+const COMMON: f64 = 0.5;
+/// Two honest looks differ by more than this, in the square of the differences' covariance, in one
+/// case of ten: χ² of offset and angle.
+const BY_CHANCE: f64 = 4.605;
+
 impl FingerLine {
     /// The axis of a fitted template, which is told at its middle.
     fn of_contour(axis: &Axis, covariance: &Matrix2<f64>) -> Self {
@@ -116,6 +123,32 @@ impl FingerLine {
         let aside_px = self.axis.normal().dot(&(other.anchor - self.axis.anchor));
         let apart = Vector2::new(aside_px, turn);
         Self { covariance: self.covariance + apart * apart.transpose(), ..self }
+    }
+
+    /// This line and another look at the same finger, at the anchor of this one and as long: the mean
+    /// by what each is worth, with the covariance (1 + ρ) (C₁⁻¹ + C₂⁻¹)⁻¹, where ρ is the correlation
+    /// of their errors. Where they differ by more than they do by chance, both are worth less by as
+    /// much.
+    fn joined(self, other: &Self) -> Self {
+        let Self { axis, covariance, .. } = self;
+        let along_px = (axis.anchor - other.axis.anchor).dot(&other.axis.direction());
+        let at_anchor = Matrix2::new(1.0, along_px, 0.0, 1.0);
+        let others = at_anchor * other.covariance * at_anchor.transpose();
+        let turn = other.axis.angle_rad - axis.angle_rad;
+        let beside = other.axis.anchor + other.axis.direction() * along_px - axis.anchor;
+        let apart = Vector2::new(axis.normal().dot(&beside), turn - (turn / TAU).round() * TAU);
+        let Some(weight) = (covariance + others).try_inverse() else { return self };
+        let gain = covariance * weight;
+        let step = gain * apart;
+        let contradiction = apart.dot(&(weight * apart)) / BY_CHANCE;
+        let anchor = axis.anchor + axis.normal() * step.x;
+        let tip_px = (axis.tip - axis.anchor).dot(&axis.direction());
+        Self {
+            axis: Axis::of_finger(anchor, axis.angle_rad + step.y, tip_px),
+            covariance: (1.0 + COMMON) * contradiction.max(1.0) * gain * others,
+            source: LineSource::Both,
+            ..self
+        }
     }
 
     /// A refined line, told at the middle of the stretch that it stands for.
@@ -139,6 +172,8 @@ pub enum LineSource {
     Contour,
     /// The pixels about both flanks ([`Source::Photometric`]).
     Pixels,
+    /// Both, where the pixels are not believed alone ([`Source::Unsure`]).
+    Both,
 }
 
 /// Components of the largest shape space.
@@ -1229,12 +1264,15 @@ impl ContourTracker {
             Shape::Ribbon(x) if self.options.refine => self.refine(frame, &x)?,
             _ => None,
         };
-        // Where the pixels disagree with a finger, the contour knows more than two bare flanks: the
-        // hand's colours, and its width.
+        // Where the pixels agree with a finger only so far, the contour knows other things than two
+        // bare flanks tell: the hand's colours, and its width.
         let contour = found.fit.map(|f| FingerLine::of_contour(&f.axis, &f.line_covariance));
         let finger_line = match (refined, contour) {
             (Some(refined), _) if refined.source == Source::Photometric => {
                 Some(FingerLine::of_pixels(&refined))
+            }
+            (Some(refined), Some(contour)) if refined.source == Source::Unsure => {
+                Some(FingerLine::of_pixels(&refined).joined(&contour))
             }
             (Some(refined), Some(contour)) => Some(contour.doubted(&refined.axis)),
             (None, contour) | (_, contour @ None) => contour,
@@ -1393,5 +1431,61 @@ mod tests {
         assert!((doubted.covariance - expected).norm() < 1e-9, "{}", doubted.covariance);
         assert_eq!(doubted.axis, line.axis);
         assert_eq!(line.doubted(&axis), line);
+    }
+
+    fn inverse(m: Matrix2<f64>) -> Matrix2<f64> {
+        Matrix2::new(m.m22, -m.m12, -m.m21, m.m11) / m.determinant()
+    }
+
+    /// A line with the given covariance and the middle of what it was measured on.
+    fn pixels(axis: &Axis, covariance: Matrix2<f64>) -> FingerLine {
+        let source = LineSource::Pixels;
+        FingerLine { axis: *axis, half_length_px: 20.0, covariance, source }
+    }
+
+    #[test]
+    fn two_looks_are_weighed_by_what_they_are_worth_wherever_their_anchors_are() {
+        let axis = Axis::of_finger(Point2::new(10.0, 20.0), 3.1, 30.0);
+        let other = Axis::of_finger(axis.anchor + axis.direction() * 8.0, 3.101, 22.0);
+        let covariances =
+            [Matrix2::new(0.04, 1e-4, 1e-4, 1e-4), Matrix2::new(0.01, -2e-4, -2e-4, 3e-4)];
+        let joined = pixels(&axis, covariances[0]).joined(&pixels(&other, covariances[1]));
+
+        // Generalised least squares of (offset, angle) at the first anchor, from the measurements: the
+        // first's own are 0, the second's offset is told 8 px further on.
+        let design = [Matrix2::identity(), Matrix2::new(1.0, 8.0, 0.0, 1.0)];
+        let seen = [Vector2::zeros(), Vector2::new(0.0, 0.001)];
+        let (mut information, mut right) = (Matrix2::zeros(), Vector2::zeros());
+        for k in 0..2 {
+            let weight = design[k].transpose() * inverse(covariances[k]);
+            information += weight * design[k];
+            right += weight * seen[k];
+        }
+        let covariance = inverse(information);
+        let told = covariance * right;
+        let beside = joined.axis.anchor - axis.anchor;
+        assert!((axis.normal().dot(&beside) - told.x).abs() < 1e-6);
+        assert!(axis.direction().dot(&beside).abs() < 1e-9);
+        assert!((joined.axis.angle_rad - axis.angle_rad - told.y).abs() < 1e-9);
+        assert!(((joined.axis.tip - joined.axis.anchor).norm() - 30.0).abs() < 1e-9);
+        // They agree; half of their errors is in common.
+        assert!((joined.covariance / 1.5 - covariance).norm() < 1e-6 * covariance.norm());
+        assert_eq!(joined.source, LineSource::Both);
+    }
+
+    #[test]
+    fn two_looks_that_contradict_each_other_are_worth_less() {
+        let [axis, other] = axes();
+        let covariance = Matrix2::new(0.04, 1e-4, 1e-4, 1e-4);
+        let agreed = pixels(&axis, covariance).joined(&pixels(&axis, covariance));
+        assert!((agreed.axis.angle_rad - axis.angle_rad).abs() < 1e-12);
+        let torn = pixels(&axis, covariance).joined(&pixels(&other, covariance));
+        // Across the jump of the angle, in the middle of both.
+        let turn = (torn.axis.angle_rad - 3.15).sin();
+        assert!(turn.abs() < 1e-2, "{turn}");
+        let spread = (torn.covariance - agreed.covariance).symmetric_eigenvalues();
+        assert!(spread.iter().all(|s| *s > 0.0), "{spread}");
+        // 0.1 rad apart: neither end is far outside.
+        assert!(torn.covariance[(1, 1)].sqrt() > 0.02, "{}", torn.covariance);
     }
 }

@@ -743,6 +743,30 @@ fn a_background_may_be_behind_another_picture_of_the_scene() {
 }
 
 #[test]
+fn flanks_that_are_not_quite_straight_are_told_of_but_not_believed() {
+    let (cone, finger, mut noise) = plain();
+    let canvas = cone.render(&PLAIN, 1, &flat);
+    // A lens of frosted glass: rows are shifted to and fro, by more than a real finger's edge.
+    let mut torn = canvas.clone();
+    for (y, row) in torn.grey.chunks_exact_mut(SIZE).enumerate() {
+        let aside = 0.6 * (y as f64 * 0.8).sin();
+        let at = |x: usize| canvas.grey[y * SIZE + x.clamp(0, SIZE - 1)];
+        for x in 1..SIZE - 1 {
+            let next = if aside > 0.0 { at(x + 1) } else { at(x - 1) };
+            row[x] = at(x) + f64::abs(aside) * (next - at(x));
+        }
+    }
+    let picture = torn.take(2.0, &mut noise);
+    let refined = refine(&mut refiner(), &picture, &finger).unwrap();
+    assert_eq!(refined.source, Source::Unsure, "{:?}", refined.photometric);
+    let [offset_px, angle_rad] = cone.error(&refined.axis).into();
+    assert!(f64::abs(offset_px) < 0.3 && f64::abs(angle_rad) < 0.02, "{offset_px} {angle_rad}");
+    let strict = RefineOptions { max_unsure_edge_px: 1e-3, ..RefineOptions::default() };
+    let refined = refine(&mut Refiner::new(strict).unwrap(), &picture, &finger);
+    assert!(refined.is_none_or(|r| r.source == Source::Bisector));
+}
+
+#[test]
 fn a_background_never_seen_is_not_used() {
     let (cone, finger, mut noise) = plain();
     let picture = cone.render(&PLAIN, 1, &flat).take(2.0, &mut noise);
@@ -806,6 +830,7 @@ fn options_out_of_range_are_refused() {
     };
     refused(&|o| o.max_residual = 0.5);
     refused(&|o| o.max_rejected = f64::NAN);
+    refused(&|o| o.max_unsure_edge_px = 0.0);
     refused(&|o| o.bisector.scale_px = 0.0);
     refused(&|o| o.bisector.min_edges = 2);
     refused(&|o| o.bisector.correlation = 0.5);

@@ -666,7 +666,7 @@ fn a_track_tells_its_story() {
         // less than the contour's own error.
         let (near_px, near_rad) = match line.source {
             LineSource::Contour => (1e-9, 1e-9),
-            LineSource::Pixels => (0.2, 0.01),
+            LineSource::Pixels | LineSource::Both => (0.2, 0.01),
         };
         assert_eq!(line.source == LineSource::Pixels, model == Model::Ribbon, "{thumb:?}");
         let centre = Point2::new(shape.vector[0], shape.vector[1]);

@@ -76,7 +76,7 @@ words! {
         TooFewEquations = "too-few-equations",
         Undetermined = "undetermined",
     }
-    LineSource { Contour = "contour", Pixels = "pixels" }
+    LineSource { Contour = "contour", Pixels = "pixels", Both = "both" }
     Model { Ribbon = "ribbon", Paper = "paper" }
     Refusal {
         NoFit = "no-fit",

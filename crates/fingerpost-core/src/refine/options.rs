@@ -1,6 +1,6 @@
 //! Options of a refiner, their defaults and ranges.
 
-use super::{BisectorReport, PhotometricReport};
+use super::{BisectorReport, PhotometricReport, Source};
 use crate::{Error, Result};
 
 /// How the bisector of the flanks' edges is found.
@@ -83,6 +83,9 @@ pub struct RefineOptions {
     /// And if the contrast of both flanks is at least this many times their pixels' scatter,
     /// positive.
     pub min_contrast: f64,
+    /// A photometric line that does not count for what its pixels or edges scatter, or for its
+    /// contrast, is unsure if the edge of neither flank scatters by more than this \[px\], positive.
+    pub max_unsure_edge_px: f64,
     /// The bisector counts if its edges scatter by at most this about the flanks \[px\], positive,
     pub max_edge_residual_px: f64,
     /// and if at most this part of them is rejected, 0–1.
@@ -123,6 +126,7 @@ impl Default for RefineOptions {
             min_trusted: 0.6,
             max_edge_px: 0.15,
             min_contrast: 10.0,
+            max_unsure_edge_px: 1.0,
             max_edge_residual_px: 0.25,
             max_edges_rejected: 0.2,
         }
@@ -139,6 +143,7 @@ impl RefineOptions {
         within("least trusted part", self.min_trusted, 0.0, 1.0, "0 to 1")?;
         positive("largest scatter of a flank's edge [px]", self.max_edge_px)?;
         positive("least contrast [scatter]", self.min_contrast)?;
+        positive("largest scatter of an unsure flank's edge [px]", self.max_unsure_edge_px)?;
         positive("largest scatter of the edges [px]", self.max_edge_residual_px)?;
         within("largest part of the edges rejected", self.max_edges_rejected, 0.0, 1.0, "0 to 1")
     }
@@ -154,6 +159,18 @@ impl RefineOptions {
             && report.trusted >= self.min_trusted
             && report.edge_px.iter().all(|edge| *edge <= self.max_edge_px)
             && report.contrast_grey.iter().all(|c| c.abs() >= self.min_contrast * scatter)
+    }
+
+    /// What a photometric line is worth, if anything.
+    pub(super) fn tells(&self, report: &PhotometricReport, noise_grey: f64) -> Option<Source> {
+        if self.believes_pixels(report, noise_grey) {
+            return Some(Source::Photometric);
+        }
+        let is_unsure = report.converged
+            && report.rejected <= self.max_rejected
+            && report.trusted >= self.min_trusted
+            && report.edge_px.iter().all(|edge| *edge <= self.max_unsure_edge_px);
+        is_unsure.then_some(Source::Unsure)
     }
 
     /// Whether the edges are those of two straight flanks.
