@@ -11,8 +11,7 @@
 
 use super::blur::BlurTable;
 use super::pixels::{Chunk, LANES, Lanes};
-use super::profile::{FEATURES, OUTSIDE, Prediction, Profile, RoundEnd};
-use crate::simd::Work;
+use super::profile::{END, FEATURES, OUTSIDE, Prediction, Profile, RoundEnd};
 
 /// How a pixel's residual is weighed: Tukey's biweight.
 #[derive(Debug, Clone, Copy)]
@@ -23,12 +22,15 @@ pub(super) struct Weighing {
     pub cutoff: f64,
 }
 
+/// Features beside a last column for what stands on the right side of equations.
+pub(super) const RIGHT: usize = FEATURES;
+pub(super) type Augmented<T> = [[T; FEATURES + 1]; FEATURES];
+
 /// Sums over the pixels of one block.
-#[derive(Debug, Clone, Copy, Default, PartialEq)]
+#[derive(Debug, Clone, Copy)]
 pub(super) struct Gram {
-    /// Σ w f fᵀ and Σ w f r.
-    pub information: [[f64; FEATURES]; FEATURES],
-    pub right: [f64; FEATURES],
+    /// Σ w f fᵀ, and Σ w f r.
+    pub equations: Augmented<f64>,
     /// Σ w, Σ w² r² and Σ ψ′, which make the covariance of a robust fit.
     pub weight: f64,
     pub psi_squared: f64,
@@ -39,46 +41,36 @@ pub(super) struct Gram {
     pub rejected: f64,
 }
 
-/// The sums of a block whose pixels should look like `profile`, near a round end or clear of it.
-pub(super) struct Summing<'a> {
-    pub chunks: &'a [Chunk],
-    pub profile: Profile,
-    pub end: Option<RoundEnd>,
-    pub table: BlurTable,
-    pub weighing: Weighing,
-    /// Where the sums go.
-    pub gram: &'a mut Gram,
-}
-
-impl Work for Summing<'_> {
+impl Gram {
+    /// The sums of a block whose pixels should look like `profile`, near a round end or clear of it.
     #[inline(always)]
-    fn run(self) {
-        let mut sums = Accumulator::new(&self.weighing);
-        match self.end {
-            Some(end) => {
-                for chunk in self.chunks {
-                    sums.add(chunk, &self.profile.round(self.table, chunk, end));
-                }
+    pub fn of(
+        chunks: &[Chunk],
+        profile: &Profile,
+        end: Option<RoundEnd>,
+        table: BlurTable,
+        weighing: &Weighing,
+    ) -> Self {
+        let mut sums = Accumulator::new(weighing);
+        if let Some(end) = end {
+            for chunk in chunks {
+                sums.add::<FEATURES>(chunk, &profile.round(table, chunk, end));
             }
-            None => {
-                for chunk in self.chunks {
-                    sums.add(chunk, &self.profile.straight(self.table, chunk));
-                }
+            sums.total::<FEATURES>()
+        } else {
+            for chunk in chunks {
+                sums.add::<END>(chunk, &profile.straight(table, chunk));
             }
+            sums.total::<END>()
         }
-        *self.gram = sums.total();
     }
 }
-
-/// Entries of a symmetric matrix of the features.
-const PAIRS: usize = FEATURES * (FEATURES + 1) / 2;
 
 /// The sums lane by lane.
 struct Accumulator {
     per_cut: f32,
     per_noise2: f32,
-    pairs: [Lanes; PAIRS],
-    right: [Lanes; FEATURES],
+    equations: Augmented<Lanes>,
     weight: Lanes,
     psi_squared: Lanes,
     psi_slope: Lanes,
@@ -96,8 +88,7 @@ impl Accumulator {
         Self {
             per_cut: (1.0 / (cutoff * noise_grey)) as f32,
             per_noise2: (1.0 / (noise_grey * noise_grey)) as f32,
-            pairs: [[0.0; LANES]; PAIRS],
-            right: [[0.0; LANES]; FEATURES],
+            equations: [[[0.0; LANES]; _]; _],
             weight: [0.0; LANES],
             psi_squared: [0.0; LANES],
             psi_slope: [0.0; LANES],
@@ -108,11 +99,11 @@ impl Accumulator {
         }
     }
 
-    /// Adds the pixels of a chunk.
+    /// Adds the pixels of a chunk, by the first `N` features: the others are zero.
     #[inline(always)]
-    fn add(&mut self, chunk: &Chunk, predicted: &Prediction) {
+    fn add<const N: usize>(&mut self, chunk: &Chunk, predicted: &Prediction) {
         let f = &predicted.features;
-        let (mut weights, mut weighted) = ([0.0; LANES], [0.0; LANES]);
+        let (mut weights, mut residuals) = ([0.0; LANES], [0.0; LANES]);
         for i in 0..LANES {
             let r = chunk.grey[i] - predicted.grey[i];
             // A pixel of doubtful background is as noisy as the part of it that shows.
@@ -121,55 +112,47 @@ impl Accumulator {
             let precision = chunk.weight[i] / (1.0 + shown * shown * doubt);
             let t = r * self.per_cut;
             let t2 = t * t * precision;
-            let left = (1.0 - t2).max(0.0);
-            let inside = if left > 0.0 { chunk.weight[i] } else { 0.0 };
+            let left = if t2 < 1.0 { 1.0 - t2 } else { 0.0 };
+            let inside = if t2 < 1.0 { chunk.weight[i] } else { 0.0 };
             let robust = left * left;
             let w = robust * precision;
+            residuals[i] = r;
             weights[i] = w;
-            weighted[i] = w * r;
             self.weight[i] += robust * chunk.weight[i];
             self.psi_squared[i] += robust * w * r * r;
             self.psi_slope[i] += inside * left * (1.0 - 5.0 * t2);
-            self.capped[i] += t2.min(1.0);
+            self.capped[i] += if t2 < 1.0 { t2 } else { 1.0 };
             self.kept[i] += inside;
             self.pixels[i] += chunk.weight[i];
         }
-        let mut pair = 0;
-        for a in 0..FEATURES {
+        for a in 0..N {
             let mut wf = [0.0; LANES];
             for i in 0..LANES {
                 wf[i] = weights[i] * f[a][i];
-                self.right[a][i] += weighted[i] * f[a][i];
+                self.equations[a][RIGHT][i] += wf[i] * residuals[i];
             }
-            for b in a..FEATURES {
+            for b in a..N {
                 for i in 0..LANES {
-                    self.pairs[pair][i] += wf[i] * f[b][i];
+                    self.equations[a][b][i] += wf[i] * f[b][i];
                 }
-                pair += 1;
             }
         }
     }
 
     /// The sums over all lanes.
     #[inline(always)]
-    fn total(&self) -> Gram {
-        let mut information = [[0.0; FEATURES]; FEATURES];
-        let mut pair = 0;
-        for a in 0..FEATURES {
-            for b in a..FEATURES {
-                let value = sum(&self.pairs[pair]);
-                information[a][b] = value;
-                information[b][a] = value;
-                pair += 1;
+    fn total<const N: usize>(&self) -> Gram {
+        let mut equations = [[0.0; _]; _];
+        for a in 0..N {
+            equations[a][RIGHT] = sum(&self.equations[a][RIGHT]);
+            for b in a..N {
+                let value = sum(&self.equations[a][b]);
+                equations[a][b] = value;
+                equations[b][a] = value;
             }
         }
-        let mut right = [0.0; FEATURES];
-        for a in 0..FEATURES {
-            right[a] = sum(&self.right[a]);
-        }
         Gram {
-            information,
-            right,
+            equations,
             weight: sum(&self.weight),
             psi_squared: sum(&self.psi_squared),
             psi_slope: sum(&self.psi_slope),

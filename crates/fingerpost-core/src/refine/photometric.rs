@@ -23,19 +23,24 @@
 //! And where the edges of neighbouring blocks deviate alike, as at a joint, the blocks are no
 //! independent witnesses: what they share counts several times.
 
+#![expect(
+    clippy::inline_always,
+    reason = "what is inlined into a function with wider instructions is compiled for them"
+)]
+
 use super::block::{Deviation, EDGE_EFFECT, Evidence, INSIDE_EFFECT, OUTSIDE_EFFECT};
 use super::blur::BlurTable;
-use super::gram::{Gram, Summing, Weighing};
+use super::gram::{Gram, Weighing};
 use super::pixels::{Block, LANES, Strip, USUAL_BLOCKS};
 use super::profile::{CLEAR, RoundEnd};
 use super::sketch::{FlankLines, Sketch};
 use super::unknowns::{
-    self, BEND, BULGE, FlankEquations, Information, LEAST_CONTRAST_GREY, OFFSET, SLOPE, UNKNOWNS,
-    Unknowns, Vector,
+    self, BEND, BULGE, FlankEquations, FlankStep, Information, LEAST_CONTRAST_GREY, OFFSET, SLOPE,
+    UNKNOWNS, Unknowns, Vector,
 };
 use super::{KnownBackground, PhotometricOptions, PhotometricReport, Stretch};
 use crate::image::GrayView;
-use crate::simd::Isa;
+use crate::simd::{Isa, Work};
 use nalgebra::{Cholesky, Const, Matrix2, Matrix4, Vector2};
 
 /// The first iteration takes residuals of this part of the contrast for noise: it starts from the
@@ -124,6 +129,7 @@ struct Tally {
 }
 
 impl Tally {
+    #[inline(always)]
     fn add(&mut self, gram: &Gram, pixels: f64, say: f64, freed: f64) {
         self.weight += say * gram.weight;
         self.psi_squared += say * gram.psi_squared;
@@ -248,31 +254,23 @@ impl Photometric {
             let end = sketch
                 .end_radius_px()
                 .map(|radius| RoundEnd { middle: end_px as f32, radius: radius as f32 });
-            // Up to here no pixel of a block feels the round end.
-            let clear = end_px - CLEAR * x.blur_px() - 0.5 * self.options.block_px;
             let mut equations = FlankEquations::default();
             let mut evidence = Evidence::default();
-            for (block, deviation) in flank.strip.blocks.iter().zip(&mut flank.deviations) {
-                let mut gram = Gram::default();
-                self.isa.run(Summing {
-                    chunks: flank.strip.chunks(block),
-                    profile: x.profile(sketch, index, block.p, &deviation.effects),
-                    end: end.filter(|_| block.p > clear),
-                    table: self.table,
-                    weighing,
-                    gram: &mut gram,
-                });
-                deviation.chi_squared = gram.chi_squared / block.pixels as f64;
-                if 1 < iteration && iteration <= ADAPTING_ITERATIONS {
-                    deviation.say = (MOST_CHI_SQUARED / deviation.chi_squared).powi(2).min(1.0);
-                }
-                let mut variances = flank.variances;
-                variances[EDGE_EFFECT] += flank.runs_px2 + deviation.restless_px2;
-                let reduced = deviation.eliminate(&gram, &variances, scale * scale, &mut evidence);
-                let factors = unknowns::factors(block.p, sketch.half_length_px);
-                equations.add(deviation.say, &factors, &reduced.information, &reduced.right);
-                normal.tally.add(&gram, block.pixels as f64, deviation.say, reduced.freed);
-            }
+            self.isa.run(Linearising {
+                flank,
+                index,
+                sketch,
+                x,
+                end,
+                // Up to here no pixel of a block feels the round end.
+                clear_px: end_px - CLEAR * x.blur_px() - 0.5 * self.options.block_px,
+                table: self.table,
+                weighing,
+                reweighs: 1 < iteration && iteration <= ADAPTING_ITERATIONS,
+                equations: &mut equations,
+                evidence: &mut evidence,
+                tally: &mut normal.tally,
+            });
             equations.spread(index, &mut normal.information, &mut normal.right);
             if iteration <= ADAPTING_ITERATIONS {
                 flank.adapt(&evidence, scale * scale, iteration);
@@ -287,9 +285,10 @@ impl Photometric {
     fn follow(&mut self, sketch: &Sketch, step: &Vector, part: f64) {
         let taken = step * part;
         for (index, flank) in self.flanks.iter_mut().enumerate() {
+            let taken = FlankStep::of(&taken, index);
             for (block, deviation) in flank.strip.blocks.iter().zip(&mut flank.deviations) {
                 let factors = unknowns::factors(block.p, sketch.half_length_px);
-                deviation.follow(&Unknowns::by_feature(&taken, index, &factors), part);
+                deviation.follow(&taken.by_feature(&factors), part);
             }
         }
     }
@@ -329,6 +328,49 @@ impl Photometric {
             bend_px: x.0[BEND],
             iterations,
             converged,
+        }
+    }
+}
+
+/// The model of one flank made linear block by block, the deviations of each eliminated.
+struct Linearising<'a> {
+    flank: &'a mut Flank,
+    index: usize,
+    sketch: &'a Sketch,
+    x: &'a Unknowns,
+    end: Option<RoundEnd>,
+    clear_px: f64,
+    table: BlurTable,
+    weighing: Weighing,
+    /// Whether blocks are trusted anew.
+    reweighs: bool,
+    /// Where the sums go.
+    equations: &'a mut FlankEquations,
+    evidence: &'a mut Evidence,
+    tally: &'a mut Tally,
+}
+
+impl Work for Linearising<'_> {
+    #[inline(always)]
+    fn run(self) {
+        let Self { flank, index, sketch, x, end, clear_px, table, weighing, .. } = self;
+        let Flank { strip, deviations, variances, runs_px2 } = flank;
+        let noise2 = weighing.noise_grey * weighing.noise_grey;
+        for (block, deviation) in strip.blocks.iter().zip(deviations) {
+            let profile = x.profile(sketch, index, block.p, &deviation.effects);
+            let end = end.filter(|_| block.p > clear_px);
+            let gram = Gram::of(strip.chunks(block), &profile, end, table, &weighing);
+            deviation.chi_squared = gram.chi_squared / block.pixels as f64;
+            if self.reweighs {
+                let say = MOST_CHI_SQUARED / deviation.chi_squared;
+                deviation.say = (say * say).min(1.0);
+            }
+            let mut variances = *variances;
+            variances[EDGE_EFFECT] += *runs_px2 + deviation.restless_px2;
+            let reduced = deviation.eliminate(&gram, &variances, noise2, self.evidence);
+            let factors = unknowns::factors(block.p, sketch.half_length_px);
+            self.equations.add(deviation.say, &factors, &reduced.equations);
+            self.tally.add(&gram, block.pixels as f64, deviation.say, reduced.freed);
         }
     }
 }

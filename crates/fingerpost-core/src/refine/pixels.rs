@@ -119,6 +119,7 @@ impl Strip {
         }
     }
 
+    #[inline]
     pub fn chunks(&self, block: &Block) -> &[Chunk] {
         self.chunks.get(block.from_chunk..block.to_chunk).unwrap_or_default()
     }

@@ -37,16 +37,16 @@ use super::pixels::{Chunk, LANES, Lanes};
 pub const FEATURES: usize = 7;
 /// By the place of the edge, outward \[grey levels / px\].
 pub const EDGE: usize = 0;
-/// By the blur s \[grey levels / px\].
-pub const BLUR: usize = 1;
-/// By the middle of the round end \[grey levels / px\].
-pub const END: usize = 2;
 /// By the inside level a, and by the background level b.
-pub const INSIDE: usize = 3;
-pub const OUTSIDE: usize = 4;
+pub const INSIDE: usize = 1;
+pub const OUTSIDE: usize = 2;
+/// By the blur s \[grey levels / px\].
+pub const BLUR: usize = 3;
 /// By the slope c and by the limb l.
-pub const RAMP: usize = 5;
-pub const LIMB: usize = 6;
+pub const RAMP: usize = 4;
+pub const LIMB: usize = 5;
+/// By the middle of the round end \[grey levels / px\]; the last one, and zero clear of the end.
+pub const END: usize = 6;
 
 /// What the pixels of one block depend on.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -119,12 +119,12 @@ impl Profile {
         let y = self.beyond_flank(chunk);
         let s = self.blur;
         let mut z = [0.0; LANES];
-        for i in 0..LANES {
-            z[i] = -y[i] / s;
-        }
-        let m = moments(table, &z);
         let (root, per_width, per_blur) =
             ((2.0 * s / self.half_width).sqrt(), 1.0 / self.half_width, 1.0 / s);
+        for i in 0..LANES {
+            z[i] = -y[i] * per_blur;
+        }
+        let m = table.moments(&z);
         let (ramp, limb) = (self.ramp * per_width, self.limb * root);
         let mut at = Prediction::default();
         for i in 0..LANES {
@@ -156,12 +156,12 @@ impl Profile {
         let s = self.blur;
         let d = end.distance(table, &from_flank, &chunk.p, s);
         let mut z = [0.0; LANES];
-        for i in 0..LANES {
-            z[i] = -d.y[i] / s;
-        }
-        let m = moments(table, &z);
         let (root, per_width, per_blur) =
             ((2.0 * s / self.half_width).sqrt(), 1.0 / self.half_width, 1.0 / s);
+        for i in 0..LANES {
+            z[i] = -d.y[i] * per_blur;
+        }
+        let m = table.moments(&z);
         let (ramp, limb) = (self.ramp * per_width, self.limb * root);
         let mut at = Prediction::default();
         for i in 0..LANES {
@@ -199,12 +199,17 @@ impl RoundEnd {
     fn distance(self, table: BlurTable, from_flank: &Lanes, p: &Lanes, s: f32) -> Distance {
         let radius = self.radius;
         let mut d = Distance::default();
+        let mut depth = [0.0; LANES];
+        for i in 0..LANES {
+            depth[i] = (p[i] - self.middle) / s;
+        }
+        let begun = table.moments(&depth);
         for i in 0..LANES {
             let u = p[i] - self.middle;
-            let begun = table.moments(u / s);
+            let (step, density) = (begun.step[i], begun.step_slope[i]);
             // E[(u + s Z)₊²], halved, and its derivative by u.
-            let smooth = 0.5 * ((u * u + s * s) * begun.step + u * s * begun.step_slope);
-            let smooth_by_u = u * begun.step + s * begun.step_slope;
+            let smooth = 0.5 * ((u * u + s * s) * step + u * s * density);
+            let smooth_by_u = u * step + s * density;
             let sharp = u.max(0.0);
             let from_middle = from_flank[i] + radius;
             let range =
@@ -213,34 +218,12 @@ impl RoundEnd {
             d.y[i] = range - radius + (smooth - 0.5 * sharp * sharp) / radius;
             d.by_flank[i] = from_middle / range;
             d.by_u[i] = sharp / range + (smooth_by_u - sharp) / radius;
-            d.by_blur[i] = s * begun.step / radius;
+            d.by_blur[i] = s * step / radius;
             d.by_flank_twice[i] = sharp * sharp / cube;
             d.by_flank_and_u[i] = -sharp * from_middle / cube;
         }
         d
     }
-}
-
-/// [`Moments`](super::blur::Moments) of every lane.
-struct MomentLanes {
-    step: Lanes,
-    step_slope: Lanes,
-    root: Lanes,
-    root_slope: Lanes,
-}
-
-#[inline(always)]
-fn moments(table: BlurTable, z: &Lanes) -> MomentLanes {
-    let none = [0.0; LANES];
-    let mut at = MomentLanes { step: none, step_slope: none, root: none, root_slope: none };
-    for i in 0..LANES {
-        let m = table.moments(z[i]);
-        at.step[i] = m.step;
-        at.step_slope[i] = m.step_slope;
-        at.root[i] = m.root;
-        at.root_slope[i] = m.root_slope;
-    }
-    at
 }
 
 // The profile is private, and what it must agree with are its own derivatives.
