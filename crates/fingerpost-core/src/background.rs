@@ -207,6 +207,8 @@ struct Change {
 struct Slope {
     by_px: Vector2<f64>,
     residual: f64,
+    /// One over the largest residual that a shift explains.
+    per_most: f64,
 }
 
 /// Level, variance and number of agreeing visits of every pixel.
@@ -684,15 +686,17 @@ impl Background {
             return;
         }
         self.slopes.clear();
+        let changed = self.options.changed_sigmas * self.options.noise_grey;
         for (x, y) in Self::grid((width, height)) {
             let Some(now) = frame.image().pixel(x, y) else { continue };
             let Some([[_, above, _], [left, here, right], [_, below, _]]) = self.about(x, y) else {
                 continue;
             };
             let by_px = Vector2::new(f64::from(right - left), f64::from(below - above)) / 2.0;
-            if by_px.norm() > STEEP_GREY_PX {
+            if by_px.norm_squared() > STEEP_GREY_PX * STEEP_GREY_PX {
                 let residual = f64::from(now) - f64::from(here);
-                self.slopes.push(Slope { by_px, residual });
+                let per_most = 1.0 / (changed + by_px.norm() * FARTHEST_SHIFT_PX);
+                self.slopes.push(Slope { by_px, residual, per_most });
             }
         }
         if self.slopes.len() < TELLING_LEAST {
@@ -701,10 +705,8 @@ impl Background {
         let mut shift = Vector2::<f64>::zeros();
         for _ in 0..SHIFT_FITS {
             let (mut information, mut right) = (Matrix2::zeros(), Vector2::zeros());
-            for Slope { by_px, residual } in &self.slopes {
-                let most = self.options.changed_sigmas * self.options.noise_grey
-                    + by_px.norm() * FARTHEST_SHIFT_PX;
-                let r = (residual + by_px.dot(&shift)) / most;
+            for Slope { by_px, residual, per_most } in &self.slopes {
+                let r = (residual + by_px.dot(&shift)) * per_most;
                 let weight = (1.0 - (r * r).min(1.0)).powi(2);
                 information += by_px * by_px.transpose() * weight;
                 right -= by_px * (residual * weight);
