@@ -20,8 +20,8 @@
     reason = "row by row through several arrays at once is what the compiler turns into vectors"
 )]
 
-use super::gram::{Augmented, Gram, RIGHT};
-use super::profile::{EDGE, FEATURES, INSIDE, OUTSIDE};
+use super::gram::Gram;
+use super::profile::{COLUMNS, EDGE, INSIDE, OUTSIDE, RIGHT};
 
 /// What deviates: the features it acts through.
 pub(super) const EFFECTS: [usize; 3] = [INSIDE, OUTSIDE, EDGE];
@@ -51,17 +51,14 @@ pub(super) struct Deviation {
     pub chi_squared: f64,
     /// Variance of its edge from what the background does about it \[px²\].
     pub restless_px2: f64,
+    /// Its sums over pixels; in their equations the deviations are eliminated.
+    pub gram: Gram,
+    /// How many deviations were fitted, in effect.
+    pub freed: f64,
     /// Y⁻¹.
     inverse: [[f64; 3]; 3],
     /// Cᵀ, and h beside it.
-    coupling: [[f64; FEATURES + 1]; 3],
-}
-
-/// A block's equations with its deviations eliminated.
-pub(super) struct Reduced {
-    pub equations: Augmented<f64>,
-    /// How many deviations were fitted, in effect.
-    pub freed: f64,
+    coupling: [[f64; COLUMNS]; 3],
 }
 
 /// Evidence of how much a kind of deviation varies.
@@ -84,6 +81,8 @@ impl Deviation {
             say: 1.0,
             chi_squared: 1.0,
             restless_px2: 0.0,
+            gram: Gram::default(),
+            freed: 0.0,
             inverse: [[0.0; 3]; 3],
             coupling: [[0.0; _]; 3],
         }
@@ -92,17 +91,12 @@ impl Deviation {
     /// Eliminates the deviations, whose variances are given, from the block's equations; `noise2`
     /// is the variance of a pixel.
     #[inline(always)]
-    pub fn eliminate(
-        &mut self,
-        gram: &Gram,
-        variances: &[f64; 3],
-        noise2: f64,
-        evidence: &mut Evidence,
-    ) -> Reduced {
+    pub fn eliminate(&mut self, variances: &[f64; 3], noise2: f64, evidence: &mut Evidence) {
+        let equations = &mut self.gram.equations;
         let (mut regular, mut lambda) = ([[0.0; 3]; 3], [0.0; 3]);
         for k in 0..3 {
             for i in 0..3 {
-                regular[k][i] = gram.equations[EFFECTS[k]][EFFECTS[i]];
+                regular[k][i] = equations[EFFECTS[k]][EFFECTS[i]];
             }
             let told = noise2 / regular[k][k].max(LEAST_INFORMATION);
             lambda[k] = noise2 / variances[k].max(LEAST_VARIANCE * told);
@@ -111,7 +105,7 @@ impl Deviation {
         // Λ is positive, so there always is one.
         self.inverse = inverse(&regular).unwrap_or([[0.0; 3]; 3]);
         for (k, coupling) in self.coupling.iter_mut().enumerate() {
-            *coupling = gram.equations[EFFECTS[k]];
+            *coupling = equations[EFFECTS[k]];
             coupling[RIGHT] -= lambda[k] * self.effects[k];
         }
         let step = apply(&self.inverse, &self.coupling.map(|c| c[RIGHT]));
@@ -121,29 +115,28 @@ impl Deviation {
         }
         evidence.add(self.say, &expected, &self.inverse, &lambda, noise2);
 
-        let mut equations = gram.equations;
         let [inside, outside, edge] = &self.coupling;
-        for i in 0..FEATURES {
+        for i in 0..COLUMNS {
             let [a, b, c] = apply(&self.inverse, &[inside[i], outside[i], edge[i]]);
-            for j in 0..=FEATURES {
+            for j in 0..COLUMNS {
                 equations[i][j] -= a * inside[j] + b * outside[j] + c * edge[j];
             }
         }
-        let mut freed = 0.0;
+        self.freed = 0.0;
         for k in 0..3 {
-            freed += (regular[k][k] - lambda[k]) * self.inverse[k][k];
+            self.freed += (regular[k][k] - lambda[k]) * self.inverse[k][k];
         }
-        Reduced { equations, freed }
     }
 
     /// Takes the deviations to where they belong after the shared step was taken to the part `part`
-    /// of its length and changed the features by `by_feature`.
-    pub fn follow(&mut self, by_feature: &[f64; FEATURES], part: f64) {
+    /// of its length and changed the features by those columns of `changes`.
+    pub fn follow(&mut self, changes: &[f64; COLUMNS], part: f64) {
+        let mut changes = *changes;
+        changes[RIGHT] = -part;
         let mut right = [0.0; 3];
         for (right, coupling) in right.iter_mut().zip(&self.coupling) {
-            *right = coupling[RIGHT] * part;
-            for (coupling, step) in coupling.iter().zip(by_feature) {
-                *right -= coupling * step;
+            for (coupling, change) in coupling.iter().zip(&changes) {
+                *right -= coupling * change;
             }
         }
         let step = apply(&self.inverse, &right);

@@ -11,7 +11,7 @@
 
 use super::blur::BlurTable;
 use super::pixels::{Chunk, LANES, Lanes};
-use super::profile::{END, FEATURES, OUTSIDE, Prediction, Profile, RoundEnd};
+use super::profile::{COLUMNS, OUTSIDE, Prediction, Profile, RIGHT, RoundEnd};
 
 /// How a pixel's residual is weighed: Tukey's biweight.
 #[derive(Debug, Clone, Copy)]
@@ -22,15 +22,16 @@ pub(super) struct Weighing {
     pub cutoff: f64,
 }
 
-/// Features beside a last column for what stands on the right side of equations.
-pub(super) const RIGHT: usize = FEATURES;
-pub(super) type Augmented<T> = [[T; FEATURES + 1]; FEATURES];
+/// Features and residuals of some pixels, each times the root of its pixel's weight.
+type Weighted = [Lanes; COLUMNS];
+/// Equations of the features; the right sides stand in their column.
+pub(super) type Equations = [[f64; COLUMNS]; COLUMNS];
 
 /// Sums over the pixels of one block.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Gram {
     /// Σ w f fᵀ, and Σ w f r.
-    pub equations: Augmented<f64>,
+    pub equations: Equations,
     /// Σ w, Σ w² r² and Σ ψ′, which make the covariance of a robust fit.
     pub weight: f64,
     pub psi_squared: f64,
@@ -41,36 +42,104 @@ pub(super) struct Gram {
     pub rejected: f64,
 }
 
+/// What is between the pixels of a block and their sums.
+#[derive(Debug, Clone)]
+pub(super) struct Workspace {
+    weighted: Vec<Weighted>,
+    /// Sums lane by lane: the upper triangle of the equations, row by row.
+    lanes: Vec<Lanes>,
+    totals: Vec<f32>,
+}
+
+/// Entries of the upper triangle.
+const ENTRIES: usize = COLUMNS * (COLUMNS + 1) / 2;
+
+impl Workspace {
+    /// Enough for blocks of so many chunks.
+    pub fn with_capacity(chunks: usize) -> Self {
+        let weighted = Vec::with_capacity(chunks);
+        Self { weighted, lanes: vec![[0.0; LANES]; ENTRIES], totals: vec![0.0; ENTRIES] }
+    }
+
+    /// Makes room for blocks of so many chunks.
+    pub fn fit(&mut self, chunks: usize) {
+        self.weighted.resize(chunks, Weighted::default());
+    }
+}
+
 impl Gram {
-    /// The sums of a block whose pixels should look like `profile`, near a round end or clear of it.
+    /// The sums of a block whose pixels should look like `profile`, near a round end or clear of it;
+    /// `space` has room for all its chunks.
     #[inline(always)]
-    pub fn of(
+    pub fn take(
+        &mut self,
         chunks: &[Chunk],
         profile: &Profile,
         end: Option<RoundEnd>,
         table: BlurTable,
         weighing: &Weighing,
-    ) -> Self {
-        let mut sums = Accumulator::new(weighing);
+        space: &mut Workspace,
+    ) {
+        let Workspace { weighted, lanes, totals } = space;
+        let mut tally = PixelTally::new(weighing);
         if let Some(end) = end {
-            for chunk in chunks {
-                sums.add::<FEATURES>(chunk, &profile.round(table, chunk, end));
+            for (weighted, chunk) in weighted.iter_mut().zip(chunks) {
+                *weighted = tally.weigh(chunk, &profile.round(table, chunk, end));
             }
-            sums.total::<FEATURES>()
         } else {
-            for chunk in chunks {
-                sums.add::<END>(chunk, &profile.straight(table, chunk));
+            for (weighted, chunk) in weighted.iter_mut().zip(chunks) {
+                *weighted = tally.weigh(chunk, &profile.straight(table, chunk));
             }
-            sums.total::<END>()
         }
+        let weighted = weighted.get(..chunks.len()).unwrap_or_default();
+        // Their lengths are told at run time, so that no compiler takes the lanes apart in order to
+        // add them sooner.
+        let mut rest = lanes.as_mut_slice();
+        rest = row::<0>(weighted, rest);
+        rest = row::<1>(weighted, rest);
+        rest = row::<2>(weighted, rest);
+        rest = row::<3>(weighted, rest);
+        rest = row::<4>(weighted, rest);
+        rest = row::<5>(weighted, rest);
+        rest = row::<6>(weighted, rest);
+        row::<7>(weighted, rest);
+        for (total, lanes) in totals.iter_mut().zip(&*lanes) {
+            *total = sum(lanes);
+        }
+        let mut totals = totals.iter();
+        for a in 0..COLUMNS {
+            for (b, total) in (a..COLUMNS).zip(&mut totals) {
+                let value = f64::from(*total);
+                (self.equations[a][b], self.equations[b][a]) = (value, value);
+            }
+        }
+        tally.tell(self);
     }
 }
 
-/// The sums lane by lane.
-struct Accumulator {
+/// Row `A` of the equations lane by lane, from its diagonal on, to the beginning of `lanes`; returns
+/// the rest of them.
+#[inline(always)]
+fn row<'a, const A: usize>(weighted: &[Weighted], lanes: &'a mut [Lanes]) -> &'a mut [Lanes] {
+    let mut sums = [[0.0; LANES]; COLUMNS];
+    for columns in weighted {
+        for b in A..COLUMNS {
+            for i in 0..LANES {
+                sums[b][i] += columns[A][i] * columns[b][i];
+            }
+        }
+    }
+    let (row, rest) = lanes.split_at_mut(lanes.len().min(COLUMNS - A));
+    for (lanes, sums) in row.iter_mut().zip(&sums[A..]) {
+        *lanes = *sums;
+    }
+    rest
+}
+
+/// The other sums, lane by lane.
+struct PixelTally {
     per_cut: f32,
     per_noise2: f32,
-    equations: Augmented<Lanes>,
     weight: Lanes,
     psi_squared: Lanes,
     psi_slope: Lanes,
@@ -81,14 +150,13 @@ struct Accumulator {
     cutoff: f64,
 }
 
-impl Accumulator {
+impl PixelTally {
     #[inline(always)]
     fn new(weighing: &Weighing) -> Self {
         let Weighing { noise_grey, cutoff } = *weighing;
         Self {
             per_cut: (1.0 / (cutoff * noise_grey)) as f32,
             per_noise2: (1.0 / (noise_grey * noise_grey)) as f32,
-            equations: [[[0.0; LANES]; _]; _],
             weight: [0.0; LANES],
             psi_squared: [0.0; LANES],
             psi_slope: [0.0; LANES],
@@ -99,16 +167,16 @@ impl Accumulator {
         }
     }
 
-    /// Adds the pixels of a chunk, by the first `N` features: the others are zero.
+    /// Weighs the pixels of a chunk, and counts them.
     #[inline(always)]
-    fn add<const N: usize>(&mut self, chunk: &Chunk, predicted: &Prediction) {
-        let f = &predicted.features;
-        let (mut weights, mut residuals) = ([0.0; LANES], [0.0; LANES]);
+    fn weigh(&mut self, chunk: &Chunk, predicted: &Prediction) -> Weighted {
+        let mut columns = predicted.columns;
+        let mut roots = [0.0; LANES];
         for i in 0..LANES {
             let r = chunk.grey[i] - predicted.grey[i];
             // A pixel of doubtful background is as noisy as the part of it that shows.
             let doubt = chunk.doubt[i] * self.per_noise2;
-            let shown = f[OUTSIDE][i];
+            let shown = columns[OUTSIDE][i];
             let precision = chunk.weight[i] / (1.0 + shown * shown * doubt);
             let t = r * self.per_cut;
             let t2 = t * t * precision;
@@ -116,8 +184,8 @@ impl Accumulator {
             let inside = if t2 < 1.0 { chunk.weight[i] } else { 0.0 };
             let robust = left * left;
             let w = robust * precision;
-            residuals[i] = r;
-            weights[i] = w;
+            columns[RIGHT][i] = r;
+            roots[i] = w.sqrt();
             self.weight[i] += robust * chunk.weight[i];
             self.psi_squared[i] += robust * w * r * r;
             self.psi_slope[i] += inside * left * (1.0 - 5.0 * t2);
@@ -125,46 +193,29 @@ impl Accumulator {
             self.kept[i] += inside;
             self.pixels[i] += chunk.weight[i];
         }
-        for a in 0..N {
-            let mut wf = [0.0; LANES];
+        for column in &mut columns {
             for i in 0..LANES {
-                wf[i] = weights[i] * f[a][i];
-                self.equations[a][RIGHT][i] += wf[i] * residuals[i];
-            }
-            for b in a..N {
-                for i in 0..LANES {
-                    self.equations[a][b][i] += wf[i] * f[b][i];
-                }
+                column[i] *= roots[i];
             }
         }
+        columns
     }
 
     /// The sums over all lanes.
     #[inline(always)]
-    fn total<const N: usize>(&self) -> Gram {
-        let mut equations = [[0.0; _]; _];
-        for a in 0..N {
-            equations[a][RIGHT] = sum(&self.equations[a][RIGHT]);
-            for b in a..N {
-                let value = sum(&self.equations[a][b]);
-                equations[a][b] = value;
-                equations[b][a] = value;
-            }
-        }
-        Gram {
-            equations,
-            weight: sum(&self.weight),
-            psi_squared: sum(&self.psi_squared),
-            psi_slope: sum(&self.psi_slope),
-            chi_squared: sum(&self.capped) * self.cutoff * self.cutoff,
-            rejected: sum(&self.pixels) - sum(&self.kept),
-        }
+    fn tell(&self, gram: &mut Gram) {
+        let total = |lanes: &Lanes| f64::from(sum(lanes));
+        gram.weight = total(&self.weight);
+        gram.psi_squared = total(&self.psi_squared);
+        gram.psi_slope = total(&self.psi_slope);
+        gram.chi_squared = total(&self.capped) * self.cutoff * self.cutoff;
+        gram.rejected = total(&self.pixels) - total(&self.kept);
     }
 }
 
 #[inline(always)]
-fn sum(lanes: &Lanes) -> f64 {
+fn sum(lanes: &Lanes) -> f32 {
     let [a, b, c, d, e, f, g, h] = *lanes;
     // Halves first: one addition of vectors each.
-    f64::from(((a + e) + (c + g)) + ((b + f) + (d + h)))
+    ((a + e) + (c + g)) + ((b + f) + (d + h))
 }

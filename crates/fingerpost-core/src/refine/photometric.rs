@@ -30,8 +30,8 @@
 
 use super::block::{Deviation, EDGE_EFFECT, Evidence, INSIDE_EFFECT, OUTSIDE_EFFECT};
 use super::blur::BlurTable;
-use super::gram::{Gram, Weighing};
-use super::pixels::{Block, LANES, Strip, USUAL_BLOCKS};
+use super::gram::{Weighing, Workspace};
+use super::pixels::{Block, LANES, Strip, USUAL_BLOCKS, USUAL_CHUNKS};
 use super::profile::{CLEAR, RoundEnd};
 use super::sketch::{FlankLines, Sketch};
 use super::unknowns::{
@@ -85,6 +85,7 @@ pub(super) struct Photometric {
 struct Flank {
     strip: Strip,
     deviations: Vec<Deviation>,
+    workspace: Workspace,
     /// Variance of each deviation from block to block, in the square of its unit.
     variances: [f64; 3],
     /// What runs of blocks whose edges deviate alike add to the edge's \[px²\].
@@ -130,7 +131,8 @@ struct Tally {
 
 impl Tally {
     #[inline(always)]
-    fn add(&mut self, gram: &Gram, pixels: f64, say: f64, freed: f64) {
+    fn add(&mut self, block: &Deviation, pixels: f64) {
+        let Deviation { gram, say, freed, .. } = block;
         self.weight += say * gram.weight;
         self.psi_squared += say * gram.psi_squared;
         self.psi_slope += say * gram.psi_slope;
@@ -168,6 +170,7 @@ impl Photometric {
     ) -> Option<PhotometricFit> {
         for (index, flank) in self.flanks.iter_mut().enumerate() {
             flank.strip.gather(image, background, noise_grey, sketch, index, &self.options);
+            flank.workspace.fit(flank.strip.most_chunks());
             flank.deviations.clear();
             flank.deviations.resize(flank.strip.blocks.len(), Deviation::none());
             (flank.variances, flank.runs_px2) = ([0.0; 3], 0.0);
@@ -288,7 +291,7 @@ impl Photometric {
             let taken = FlankStep::of(&taken, index);
             for (block, deviation) in flank.strip.blocks.iter().zip(&mut flank.deviations) {
                 let factors = unknowns::factors(block.p, sketch.half_length_px);
-                deviation.follow(&taken.by_feature(&factors), part);
+                deviation.follow(&taken.changes(&factors), part);
             }
         }
     }
@@ -354,23 +357,26 @@ impl Work for Linearising<'_> {
     #[inline(always)]
     fn run(self) {
         let Self { flank, index, sketch, x, end, clear_px, table, weighing, .. } = self;
-        let Flank { strip, deviations, variances, runs_px2 } = flank;
-        let noise2 = weighing.noise_grey * weighing.noise_grey;
-        for (block, deviation) in strip.blocks.iter().zip(deviations) {
+        let Flank { strip, deviations, workspace, variances, runs_px2 } = flank;
+        for (block, deviation) in strip.blocks.iter().zip(&mut *deviations) {
             let profile = x.profile(sketch, index, block.p, &deviation.effects);
             let end = end.filter(|_| block.p > clear_px);
-            let gram = Gram::of(strip.chunks(block), &profile, end, table, &weighing);
-            deviation.chi_squared = gram.chi_squared / block.pixels as f64;
+            let chunks = strip.chunks(block);
+            deviation.gram.take(chunks, &profile, end, table, &weighing, workspace);
+        }
+        let noise2 = weighing.noise_grey * weighing.noise_grey;
+        for (block, deviation) in strip.blocks.iter().zip(deviations) {
+            deviation.chi_squared = deviation.gram.chi_squared / block.pixels as f64;
             if self.reweighs {
                 let say = MOST_CHI_SQUARED / deviation.chi_squared;
                 deviation.say = (say * say).min(1.0);
             }
             let mut variances = *variances;
             variances[EDGE_EFFECT] += *runs_px2 + deviation.restless_px2;
-            let reduced = deviation.eliminate(&gram, &variances, noise2, self.evidence);
+            deviation.eliminate(&variances, noise2, self.evidence);
             let factors = unknowns::factors(block.p, sketch.half_length_px);
-            self.equations.add(deviation.say, &factors, &reduced.equations);
-            self.tally.add(&gram, block.pixels as f64, deviation.say, reduced.freed);
+            self.equations.add(deviation.say, &factors, &deviation.gram.equations);
+            self.tally.add(deviation, block.pixels as f64);
         }
     }
 }
@@ -378,7 +384,8 @@ impl Work for Linearising<'_> {
 impl Flank {
     fn new() -> Self {
         let deviations = Vec::with_capacity(USUAL_BLOCKS);
-        Self { strip: Strip::new(), deviations, variances: [0.0; 3], runs_px2: 0.0 }
+        let workspace = Workspace::with_capacity(USUAL_CHUNKS);
+        Self { strip: Strip::new(), deviations, workspace, variances: [0.0; 3], runs_px2: 0.0 }
     }
 
     /// Takes over the variances that the evidence speaks for; by half once there are some that owe

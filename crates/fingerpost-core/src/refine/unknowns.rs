@@ -6,8 +6,8 @@
 )]
 
 use super::PhotometricOptions;
-use super::gram::Augmented;
-use super::profile::{self, EDGE, FEATURES, INSIDE, OUTSIDE, Profile, RAMP};
+use super::gram::Equations;
+use super::profile::{self, COLUMNS, EDGE, INSIDE, OUTSIDE, Profile, RAMP};
 use super::sketch::{FlankLines, SIDES, Sketch};
 use nalgebra::{SMatrix, SVector};
 
@@ -182,11 +182,11 @@ impl FlankStep {
         Self(slots)
     }
 
-    /// What it changes in a block's features.
-    pub fn by_feature(&self, factors: &Factors) -> [f64; FEATURES] {
+    /// What it changes in a block's features, column by column.
+    pub fn changes(&self, factors: &Factors) -> [f64; COLUMNS] {
         let [_, p, bend, _, t, ..] = *factors;
         let [e0, e1, e2, a, a1, b, b1, blur, ramp, limb, end] = self.0;
-        [e0 + p * e1 + bend * e2, a + t * a1, b + t * b1, blur, ramp, limb, end]
+        [e0 + p * e1 + bend * e2, a + t * a1, b + t * b1, blur, ramp, limb, 0.0, end]
     }
 }
 
@@ -218,9 +218,9 @@ pub(super) struct FlankEquations([[f64; SLOTS + 1]; SLOTS]);
 impl FlankEquations {
     /// Adds a block's, which are those of its features.
     #[inline(always)]
-    pub fn add(&mut self, say: f64, factors: &Factors, equations: &Augmented<f64>) {
+    pub fn add(&mut self, say: f64, factors: &Factors, equations: &Equations) {
         let [_, p, bend, _, t, ..] = *factors;
-        let rows = equations.map(|[edge, inside, outside, blur, ramp, limb, end, right]| {
+        let rows = equations.map(|[edge, inside, outside, blur, ramp, limb, right, end]| {
             let (a, b) = (inside, outside);
             [edge, p * edge, bend * edge, a, t * a, b, t * b, blur, ramp, limb, end, right]
         });
