@@ -15,10 +15,6 @@
     clippy::inline_always,
     reason = "what is inlined into a function with wider instructions is compiled for them"
 )]
-#![expect(
-    clippy::needless_range_loop,
-    reason = "row by row through several arrays at once is what the compiler turns into vectors"
-)]
 
 use super::gram::Gram;
 use super::profile::{COLUMNS, EDGE, INSIDE, OUTSIDE, RIGHT};

@@ -103,7 +103,11 @@ impl BlurTable {
             m.root_slope[i] = slope + t * (second + 0.5 * t * third);
         }
         // Without a shortcut, which would take the lanes apart.
-        if z.iter().fold(false, |deep, z| deep | (*z > DEPTH)) {
+        let mut any_deep = false;
+        for z in z {
+            any_deep |= *z > DEPTH;
+        }
+        if any_deep {
             for i in 0..LANES {
                 let (root, tail) = (z[i].sqrt(), 0.125 / (z[i] * z[i]));
                 let deep = z[i] > DEPTH;

@@ -4,10 +4,6 @@
     clippy::inline_always,
     reason = "what is inlined into a function with wider instructions is compiled for them"
 )]
-#![expect(
-    clippy::needless_range_loop,
-    reason = "lane by lane through many arrays at once is what the compiler turns into vectors"
-)]
 
 use super::blur::BlurTable;
 use super::pixels::{Chunk, LANES, Lanes};

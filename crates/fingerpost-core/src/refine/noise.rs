@@ -7,7 +7,7 @@
 
 use super::sketch::Sketch;
 use crate::image::GrayView;
-use std::array::from_fn;
+use crate::simd::each;
 
 /// Side of a cell \[px\].
 const CELL: usize = 8;
@@ -90,18 +90,21 @@ impl NoiseEstimator {
 /// The variance of the noise in the cell whose first pixel is (x, y); `None` if a pixel of it is
 /// clipped.
 fn cell(image: &GrayView<'_>, x: usize, y: usize) -> Option<f64> {
-    let row = |v| image.row(v)?.get(x - 1..=x + CELL)?.try_into().ok();
-    let (mut above, mut here): (Row, Row) = (row(y - 1)?, row(y)?);
+    let row = |v| image.row(v)?.get(x - 1..)?.first_chunk::<{ CELL + 2 }>();
+    let second = |r: &Row| -> [i16; CELL] {
+        each(|k| i16::from(r[k]) - 2 * i16::from(r[k + 1]) + i16::from(r[k + 2]))
+    };
+    let (mut above, mut here) = (second(row(y - 1)?), second(row(y)?));
     let (mut sum, mut is_clipped) = (0, false);
-    for v in y + 1..=y + CELL {
-        let below: Row = row(v)?;
-        // Row by row first, so that each pixel is only looked at once for that.
-        let twice: [i16; CELL + 2] =
-            from_fn(|k| i16::from(above[k]) - 2 * i16::from(here[k]) + i16::from(below[k]));
-        for k in 1..=CELL {
-            is_clipped |= matches!(here[k], 0 | 255);
-            let twice = i32::from(twice[k - 1] - 2 * twice[k] + twice[k + 1]);
+    for v in y..y + CELL {
+        let below = second(row(v + 1)?);
+        for k in 0..CELL {
+            let twice = i32::from(above[k] - 2 * here[k] + below[k]);
             sum += twice * twice;
+        }
+        // Without a shortcut, so that they are looked at side by side.
+        for p in &row(v)?[1..=CELL] {
+            is_clipped |= p.wrapping_add(1) < 2;
         }
         (above, here) = (here, below);
     }
