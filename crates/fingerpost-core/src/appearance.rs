@@ -13,7 +13,7 @@
     reason = "what is inlined into a function with wider instructions is compiled for them"
 )]
 
-use crate::frame::Frame;
+use crate::frame::{Frame, SidedPixel};
 use crate::logarithm::ln;
 use crate::simd::{Isa, Work};
 use std::array::from_fn;
@@ -200,24 +200,6 @@ fn colour_bin(colour: [u8; 3]) -> usize {
 
 fn grey_bin(grey: u8) -> usize {
     usize::from(grey) >> 2
-}
-
-/// A pixel, which may lie outside the frame, and whether it is the hand's.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct SidedPixel {
-    pub x: u32,
-    pub y: u32,
-    pub is_hand: bool,
-}
-
-impl SidedPixel {
-    /// The pixel nearest to a place; none outside of all frames.
-    #[inline]
-    pub fn at(u: f64, v: f64, is_hand: bool) -> Option<Self> {
-        // Through i32, which a float becomes in fewer instructions.
-        let whole = |x: f64| (x + 0.5) as i32 as u32;
-        (u > -0.5 && v > -0.5).then(|| Self { x: whole(u), y: whole(v), is_hand })
-    }
 }
 
 /// The pixels that vote, and how.

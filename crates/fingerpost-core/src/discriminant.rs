@@ -10,8 +10,7 @@
 //! Source: Fisher 1936, The use of multiple measurements in taxonomic problems.
 
 use crate::Result;
-use crate::appearance::SidedPixel;
-use crate::frame::Frame;
+use crate::frame::{Frame, SidedPixel};
 use crate::image::GrayView;
 use nalgebra::{Matrix3, Point2, Vector3};
 

@@ -1,9 +1,9 @@
 //! What a hand looks like: all that is learned from either side of its contour.
 
 use crate::Result;
-use crate::appearance::{Appearance, SidedPixel};
+use crate::appearance::Appearance;
 use crate::discriminant::{Discriminant, DiscriminantImage, Mixture, region_about};
-use crate::frame::Frame;
+use crate::frame::{Frame, SidedPixel};
 use crate::search::{Cue, Polarity};
 use crate::shape_space::PlacedSample;
 use nalgebra::{Point2, Vector2};
