@@ -13,7 +13,7 @@
     reason = "what is inlined into a function with wider instructions is compiled for them"
 )]
 
-use crate::frame::Frame;
+use crate::frame::{Frame, SidedPixel};
 use crate::logarithm::ln;
 use crate::simd::{Isa, Work};
 use std::array::from_fn;
@@ -102,11 +102,32 @@ impl Appearance {
 
     /// Counts the pixel at (x, y), if it lies in the frame, as the hand or as what is behind it.
     pub fn observe(&mut self, frame: &Frame<'_>, x: f64, y: f64, is_hand: bool) {
-        if let Some(bin) = self.bin(frame, x, y) {
+        self.observe_all(frame, SidedPixel::at(x, y, is_hand).as_slice());
+    }
+
+    /// Counts pixels, all that lie in the frame.
+    pub(crate) fn observe_all(&mut self, frame: &Frame<'_>, pixels: &[SidedPixel]) {
+        let mut counts = [0_u32; 2];
+        let mut count = |bin: Option<usize>, is_hand: bool| {
             let side = if is_hand { &mut self.hand } else { &mut self.background };
-            side.bins[bin] += 1.0;
-            side.total += 1.0;
+            if let Some(seen) = bin.and_then(|bin| side.bins.get_mut(bin)) {
+                *seen += 1.0;
+                counts[usize::from(is_hand)] += 1;
+            }
+        };
+        if self.coloured {
+            let Some(colours) = frame.colour() else { return };
+            for &SidedPixel { x, y, is_hand } in pixels {
+                count(colours.pixel(x as usize, y as usize).map(colour_bin), is_hand);
+            }
+        } else {
+            let image = frame.image();
+            for &SidedPixel { x, y, is_hand } in pixels {
+                count(image.pixel(x as usize, y as usize).map(grey_bin), is_hand);
+            }
         }
+        self.background.total += f64::from(counts[0]);
+        self.hand.total += f64::from(counts[1]);
     }
 
     /// Works the votes out anew from the histograms, each smoothed by (1 2 1)/4 along every axis.
@@ -162,17 +183,23 @@ impl Appearance {
     }
 
     fn bin(&self, frame: &Frame<'_>, u: f64, v: f64) -> Option<usize> {
-        if !(u > -0.5 && v > -0.5) {
-            return None;
-        }
-        let (x, y) = ((u + 0.5) as usize, (v + 0.5) as usize);
+        let SidedPixel { x, y, .. } = SidedPixel::at(u, v, true)?;
+        let (x, y) = (x as usize, y as usize);
         if self.coloured {
-            let [a, b, c] = frame.colour()?.pixel(x, y)?.map(|c| usize::from(c) >> 4);
-            Some((a * COLOUR_BINS + b) * COLOUR_BINS + c)
+            frame.colour()?.pixel(x, y).map(colour_bin)
         } else {
-            Some(usize::from(frame.image().pixel(x, y)?) >> 2)
+            frame.image().pixel(x, y).map(grey_bin)
         }
     }
+}
+
+fn colour_bin(colour: [u8; 3]) -> usize {
+    let [a, b, c] = colour.map(|c| usize::from(c) >> 4);
+    (a * COLOUR_BINS + b) * COLOUR_BINS + c
+}
+
+fn grey_bin(grey: u8) -> usize {
+    usize::from(grey) >> 2
 }
 
 /// The pixels that vote, and how.

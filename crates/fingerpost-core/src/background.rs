@@ -16,7 +16,8 @@
 //! gradient of the background, and while they have, no edge in it is where it was
 //! ([`Background::is_exact`]).
 //!
-//! A frame visits every fourth row in turn, and allocates nothing once it has seen its first frame.
+//! A frame visits every fourth pair of rows in turn, every eighth once nothing has been new for long,
+//! and allocates nothing once it has seen its first frame.
 //!
 //! Sources: Stauffer & Grimson 1999 for a background of levels that last; Horprasert, Harwood &
 //! Davis 1999 for shadows as a change of brightness without one of hue.
@@ -186,6 +187,8 @@ pub struct Background {
     shift_px: Option<Vector2<f64>>,
     bumped_frames: usize,
     frames: usize,
+    /// Frames since it began, or since a part of it was forgotten.
+    settling_frames: usize,
     slopes: Vec<Slope>,
     pairs: Vec<(f32, f32)>,
     ratios: Vec<f32>,
@@ -204,6 +207,8 @@ struct Change {
 struct Slope {
     by_px: Vector2<f64>,
     residual: f64,
+    /// One over the largest residual that a shift explains.
+    per_most: f64,
 }
 
 /// Level, variance and number of agreeing visits of every pixel.
@@ -214,10 +219,15 @@ struct Plane {
     seen: Vec<u8>,
 }
 
-/// A frame visits every fourth row.
-const ROWS_IN_TURN: usize = 4;
+/// A frame visits every fourth pair of rows, so that as many of them have colours in every frame,
+const IN_TURN: usize = 4;
+/// and every eighth once the background has been there for as long as something new takes to become
+/// a part of it.
+const SETTLED_IN_TURN: usize = 8;
 /// Pixels from one cell of the foreground map to the next.
 pub const CELL_PX: usize = 2;
+/// Rows that are visited together: those of a cell.
+const PAIR: usize = CELL_PX;
 /// The light and the share of changed pixels are estimated from about this many pixels.
 const SAMPLES: usize = 3000;
 /// Levels beyond these are clipped or lost in noise, and tell nothing of the light.
@@ -225,8 +235,10 @@ const DARKEST: f32 = 8.0;
 const BRIGHTEST: f32 = 247.0;
 /// A light that leaves less, or gives more, than this is no change of light.
 const GAINS: std::ops::RangeInclusive<f64> = 0.1..=8.0;
-/// Fits of the light, each with weights from the last.
+/// Fits of the light, each with weights from the last, at most; none after one that has moved it by
+/// less than this part of a grey level.
 const LIGHT_FITS: usize = 4;
+const LIGHT_SETTLED_GREY: f64 = 0.02;
 /// Tukey's constant, times the factor from a median absolute deviation to a standard deviation.
 const TUKEY_MAD: f32 = 4.685 * 1.4826;
 /// The camera has moved when the change lasts this many frames: a flash does not.
@@ -240,8 +252,10 @@ const TELLING_LEAST: usize = 60;
 const STEEP_GREY_PX: f64 = 4.0;
 /// as long as that explains what they show, to within this \[px\].
 const FARTHEST_SHIFT_PX: f64 = 1.0;
-/// Fits of the shift, each with weights from the last.
+/// Fits of the shift, each with weights from the last, at most; none after one that has moved it by
+/// less than this \[px\].
 const SHIFT_FITS: usize = 3;
+const SHIFT_SETTLED_PX: f64 = 1e-3;
 /// A background that has shifted by more than this is not exact \[px\],
 const EXACT_PX: f64 = 0.15;
 /// and is learned anew if it has for so many frames: the camera will not come back.
@@ -278,6 +292,7 @@ impl Background {
             shift_px: None,
             bumped_frames: 0,
             frames: 0,
+            settling_frames: 0,
             slopes: Vec::with_capacity(2 * SAMPLES),
             pairs: Vec::with_capacity(2 * SAMPLES),
             ratios: Vec::with_capacity(2 * SAMPLES),
@@ -293,7 +308,7 @@ impl Background {
     /// Forgets everything.
     pub fn clear(&mut self) {
         self.size = None;
-        self.frames = 0;
+        (self.frames, self.settling_frames) = (0, 0);
         self.moved_frames = 0;
         self.shift_px = None;
         self.bumped_frames = 0;
@@ -308,6 +323,7 @@ impl Background {
     pub fn forget(&mut self, part: &KeepOut) -> Result<()> {
         part.check()?;
         let Some((width, height)) = self.size else { return Ok(()) };
+        self.settling_frames = 0;
         for y in 0..height {
             let columns = part.columns(y as f64, width);
             self.grey.seen[y * width..][columns].fill(0);
@@ -377,14 +393,22 @@ impl Background {
             keep_out.check()?;
         }
         self.fit_size(frame);
-        let all_rows = self.frames < self.options.learn_frames;
-        let (first, step) =
-            if all_rows { (0, 1) } else { (self.frames % ROWS_IN_TURN, ROWS_IN_TURN) };
-        for y in (first..frame.image().height()).step_by(step) {
-            self.learn_row(frame, y, keep_out);
+        let height = frame.image().height();
+        let step = if self.frames < self.options.learn_frames { 1 } else { self.in_turn() };
+        for pair in (self.frames % step..height.div_ceil(PAIR)).step_by(step) {
+            for y in PAIR * pair..height.min(PAIR * (pair + 1)) {
+                self.learn_row(frame, y, keep_out);
+            }
         }
         self.frames = self.frames.saturating_add(1);
+        self.settling_frames = self.settling_frames.saturating_add(1);
         Ok(())
+    }
+
+    /// How many frames it takes to visit all rows.
+    fn in_turn(&self) -> usize {
+        let settled = self.settling_frames >= self.options.absorb_frames;
+        if settled { SETTLED_IN_TURN } else { IN_TURN }
     }
 
     /// Starts anew with a frame that is not like the last ones.
@@ -476,13 +500,13 @@ impl Background {
     }
 
     /// Agreeing visits from which a pixel is known, and at most counted: in turn, a visit stands for
-    /// four frames.
+    /// as many frames as it takes to visit all rows.
     fn known_from(&self) -> usize {
         self.options.learn_frames.div_ceil(2)
     }
 
     fn most_seen(&self) -> u8 {
-        let visits = self.options.absorb_frames.div_ceil(ROWS_IN_TURN);
+        let visits = self.options.absorb_frames.div_ceil(self.in_turn());
         visits.max(self.known_from() + 1).min(usize::from(u8::MAX)) as u8
     }
 
@@ -513,7 +537,9 @@ impl Background {
         let now = f32::from(frame.image().pixel(x, y)?);
         let (gain, offset) = (self.light.gain as f32, self.light.offset_grey as f32);
         let grey = gain * self.grey.level[i] + offset;
-        let sigma = (self.noise_variance(i) as f32).sqrt() * gain.max(1.0) + self.light_sigma;
+        let noise = self.options.noise_grey as f32;
+        let sigma =
+            self.grey.variance[i].max(noise * noise).sqrt() * gain.max(1.0) + self.light_sigma;
         let mut sigmas = (now - grey).abs() / sigma;
         let mut light = now / grey.max(1.0);
         let mut deepest = (self.options.shadow_light as f32).max(GREY_SHADOW_LIGHT);
@@ -581,7 +607,12 @@ impl Background {
             let scale = (TUKEY_MAD * mad).max(TUKEY_MAD * 0.5 * self.options.noise_grey as f32);
             sigma = 1.4826 * mad;
             let Some(next) = fit_light(&self.pairs, scale, residual) else { break };
+            let moved = 255.0 * (next.gain - light.gain).abs()
+                + (next.offset_grey - light.offset_grey).abs();
             light = next;
+            if moved < LIGHT_SETTLED_GREY {
+                break;
+            }
         }
         if GAINS.contains(&light.gain) {
             self.light = light;
@@ -655,33 +686,37 @@ impl Background {
             return;
         }
         self.slopes.clear();
+        let changed = self.options.changed_sigmas * self.options.noise_grey;
         for (x, y) in Self::grid((width, height)) {
             let Some(now) = frame.image().pixel(x, y) else { continue };
             let Some([[_, above, _], [left, here, right], [_, below, _]]) = self.about(x, y) else {
                 continue;
             };
             let by_px = Vector2::new(f64::from(right - left), f64::from(below - above)) / 2.0;
-            if by_px.norm() > STEEP_GREY_PX {
+            if by_px.norm_squared() > STEEP_GREY_PX * STEEP_GREY_PX {
                 let residual = f64::from(now) - f64::from(here);
-                self.slopes.push(Slope { by_px, residual });
+                let per_most = 1.0 / (changed + by_px.norm() * FARTHEST_SHIFT_PX);
+                self.slopes.push(Slope { by_px, residual, per_most });
             }
         }
         if self.slopes.len() < TELLING_LEAST {
             return;
         }
-        let mut shift = Vector2::zeros();
+        let mut shift = Vector2::<f64>::zeros();
         for _ in 0..SHIFT_FITS {
             let (mut information, mut right) = (Matrix2::zeros(), Vector2::zeros());
-            for Slope { by_px, residual } in &self.slopes {
-                let most = self.options.changed_sigmas * self.options.noise_grey
-                    + by_px.norm() * FARTHEST_SHIFT_PX;
-                let r = (residual + by_px.dot(&shift)) / most;
+            for Slope { by_px, residual, per_most } in &self.slopes {
+                let r = (residual + by_px.dot(&shift)) * per_most;
                 let weight = (1.0 - (r * r).min(1.0)).powi(2);
                 information += by_px * by_px.transpose() * weight;
                 right -= by_px * (residual * weight);
             }
             let Some(inverse) = information.try_inverse() else { return };
+            let moved = shift;
             shift = inverse * right;
+            if (shift - moved).norm() < SHIFT_SETTLED_PX {
+                break;
+            }
         }
         self.shift_px = Some(shift);
     }
@@ -727,51 +762,29 @@ impl Background {
         let noise = self.options.noise_grey as f32;
         let sigmas = self.options.changed_sigmas as f32;
         let learning = Learning {
-            gain: self.light.gain as f32,
+            per_gain: 1.0 / self.light.gain as f32,
             offset_grey: self.light.offset_grey as f32,
             rate: self.options.rate as f32,
             noise2: noise * noise,
             sigmas2: sigmas * sigmas,
             most_seen: self.most_seen(),
         };
+        let colours = frame.colour().filter(|_| y.is_multiple_of(CELL_PX));
+        let colours = colours.and_then(|c| c.row(y)).unwrap_or_default();
         for part in [0..skip.start, skip.end..width] {
-            self.learn_colours(frame, y, part.clone(), &learning);
             let at = y * width + part.start..y * width + part.end;
+            let cell = y / CELL_PX * width.div_ceil(CELL_PX) + part.start.div_ceil(CELL_PX);
+            let first = part.start.next_multiple_of(CELL_PX);
             Isa::detect().run(Visits {
                 learning,
                 level: &mut self.grey.level[at.clone()],
                 variance: &mut self.grey.variance[at.clone()],
                 seen: &mut self.grey.seen[at],
-                now: &row[part],
+                now: &row[part.clone()],
+                first: first - part.start,
+                colour: self.colour.get_mut(cell..).unwrap_or_default(),
+                now_in_colour: colours.get(3 * first..).unwrap_or_default(),
             });
-        }
-    }
-
-    /// One visit of the cells of a part of a row, each by its first pixel, whose grey level has not
-    /// been learned yet.
-    fn learn_colours(
-        &mut self,
-        frame: &Frame<'_>,
-        y: usize,
-        part: Range<usize>,
-        learning: &Learning,
-    ) {
-        let (Some((width, _)), Some(row)) = (self.size, frame.image().row(y)) else { return };
-        let colours = frame.colour().filter(|_| y.is_multiple_of(CELL_PX));
-        let Some(colours) = colours.and_then(|c| c.row(y)) else { return };
-        let cells = width.div_ceil(CELL_PX);
-        let Plane { level, variance, seen } = &self.grey;
-        for x in (part.start.next_multiple_of(CELL_PX)..part.end).step_by(CELL_PX) {
-            let i = y * width + x;
-            let visit = learning.visit(level[i], variance[i], seen[i], row[x]);
-            let Some(known) = self.colour.get_mut(y / CELL_PX * cells + x / CELL_PX) else {
-                return;
-            };
-            if let Some(part) = visit.part() {
-                for (known, &now) in known.iter_mut().zip(&colours[3 * x..]) {
-                    *known += part * (learning.in_its_light(now) - *known);
-                }
-            }
         }
     }
 }

@@ -10,7 +10,7 @@
 //! Source: Fisher 1936, The use of multiple measurements in taxonomic problems.
 
 use crate::Result;
-use crate::frame::Frame;
+use crate::frame::{Frame, SidedPixel};
 use crate::image::GrayView;
 use nalgebra::{Matrix3, Point2, Vector3};
 
@@ -38,14 +38,38 @@ struct Class {
     grey_squares: f64,
 }
 
+/// Sums over the pixels of one frame; of as many as fit in none of them overflows.
+#[derive(Debug, Clone, Copy, Default)]
+struct Counts {
+    pixels: u64,
+    sum: [u64; 3],
+    squares: [[u64; 3]; 3],
+    grey: u64,
+    grey_squares: u64,
+}
+
+impl Counts {
+    fn add(&mut self, colour: [u8; 3], grey: u8) {
+        let (colour, grey) = (colour.map(u64::from), u64::from(grey));
+        self.pixels += 1;
+        self.grey += grey;
+        self.grey_squares += grey * grey;
+        for (i, &c) in colour.iter().enumerate() {
+            self.sum[i] += c;
+            for (square, &other) in self.squares[i].iter_mut().zip(&colour) {
+                *square += c * other;
+            }
+        }
+    }
+}
+
 impl Class {
-    fn observe(&mut self, colour: [u8; 3], grey: u8) {
-        let (c, g) = (Vector3::from(colour.map(f64::from)), f64::from(grey));
-        self.weight += 1.0;
-        self.sum += c;
-        self.squares += c * c.transpose();
-        self.grey += g;
-        self.grey_squares += g * g;
+    fn add(&mut self, counts: &Counts) {
+        self.weight += counts.pixels as f64;
+        self.sum += Vector3::from(counts.sum.map(|c| c as f64));
+        self.squares += Matrix3::from(counts.squares.map(|row| row.map(|c| c as f64)));
+        self.grey += counts.grey as f64;
+        self.grey_squares += counts.grey_squares as f64;
     }
 
     fn fade(&mut self, keep: f64) {
@@ -109,15 +133,21 @@ impl Discriminant {
 
     /// Counts the pixel nearest to (u, v), if it lies in the frame and that has colours.
     pub fn observe(&mut self, frame: &Frame<'_>, u: f64, v: f64, is_hand: bool) {
-        if !(u > -0.5 && v > -0.5) {
-            return;
+        self.observe_all(frame, SidedPixel::at(u, v, is_hand).as_slice());
+    }
+
+    /// Counts pixels, all that lie in the frame, if it has colours.
+    pub(crate) fn observe_all(&mut self, frame: &Frame<'_>, pixels: &[SidedPixel]) {
+        let Some(colours) = frame.colour() else { return };
+        let mut counts = [Counts::default(); 2];
+        for &SidedPixel { x, y, is_hand } in pixels {
+            let (x, y) = (x as usize, y as usize);
+            if let (Some(colour), Some(grey)) = (colours.pixel(x, y), frame.image().pixel(x, y)) {
+                counts[usize::from(is_hand)].add(colour, grey);
+            }
         }
-        let (x, y) = ((u + 0.5) as usize, (v + 0.5) as usize);
-        let colour = frame.colour().and_then(|c| c.pixel(x, y));
-        if let (Some(colour), Some(grey)) = (colour, frame.image().pixel(x, y)) {
-            let class = if is_hand { &mut self.hand } else { &mut self.background };
-            class.observe(colour, grey);
-        }
+        self.background.add(&counts[0]);
+        self.hand.add(&counts[1]);
     }
 
     /// Works the mixture out anew.

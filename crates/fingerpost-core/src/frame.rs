@@ -98,3 +98,21 @@ impl<'a> From<GrayView<'a>> for Frame<'a> {
         Self::gray(gray)
     }
 }
+
+/// A pixel, which may lie outside the frame, and whether it is the hand's.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct SidedPixel {
+    pub x: u32,
+    pub y: u32,
+    pub is_hand: bool,
+}
+
+impl SidedPixel {
+    /// The pixel nearest to a place; none outside of all frames.
+    #[inline]
+    pub fn at(u: f64, v: f64, is_hand: bool) -> Option<Self> {
+        // Through i32, which a float becomes in fewer instructions.
+        let whole = |x: f64| (x + 0.5) as i32 as u32;
+        (u > -0.5 && v > -0.5).then(|| Self { x: whole(u), y: whole(v), is_hand })
+    }
+}

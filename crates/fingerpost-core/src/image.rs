@@ -98,7 +98,12 @@ impl<'a> GrayView<'a> {
     #[must_use]
     #[inline]
     pub fn pixel(&self, x: usize, y: usize) -> Option<u8> {
-        self.row(y)?.get(x).copied()
+        // y < height comes first: it keeps y · stride from overflowing.
+        if x < self.width && y < self.height {
+            self.data.get(y * self.stride + x).copied()
+        } else {
+            None
+        }
     }
 
     /// The pixels of row `y` without padding; `None` outside the image.

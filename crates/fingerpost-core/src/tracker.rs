@@ -503,6 +503,9 @@ const HELD_RATE: f64 = 0.05;
 /// part of it is explained.
 const THUMB_CHANGE: f64 = 1.7;
 const THUMB_SEEN: f64 = 0.4;
+/// No finger line depends on where exactly the thumb is: it is at rest when no sample moves further
+/// than this \[px\].
+const THUMB_RESTS_PX: f64 = 0.1;
 /// While the thumb is fitted, the finger stays within this of where it is \[px, rad, 1\].
 const PINNED_SIGMA: f64 = 1e-4;
 
@@ -1154,6 +1157,7 @@ impl ContourTracker {
             held.mean[i] = finger.x[i];
             held.information[(i, i)] = PINNED_SIGMA.powi(-2);
         }
+        let look = Look { rest_px: THUMB_RESTS_PX, ..look };
         let whole = self.run_ribbon(frame, &finger.x, Limb::Thumb, look, Some(&held))?;
         let Some(with_thumb) = whole.fit else { return Ok(*finger) };
         if !self.is_thumb(&whole.x, &with_thumb) {

@@ -166,18 +166,59 @@ fn a_hand_in_the_first_frames_leaves_no_ghost_for_long() {
 }
 
 #[test]
-fn what_is_put_down_becomes_background() {
-    let mut noise = Noise::new(0x7075_7464);
-    let mut background = learned(true, 20, &mut noise);
-    let absorb = background.options().absorb_frames;
-    let mut seen = Vec::new();
-    for _ in 0..2 * absorb {
-        let shot = Shot::of(with_hand(40), 1.0, &mut noise);
-        shot.with(true, |f| background.observe(f, None)).unwrap();
-        seen.push(shares(&map_of(&background, &shot, true), in_hand(40)).0);
+fn what_is_put_down_becomes_background_after_as_long_however_old_that_is() {
+    let absorb = BackgroundOptions::default().absorb_frames;
+    for frames in [20, absorb, 2 * absorb] {
+        let mut noise = Noise::new(0x7075_7464);
+        let mut background = learned(true, frames, &mut noise);
+        let mut seen = Vec::new();
+        for _ in 0..2 * absorb {
+            let shot = Shot::of(with_hand(40), 1.0, &mut noise);
+            shot.with(true, |f| background.observe(f, None)).unwrap();
+            seen.push(shares(&map_of(&background, &shot, true), in_hand(40)).0);
+        }
+        // A background of few frames is not as hard to change.
+        let kept = if frames < absorb { 10 } else { absorb * 2 / 3 };
+        assert!(seen[kept] > 0.9, "after {frames}: {}", seen[kept]);
+        let late = absorb + absorb / 3;
+        assert!(seen[late] < 0.05, "after {frames}: {}", seen[late]);
     }
-    assert!(seen[10] > 0.9, "{}", seen[10]);
-    assert!(seen[2 * absorb - 1] < 0.05, "{}", seen[2 * absorb - 1]);
+}
+
+#[test]
+fn what_is_forgotten_is_known_again_at_once() {
+    let mut noise = Noise::new(0x666f_7267);
+    let mut background = learned(true, 2 * BackgroundOptions::default().absorb_frames, &mut noise);
+    let part =
+        KeepOut { from: Point2::new(20.0, 30.0), to: Point2::new(60.0, 48.0), radius_px: 9.0 };
+    background.forget(&part).unwrap();
+    assert_eq!(background.expected(40.0, 39.0), None);
+    // Four visits of every fourth pair of rows.
+    for _ in 0..16 {
+        let shot = Shot::of(table, 1.0, &mut noise);
+        shot.with(true, |f| background.observe(f, None)).unwrap();
+    }
+    assert!(background.expected(40.0, 39.0).is_some());
+}
+
+#[test]
+fn images_of_odd_sizes_are_learned_in_colour_beside_what_is_kept_out() {
+    for (width, height) in [(1, 1), (7, 5), (33, 3)] {
+        let (grey, colour) = (vec![90; width * height], vec![80; 3 * width * height]);
+        let end = Point2::new(width as f64, height as f64);
+        for kept_px in [0.6, 3.0, 100.0] {
+            let keep_out = KeepOut { from: end, to: end, radius_px: kept_px };
+            let mut background = Background::new(BackgroundOptions::default()).unwrap();
+            let view = GrayView::new(&grey, width, height, width).unwrap();
+            let colours = ColourView::new(&colour, width, height, 3 * width).unwrap();
+            let frame = Frame::coloured(view, colours).unwrap();
+            for _ in 0..12 {
+                background.observe(&frame, Some(&keep_out)).unwrap();
+            }
+            let known = background.expected(0.0, 0.0).is_some();
+            assert_eq!(known, end.coords.norm() > kept_px, "{width} × {height}, {kept_px} px");
+        }
+    }
 }
 
 #[test]

@@ -5,13 +5,14 @@
     reason = "what is inlined into a function with wider instructions is compiled for them"
 )]
 
+use super::CELL_PX;
 use crate::simd::Work;
 
 /// The constants of a frame's visits.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Learning {
-    /// Gain and offset of the frame's light.
-    pub gain: f32,
+    /// One over the gain of the frame's light, and its offset.
+    pub per_gain: f32,
     pub offset_grey: f32,
     /// Least part that a visit takes over.
     pub rate: f32,
@@ -23,69 +24,66 @@ pub(super) struct Learning {
     pub most_seen: u8,
 }
 
-/// What a pixel shows at a visit.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Visit {
-    /// How far its level has changed, in the light of the background \[grey levels\].
-    change: f32,
-    /// Whether it is the first of a level.
-    starts: bool,
-    /// Whether it is close to the level.
-    agrees: bool,
-    /// The part of the change that is taken over if it is the first or agrees.
-    part: f32,
-}
-
-impl Visit {
-    /// The part of a change that the visit takes over, if any.
-    pub fn part(&self) -> Option<f32> {
-        (self.starts || self.agrees).then_some(self.part)
-    }
-}
-
 impl Learning {
     /// A level in the light of the background.
     #[inline(always)]
-    pub fn in_its_light(&self, now: u8) -> f32 {
-        (f32::from(now) - self.offset_grey) / self.gain
-    }
-
-    #[inline(always)]
-    pub fn visit(&self, level: f32, variance: f32, seen: u8, now: u8) -> Visit {
-        let change = self.in_its_light(now) - level;
-        let starts = seen == 0;
-        let agrees = change * change <= self.sigmas2 * variance.max(self.noise2);
-        // The first level of a pixel, or another one that has outlasted it.
-        let part = if starts { 1.0 } else { self.rate.max(1.0 / (1.0 + f32::from(seen))) };
-        Visit { change, starts, agrees, part }
+    fn in_its_light(&self, now: u8) -> f32 {
+        (f32::from(now) - self.offset_grey) * self.per_gain
     }
 }
 
-/// One visit of every pixel of a part of a row.
+/// One visit of every pixel of a part of a row, and of the cells of colour in it.
 pub(super) struct Visits<'a> {
     pub learning: Learning,
     pub level: &'a mut [f32],
     pub variance: &'a mut [f32],
     pub seen: &'a mut [u8],
     pub now: &'a [u8],
+    /// The first pixel that begins a cell. Its cell and those that follow, and the channels of the
+    /// pixels from there on; empty in a row without colours.
+    pub first: usize,
+    pub colour: &'a mut [[f32; 3]],
+    pub now_in_colour: &'a [u8],
 }
+
+/// Pixels that are visited at once: whole cells.
+const AT_ONCE: usize = 64;
 
 impl Work for Visits<'_> {
     #[inline(always)]
     fn run(self) {
-        let Self { learning, level, variance, seen, now } = self;
-        let Learning { rate, noise2, most_seen, .. } = learning;
-        for (((level, variance), seen), now) in level.iter_mut().zip(variance).zip(seen).zip(now) {
-            // Without branches: what does not count is worked out as well.
-            let Visit { change, starts, agrees, part } =
-                learning.visit(*level, *variance, *seen, *now);
-            let learns = starts | agrees;
-            let spread = *variance + rate * (change * change - *variance);
-            let known = if starts { noise2 } else { spread };
-            *variance = if learns { known } else { *variance };
-            *level = if learns { *level + part * change } else { *level };
-            let more = seen.saturating_add(1).min(most_seen);
-            *seen = if learns { more } else { seen.saturating_sub(1) };
+        let Self { learning, level, variance, seen, now, first, colour, now_in_colour } = self;
+        let Learning { rate, noise2, sigmas2, most_seen, .. } = learning;
+        let mut cells = colour.iter_mut().zip(now_in_colour.chunks(3 * CELL_PX));
+        let levels = level.chunks_mut(AT_ONCE).zip(variance.chunks_mut(AT_ONCE));
+        let shown = seen.chunks_mut(AT_ONCE).zip(now.chunks(AT_ONCE));
+        for ((level, variance), (seen, now)) in levels.zip(shown) {
+            // The part of its change that every pixel takes over: none if it disagrees.
+            let mut parts = [0.0; AT_ONCE];
+            let pixels = level.iter_mut().zip(variance).zip(seen).zip(now).zip(&mut parts);
+            for ((((level, variance), seen), now), taken) in pixels {
+                // Without branches, by factors that are 0 or 1: what does not count is worked out as
+                // well.
+                let change = learning.in_its_light(*now) - *level;
+                let known = if *variance > noise2 { *variance } else { noise2 };
+                let starts = u8::from(*seen == 0);
+                let learns = starts | u8::from(change * change <= sigmas2 * known);
+                let (begun, learned) = (f32::from(starts), f32::from(learns));
+                // All of it at the first level of a pixel, or another one that has outlasted it.
+                let mean = 1.0 / (1.0 + f32::from(*seen));
+                let part = learned * if mean > rate { mean } else { rate };
+                *taken = part;
+                *level += part * change;
+                let spread = *variance + rate * (change * change - *variance);
+                *variance += learned * (spread + begun * (noise2 - spread) - *variance);
+                *seen = seen.saturating_add(learns).saturating_sub(1 - learns).min(most_seen);
+            }
+            // A cell's colour is that of its first pixel.
+            for (part, (known, now)) in parts.iter().skip(first).step_by(CELL_PX).zip(&mut cells) {
+                for (known, &now) in known.iter_mut().zip(now) {
+                    *known += part * (learning.in_its_light(now) - *known);
+                }
+            }
         }
     }
 }

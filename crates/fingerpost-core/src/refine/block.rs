@@ -11,9 +11,13 @@
 //! the deviations are eliminated, H − C Y⁻¹ Cᵀ and g − C Y⁻¹ h remain for the step δ of what all
 //! blocks share: this maximises the likelihood with the deviations integrated out.
 
+#![expect(
+    clippy::inline_always,
+    reason = "what is inlined into a function with wider instructions is compiled for them"
+)]
+
 use super::gram::Gram;
-use super::profile::{EDGE, FEATURES, INSIDE, OUTSIDE};
-use nalgebra::{Matrix3, Vector3};
+use super::profile::{COLUMNS, EDGE, INSIDE, OUTSIDE, RIGHT};
 
 /// What deviates: the features it acts through.
 pub(super) const EFFECTS: [usize; 3] = [INSIDE, OUTSIDE, EDGE];
@@ -43,17 +47,14 @@ pub(super) struct Deviation {
     pub chi_squared: f64,
     /// Variance of its edge from what the background does about it \[px²\].
     pub restless_px2: f64,
-    inverse: Matrix3<f64>,
-    right: Vector3<f64>,
-    coupling: [Vector3<f64>; FEATURES],
-}
-
-/// A block's equations with its deviations eliminated.
-pub(super) struct Reduced {
-    pub information: [[f64; FEATURES]; FEATURES],
-    pub right: [f64; FEATURES],
+    /// Its sums over pixels; in their equations the deviations are eliminated.
+    pub gram: Gram,
     /// How many deviations were fitted, in effect.
     pub freed: f64,
+    /// Y⁻¹.
+    inverse: [[f64; 3]; 3],
+    /// Cᵀ, and h beside it.
+    coupling: [[f64; COLUMNS]; 3],
 }
 
 /// Evidence of how much a kind of deviation varies.
@@ -76,77 +77,106 @@ impl Deviation {
             say: 1.0,
             chi_squared: 1.0,
             restless_px2: 0.0,
-            inverse: Matrix3::zeros(),
-            right: Vector3::zeros(),
-            coupling: [Vector3::zeros(); FEATURES],
+            gram: Gram::default(),
+            freed: 0.0,
+            inverse: [[0.0; 3]; 3],
+            coupling: [[0.0; _]; 3],
         }
     }
 
     /// Eliminates the deviations, whose variances are given, from the block's equations; `noise2`
     /// is the variance of a pixel.
-    pub fn eliminate(
-        &mut self,
-        gram: &Gram,
-        variances: &[f64; 3],
-        noise2: f64,
-        evidence: &mut Evidence,
-    ) -> Reduced {
-        let own = Matrix3::from_fn(|i, k| gram.information[EFFECTS[i]][EFFECTS[k]]);
-        let lambda = Vector3::from_fn(|k, _| {
-            let told = noise2 / own[(k, k)].max(LEAST_INFORMATION);
-            noise2 / variances[k].max(LEAST_VARIANCE * told)
-        });
-        // Λ is positive, so there always is one.
-        let regular = own + Matrix3::from_diagonal(&lambda);
-        self.inverse = regular.try_inverse().unwrap_or_else(Matrix3::zeros);
-        let effects = Vector3::from(self.effects);
-        self.right =
-            Vector3::from_fn(|k, _| gram.right[EFFECTS[k]]) - lambda.component_mul(&effects);
-        for (coupling, row) in self.coupling.iter_mut().zip(&gram.information) {
-            *coupling = Vector3::from_fn(|k, _| row[EFFECTS[k]]);
+    #[inline(always)]
+    pub fn eliminate(&mut self, variances: &[f64; 3], noise2: f64, evidence: &mut Evidence) {
+        let equations = &mut self.gram.equations;
+        let (mut regular, mut lambda) = ([[0.0; 3]; 3], [0.0; 3]);
+        for k in 0..3 {
+            for i in 0..3 {
+                regular[k][i] = equations[EFFECTS[k]][EFFECTS[i]];
+            }
+            let told = noise2 / regular[k][k].max(LEAST_INFORMATION);
+            lambda[k] = noise2 / variances[k].max(LEAST_VARIANCE * told);
+            regular[k][k] += lambda[k];
         }
-        let expected = effects + self.inverse * self.right;
+        // Λ is positive, so there always is one.
+        self.inverse = inverse(&regular).unwrap_or([[0.0; 3]; 3]);
+        for (k, coupling) in self.coupling.iter_mut().enumerate() {
+            *coupling = equations[EFFECTS[k]];
+            coupling[RIGHT] -= lambda[k] * self.effects[k];
+        }
+        let step = apply(&self.inverse, &self.coupling.map(|c| c[RIGHT]));
+        let mut expected = self.effects;
+        for k in 0..3 {
+            expected[k] += step[k];
+        }
         evidence.add(self.say, &expected, &self.inverse, &lambda, noise2);
 
-        let (mut information, mut right) = (gram.information, gram.right);
-        for i in 0..FEATURES {
-            let row = self.inverse * self.coupling[i];
-            right[i] -= row.dot(&self.right);
-            for (entry, coupling) in information[i].iter_mut().zip(&self.coupling) {
-                *entry -= row.dot(coupling);
+        let [inside, outside, edge] = &self.coupling;
+        for i in 0..COLUMNS {
+            let [a, b, c] = apply(&self.inverse, &[inside[i], outside[i], edge[i]]);
+            for j in 0..COLUMNS {
+                equations[i][j] -= a * inside[j] + b * outside[j] + c * edge[j];
             }
         }
-        let freed = own.component_mul(&self.inverse).trace();
-        Reduced { information, right, freed }
+        self.freed = 0.0;
+        for k in 0..3 {
+            self.freed += (regular[k][k] - lambda[k]) * self.inverse[k][k];
+        }
     }
 
     /// Takes the deviations to where they belong after the shared step was taken to the part `part`
-    /// of its length and changed the features by `by_feature`.
-    pub fn follow(&mut self, by_feature: &[f64; FEATURES], part: f64) {
-        let mut right = self.right * part;
-        for (coupling, step) in self.coupling.iter().zip(by_feature) {
-            right -= coupling * *step;
+    /// of its length and changed the features by those columns of `changes`.
+    pub fn follow(&mut self, changes: &[f64; COLUMNS], part: f64) {
+        let mut changes = *changes;
+        changes[RIGHT] = -part;
+        let mut right = [0.0; 3];
+        for (right, coupling) in right.iter_mut().zip(&self.coupling) {
+            for (coupling, change) in coupling.iter().zip(&changes) {
+                *right -= coupling * change;
+            }
         }
-        let step = self.inverse * right;
-        for (effect, step) in self.effects.iter_mut().zip(step.iter()) {
+        let step = apply(&self.inverse, &right);
+        for (effect, step) in self.effects.iter_mut().zip(step) {
             *effect += step;
         }
     }
 }
 
+/// The product of a symmetric matrix and a vector.
+#[inline(always)]
+fn apply(m: &[[f64; 3]; 3], v: &[f64; 3]) -> [f64; 3] {
+    let mut product = [0.0; 3];
+    for k in 0..3 {
+        product[k] = m[k][0] * v[0] + m[k][1] * v[1] + m[k][2] * v[2];
+    }
+    product
+}
+
+/// The inverse of a symmetric matrix.
+#[inline(always)]
+fn inverse([[a, b, c], [_, d, e], [_, _, f]]: &[[f64; 3]; 3]) -> Option<[[f64; 3]; 3]> {
+    let (aa, ab, ac) = (d * f - e * e, c * e - b * f, b * e - c * d);
+    let determinant = a * aa + b * ab + c * ac;
+    let one = 1.0 / determinant;
+    let (bb, bc, cc) = (a * f - c * c, b * c - a * e, a * d - b * b);
+    let inverse = [[aa, ab, ac], [ab, bb, bc], [ac, bc, cc]].map(|row| row.map(|m| m * one));
+    one.is_finite().then_some(inverse)
+}
+
 impl Evidence {
     /// Adds what a block tells, by moments: of a deviation of variance τ² the block's own estimate
     /// y, given the other deviations, has the variance τ² + σ² / h.
+    #[inline(always)]
     fn add(
         &mut self,
         say: f64,
-        expected: &Vector3<f64>,
-        inverse: &Matrix3<f64>,
-        lambda: &Vector3<f64>,
+        expected: &[f64; 3],
+        inverse: &[[f64; 3]; 3],
+        lambda: &[f64; 3],
         noise2: f64,
     ) {
         for k in 0..3 {
-            let all = 1.0 / inverse[(k, k)].max(f64::MIN_POSITIVE);
+            let all = 1.0 / inverse[k][k].max(f64::MIN_POSITIVE);
             let own = (all - lambda[k]).max(LEAST_INFORMATION);
             // What was expected is drawn to zero by Λ.
             let free = expected[k] * all / own;
@@ -159,6 +189,7 @@ impl Evidence {
     }
 
     /// Puts a block's edge beside that of the block before: noise would have them independent.
+    #[inline(always)]
     fn pair(&mut self, root: f64, free: f64, say: f64) {
         if let Some([last_root, last]) = self.last {
             self.together += say * root * last_root * free * last;

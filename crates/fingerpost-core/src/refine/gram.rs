@@ -4,15 +4,10 @@
     clippy::inline_always,
     reason = "what is inlined into a function with wider instructions is compiled for them"
 )]
-#![expect(
-    clippy::needless_range_loop,
-    reason = "lane by lane through many arrays at once is what the compiler turns into vectors"
-)]
 
 use super::blur::BlurTable;
 use super::pixels::{Chunk, LANES, Lanes};
-use super::profile::{FEATURES, OUTSIDE, Prediction, Profile, RoundEnd};
-use crate::simd::Work;
+use super::profile::{COLUMNS, OUTSIDE, Prediction, Profile, RIGHT, RoundEnd};
 
 /// How a pixel's residual is weighed: Tukey's biweight.
 #[derive(Debug, Clone, Copy)]
@@ -23,12 +18,16 @@ pub(super) struct Weighing {
     pub cutoff: f64,
 }
 
+/// Features and residuals of some pixels, each times the root of its pixel's weight.
+type Weighted = [Lanes; COLUMNS];
+/// Equations of the features; the right sides stand in their column.
+pub(super) type Equations = [[f64; COLUMNS]; COLUMNS];
+
 /// Sums over the pixels of one block.
-#[derive(Debug, Clone, Copy, Default, PartialEq)]
+#[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Gram {
-    /// Σ w f fᵀ and Σ w f r.
-    pub information: [[f64; FEATURES]; FEATURES],
-    pub right: [f64; FEATURES],
+    /// Σ w f fᵀ, and Σ w f r.
+    pub equations: Equations,
     /// Σ w, Σ w² r² and Σ ψ′, which make the covariance of a robust fit.
     pub weight: f64,
     pub psi_squared: f64,
@@ -39,46 +38,104 @@ pub(super) struct Gram {
     pub rejected: f64,
 }
 
-/// The sums of a block whose pixels should look like `profile`, near a round end or clear of it.
-pub(super) struct Summing<'a> {
-    pub chunks: &'a [Chunk],
-    pub profile: Profile,
-    pub end: Option<RoundEnd>,
-    pub table: BlurTable,
-    pub weighing: Weighing,
-    /// Where the sums go.
-    pub gram: &'a mut Gram,
+/// What is between the pixels of a block and their sums.
+#[derive(Debug, Clone)]
+pub(super) struct Workspace {
+    weighted: Vec<Weighted>,
+    /// Sums lane by lane: the upper triangle of the equations, row by row.
+    lanes: Vec<Lanes>,
+    totals: Vec<f32>,
 }
 
-impl Work for Summing<'_> {
-    #[inline(always)]
-    fn run(self) {
-        let mut sums = Accumulator::new(&self.weighing);
-        match self.end {
-            Some(end) => {
-                for chunk in self.chunks {
-                    sums.add(chunk, &self.profile.round(self.table, chunk, end));
-                }
-            }
-            None => {
-                for chunk in self.chunks {
-                    sums.add(chunk, &self.profile.straight(self.table, chunk));
-                }
-            }
-        }
-        *self.gram = sums.total();
+/// Entries of the upper triangle.
+const ENTRIES: usize = COLUMNS * (COLUMNS + 1) / 2;
+
+impl Workspace {
+    /// Enough for blocks of so many chunks.
+    pub fn with_capacity(chunks: usize) -> Self {
+        let weighted = Vec::with_capacity(chunks);
+        Self { weighted, lanes: vec![[0.0; LANES]; ENTRIES], totals: vec![0.0; ENTRIES] }
+    }
+
+    /// Makes room for blocks of so many chunks.
+    pub fn fit(&mut self, chunks: usize) {
+        self.weighted.resize(chunks, Weighted::default());
     }
 }
 
-/// Entries of a symmetric matrix of the features.
-const PAIRS: usize = FEATURES * (FEATURES + 1) / 2;
+impl Gram {
+    /// The sums of a block whose pixels should look like `profile`, near a round end or clear of it;
+    /// `space` has room for all its chunks.
+    #[inline(always)]
+    pub fn take(
+        &mut self,
+        chunks: &[Chunk],
+        profile: &Profile,
+        end: Option<RoundEnd>,
+        table: BlurTable,
+        weighing: &Weighing,
+        space: &mut Workspace,
+    ) {
+        let Workspace { weighted, lanes, totals } = space;
+        let mut tally = PixelTally::new(weighing);
+        if let Some(end) = end {
+            for (weighted, chunk) in weighted.iter_mut().zip(chunks) {
+                *weighted = tally.weigh(chunk, &profile.round(table, chunk, end));
+            }
+        } else {
+            for (weighted, chunk) in weighted.iter_mut().zip(chunks) {
+                *weighted = tally.weigh(chunk, &profile.straight(table, chunk));
+            }
+        }
+        let weighted = weighted.get(..chunks.len()).unwrap_or_default();
+        // Their lengths are told at run time, so that no compiler takes the lanes apart in order to
+        // add them sooner.
+        let mut rest = lanes.as_mut_slice();
+        rest = row::<0>(weighted, rest);
+        rest = row::<1>(weighted, rest);
+        rest = row::<2>(weighted, rest);
+        rest = row::<3>(weighted, rest);
+        rest = row::<4>(weighted, rest);
+        rest = row::<5>(weighted, rest);
+        rest = row::<6>(weighted, rest);
+        row::<7>(weighted, rest);
+        for (total, lanes) in totals.iter_mut().zip(&*lanes) {
+            *total = sum(lanes);
+        }
+        let mut totals = totals.iter();
+        for a in 0..COLUMNS {
+            for (b, total) in (a..COLUMNS).zip(&mut totals) {
+                let value = f64::from(*total);
+                (self.equations[a][b], self.equations[b][a]) = (value, value);
+            }
+        }
+        tally.tell(self);
+    }
+}
 
-/// The sums lane by lane.
-struct Accumulator {
+/// Row `A` of the equations lane by lane, from its diagonal on, to the beginning of `lanes`; returns
+/// the rest of them.
+#[inline(always)]
+fn row<'a, const A: usize>(weighted: &[Weighted], lanes: &'a mut [Lanes]) -> &'a mut [Lanes] {
+    let mut sums = [[0.0; LANES]; COLUMNS];
+    for columns in weighted {
+        for b in A..COLUMNS {
+            for i in 0..LANES {
+                sums[b][i] += columns[A][i] * columns[b][i];
+            }
+        }
+    }
+    let (row, rest) = lanes.split_at_mut(lanes.len().min(COLUMNS - A));
+    for (lanes, sums) in row.iter_mut().zip(&sums[A..]) {
+        *lanes = *sums;
+    }
+    rest
+}
+
+/// The other sums, lane by lane.
+struct PixelTally {
     per_cut: f32,
     per_noise2: f32,
-    pairs: [Lanes; PAIRS],
-    right: [Lanes; FEATURES],
     weight: Lanes,
     psi_squared: Lanes,
     psi_slope: Lanes,
@@ -89,15 +146,13 @@ struct Accumulator {
     cutoff: f64,
 }
 
-impl Accumulator {
+impl PixelTally {
     #[inline(always)]
     fn new(weighing: &Weighing) -> Self {
         let Weighing { noise_grey, cutoff } = *weighing;
         Self {
             per_cut: (1.0 / (cutoff * noise_grey)) as f32,
             per_noise2: (1.0 / (noise_grey * noise_grey)) as f32,
-            pairs: [[0.0; LANES]; PAIRS],
-            right: [[0.0; LANES]; FEATURES],
             weight: [0.0; LANES],
             psi_squared: [0.0; LANES],
             psi_slope: [0.0; LANES],
@@ -108,80 +163,55 @@ impl Accumulator {
         }
     }
 
-    /// Adds the pixels of a chunk.
+    /// Weighs the pixels of a chunk, and counts them.
     #[inline(always)]
-    fn add(&mut self, chunk: &Chunk, predicted: &Prediction) {
-        let f = &predicted.features;
-        let (mut weights, mut weighted) = ([0.0; LANES], [0.0; LANES]);
+    fn weigh(&mut self, chunk: &Chunk, predicted: &Prediction) -> Weighted {
+        let mut columns = predicted.columns;
+        let mut roots = [0.0; LANES];
         for i in 0..LANES {
             let r = chunk.grey[i] - predicted.grey[i];
             // A pixel of doubtful background is as noisy as the part of it that shows.
             let doubt = chunk.doubt[i] * self.per_noise2;
-            let shown = f[OUTSIDE][i];
+            let shown = columns[OUTSIDE][i];
             let precision = chunk.weight[i] / (1.0 + shown * shown * doubt);
             let t = r * self.per_cut;
             let t2 = t * t * precision;
-            let left = (1.0 - t2).max(0.0);
-            let inside = if left > 0.0 { chunk.weight[i] } else { 0.0 };
+            let left = if t2 < 1.0 { 1.0 - t2 } else { 0.0 };
+            let inside = if t2 < 1.0 { chunk.weight[i] } else { 0.0 };
             let robust = left * left;
             let w = robust * precision;
-            weights[i] = w;
-            weighted[i] = w * r;
+            columns[RIGHT][i] = r;
+            roots[i] = w.sqrt();
             self.weight[i] += robust * chunk.weight[i];
             self.psi_squared[i] += robust * w * r * r;
             self.psi_slope[i] += inside * left * (1.0 - 5.0 * t2);
-            self.capped[i] += t2.min(1.0);
+            self.capped[i] += if t2 < 1.0 { t2 } else { 1.0 };
             self.kept[i] += inside;
             self.pixels[i] += chunk.weight[i];
         }
-        let mut pair = 0;
-        for a in 0..FEATURES {
-            let mut wf = [0.0; LANES];
+        for column in &mut columns {
             for i in 0..LANES {
-                wf[i] = weights[i] * f[a][i];
-                self.right[a][i] += weighted[i] * f[a][i];
-            }
-            for b in a..FEATURES {
-                for i in 0..LANES {
-                    self.pairs[pair][i] += wf[i] * f[b][i];
-                }
-                pair += 1;
+                column[i] *= roots[i];
             }
         }
+        columns
     }
 
     /// The sums over all lanes.
     #[inline(always)]
-    fn total(&self) -> Gram {
-        let mut information = [[0.0; FEATURES]; FEATURES];
-        let mut pair = 0;
-        for a in 0..FEATURES {
-            for b in a..FEATURES {
-                let value = sum(&self.pairs[pair]);
-                information[a][b] = value;
-                information[b][a] = value;
-                pair += 1;
-            }
-        }
-        let mut right = [0.0; FEATURES];
-        for a in 0..FEATURES {
-            right[a] = sum(&self.right[a]);
-        }
-        Gram {
-            information,
-            right,
-            weight: sum(&self.weight),
-            psi_squared: sum(&self.psi_squared),
-            psi_slope: sum(&self.psi_slope),
-            chi_squared: sum(&self.capped) * self.cutoff * self.cutoff,
-            rejected: sum(&self.pixels) - sum(&self.kept),
-        }
+    fn tell(&self, gram: &mut Gram) {
+        let total = |lanes: &Lanes| f64::from(sum(lanes));
+        gram.weight = total(&self.weight);
+        gram.psi_squared = total(&self.psi_squared);
+        gram.psi_slope = total(&self.psi_slope);
+        gram.chi_squared = total(&self.capped) * self.cutoff * self.cutoff;
+        gram.rejected = total(&self.pixels) - total(&self.kept);
     }
 }
 
 #[inline(always)]
-fn sum(lanes: &Lanes) -> f64 {
+fn sum(lanes: &Lanes) -> f32 {
     let [a, b, c, d, e, f, g, h] = *lanes;
     // Halves first: one addition of vectors each.
-    f64::from(((a + e) + (c + g)) + ((b + f) + (d + h)))
+    ((a + e) + (c + g)) + ((b + f) + (d + h))
 }

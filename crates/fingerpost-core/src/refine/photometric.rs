@@ -23,19 +23,24 @@
 //! And where the edges of neighbouring blocks deviate alike, as at a joint, the blocks are no
 //! independent witnesses: what they share counts several times.
 
+#![expect(
+    clippy::inline_always,
+    reason = "what is inlined into a function with wider instructions is compiled for them"
+)]
+
 use super::block::{Deviation, EDGE_EFFECT, Evidence, INSIDE_EFFECT, OUTSIDE_EFFECT};
 use super::blur::BlurTable;
-use super::gram::{Gram, Summing, Weighing};
-use super::pixels::{Block, LANES, Strip, USUAL_BLOCKS};
+use super::gram::{Weighing, Workspace};
+use super::pixels::{Block, LANES, Strip, USUAL_BLOCKS, USUAL_CHUNKS};
 use super::profile::{CLEAR, RoundEnd};
 use super::sketch::{FlankLines, Sketch};
 use super::unknowns::{
-    self, BEND, BULGE, FlankEquations, Information, LEAST_CONTRAST_GREY, OFFSET, SLOPE, UNKNOWNS,
-    Unknowns, Vector,
+    self, BEND, BULGE, FlankEquations, FlankStep, Information, LEAST_CONTRAST_GREY, OFFSET, SLOPE,
+    UNKNOWNS, Unknowns, Vector,
 };
 use super::{KnownBackground, PhotometricOptions, PhotometricReport, Stretch};
 use crate::image::GrayView;
-use crate::simd::Isa;
+use crate::simd::{Isa, Work};
 use nalgebra::{Cholesky, Const, Matrix2, Matrix4, Vector2};
 
 /// The first iteration takes residuals of this part of the contrast for noise: it starts from the
@@ -80,6 +85,7 @@ pub(super) struct Photometric {
 struct Flank {
     strip: Strip,
     deviations: Vec<Deviation>,
+    workspace: Workspace,
     /// Variance of each deviation from block to block, in the square of its unit.
     variances: [f64; 3],
     /// What runs of blocks whose edges deviate alike add to the edge's \[px²\].
@@ -124,7 +130,9 @@ struct Tally {
 }
 
 impl Tally {
-    fn add(&mut self, gram: &Gram, pixels: f64, say: f64, freed: f64) {
+    #[inline(always)]
+    fn add(&mut self, block: &Deviation, pixels: f64) {
+        let Deviation { gram, say, freed, .. } = block;
         self.weight += say * gram.weight;
         self.psi_squared += say * gram.psi_squared;
         self.psi_slope += say * gram.psi_slope;
@@ -162,6 +170,7 @@ impl Photometric {
     ) -> Option<PhotometricFit> {
         for (index, flank) in self.flanks.iter_mut().enumerate() {
             flank.strip.gather(image, background, noise_grey, sketch, index, &self.options);
+            flank.workspace.fit(flank.strip.most_chunks());
             flank.deviations.clear();
             flank.deviations.resize(flank.strip.blocks.len(), Deviation::none());
             (flank.variances, flank.runs_px2) = ([0.0; 3], 0.0);
@@ -248,31 +257,23 @@ impl Photometric {
             let end = sketch
                 .end_radius_px()
                 .map(|radius| RoundEnd { middle: end_px as f32, radius: radius as f32 });
-            // Up to here no pixel of a block feels the round end.
-            let clear = end_px - CLEAR * x.blur_px() - 0.5 * self.options.block_px;
             let mut equations = FlankEquations::default();
             let mut evidence = Evidence::default();
-            for (block, deviation) in flank.strip.blocks.iter().zip(&mut flank.deviations) {
-                let mut gram = Gram::default();
-                self.isa.run(Summing {
-                    chunks: flank.strip.chunks(block),
-                    profile: x.profile(sketch, index, block.p, &deviation.effects),
-                    end: end.filter(|_| block.p > clear),
-                    table: self.table,
-                    weighing,
-                    gram: &mut gram,
-                });
-                deviation.chi_squared = gram.chi_squared / block.pixels as f64;
-                if 1 < iteration && iteration <= ADAPTING_ITERATIONS {
-                    deviation.say = (MOST_CHI_SQUARED / deviation.chi_squared).powi(2).min(1.0);
-                }
-                let mut variances = flank.variances;
-                variances[EDGE_EFFECT] += flank.runs_px2 + deviation.restless_px2;
-                let reduced = deviation.eliminate(&gram, &variances, scale * scale, &mut evidence);
-                let factors = unknowns::factors(block.p, sketch.half_length_px);
-                equations.add(deviation.say, &factors, &reduced.information, &reduced.right);
-                normal.tally.add(&gram, block.pixels as f64, deviation.say, reduced.freed);
-            }
+            self.isa.run(Linearising {
+                flank,
+                index,
+                sketch,
+                x,
+                end,
+                // Up to here no pixel of a block feels the round end.
+                clear_px: end_px - CLEAR * x.blur_px() - 0.5 * self.options.block_px,
+                table: self.table,
+                weighing,
+                reweighs: 1 < iteration && iteration <= ADAPTING_ITERATIONS,
+                equations: &mut equations,
+                evidence: &mut evidence,
+                tally: &mut normal.tally,
+            });
             equations.spread(index, &mut normal.information, &mut normal.right);
             if iteration <= ADAPTING_ITERATIONS {
                 flank.adapt(&evidence, scale * scale, iteration);
@@ -287,9 +288,10 @@ impl Photometric {
     fn follow(&mut self, sketch: &Sketch, step: &Vector, part: f64) {
         let taken = step * part;
         for (index, flank) in self.flanks.iter_mut().enumerate() {
+            let taken = FlankStep::of(&taken, index);
             for (block, deviation) in flank.strip.blocks.iter().zip(&mut flank.deviations) {
                 let factors = unknowns::factors(block.p, sketch.half_length_px);
-                deviation.follow(&Unknowns::by_feature(&taken, index, &factors), part);
+                deviation.follow(&taken.changes(&factors), part);
             }
         }
     }
@@ -333,10 +335,57 @@ impl Photometric {
     }
 }
 
+/// The model of one flank made linear block by block, the deviations of each eliminated.
+struct Linearising<'a> {
+    flank: &'a mut Flank,
+    index: usize,
+    sketch: &'a Sketch,
+    x: &'a Unknowns,
+    end: Option<RoundEnd>,
+    clear_px: f64,
+    table: BlurTable,
+    weighing: Weighing,
+    /// Whether blocks are trusted anew.
+    reweighs: bool,
+    /// Where the sums go.
+    equations: &'a mut FlankEquations,
+    evidence: &'a mut Evidence,
+    tally: &'a mut Tally,
+}
+
+impl Work for Linearising<'_> {
+    #[inline(always)]
+    fn run(self) {
+        let Self { flank, index, sketch, x, end, clear_px, table, weighing, .. } = self;
+        let Flank { strip, deviations, workspace, variances, runs_px2 } = flank;
+        for (block, deviation) in strip.blocks.iter().zip(&mut *deviations) {
+            let profile = x.profile(sketch, index, block.p, &deviation.effects);
+            let end = end.filter(|_| block.p > clear_px);
+            let chunks = strip.chunks(block);
+            deviation.gram.take(chunks, &profile, end, table, &weighing, workspace);
+        }
+        let noise2 = weighing.noise_grey * weighing.noise_grey;
+        for (block, deviation) in strip.blocks.iter().zip(deviations) {
+            deviation.chi_squared = deviation.gram.chi_squared / block.pixels as f64;
+            if self.reweighs {
+                let say = MOST_CHI_SQUARED / deviation.chi_squared;
+                deviation.say = (say * say).min(1.0);
+            }
+            let mut variances = *variances;
+            variances[EDGE_EFFECT] += *runs_px2 + deviation.restless_px2;
+            deviation.eliminate(&variances, noise2, self.evidence);
+            let factors = unknowns::factors(block.p, sketch.half_length_px);
+            self.equations.add(deviation.say, &factors, &deviation.gram.equations);
+            self.tally.add(deviation, block.pixels as f64);
+        }
+    }
+}
+
 impl Flank {
     fn new() -> Self {
         let deviations = Vec::with_capacity(USUAL_BLOCKS);
-        Self { strip: Strip::new(), deviations, variances: [0.0; 3], runs_px2: 0.0 }
+        let workspace = Workspace::with_capacity(USUAL_CHUNKS);
+        Self { strip: Strip::new(), deviations, workspace, variances: [0.0; 3], runs_px2: 0.0 }
     }
 
     /// Takes over the variances that the evidence speaks for; by half once there are some that owe

@@ -89,6 +89,8 @@ struct Band {
 
 /// A strip of so many blocks, of 32 pixels each, fits without another allocation.
 pub(super) const USUAL_BLOCKS: usize = 128;
+/// Most blocks have no more than so many chunks.
+pub(super) const USUAL_CHUNKS: usize = 16;
 
 /// Witnesses stand outside the edge from here to there, beyond its blur \[px\],
 const WITNESSES_PX: std::ops::RangeInclusive<i32> = 4..=8;
@@ -119,8 +121,14 @@ impl Strip {
         }
     }
 
+    #[inline]
     pub fn chunks(&self, block: &Block) -> &[Chunk] {
         self.chunks.get(block.from_chunk..block.to_chunk).unwrap_or_default()
+    }
+
+    /// The most chunks that a block has.
+    pub fn most_chunks(&self) -> usize {
+        self.blocks.iter().map(|b| b.to_chunk - b.from_chunk).max().unwrap_or(0)
     }
 
     /// The part of the blocks that the frame and what is known of the background leave, 0–1.

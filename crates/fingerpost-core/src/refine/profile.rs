@@ -33,20 +33,23 @@
 use super::blur::BlurTable;
 use super::pixels::{Chunk, LANES, Lanes};
 
-/// How the grey level of a pixel changes with what its block depends on.
-pub const FEATURES: usize = 7;
+/// How the grey level of a pixel changes with what its block depends on, and one column more for
+/// what stands on the right side of equations.
+pub const COLUMNS: usize = 8;
 /// By the place of the edge, outward \[grey levels / px\].
 pub const EDGE: usize = 0;
-/// By the blur s \[grey levels / px\].
-pub const BLUR: usize = 1;
-/// By the middle of the round end \[grey levels / px\].
-pub const END: usize = 2;
 /// By the inside level a, and by the background level b.
-pub const INSIDE: usize = 3;
-pub const OUTSIDE: usize = 4;
+pub const INSIDE: usize = 1;
+pub const OUTSIDE: usize = 2;
+/// By the blur s \[grey levels / px\].
+pub const BLUR: usize = 3;
 /// By the slope c and by the limb l.
-pub const RAMP: usize = 5;
-pub const LIMB: usize = 6;
+pub const RAMP: usize = 4;
+pub const LIMB: usize = 5;
+/// The right side: what the pixel shows beyond what the model says \[grey levels\].
+pub const RIGHT: usize = 6;
+/// By the middle of the round end \[grey levels / px\]; the last one, and nothing clear of the end.
+pub const END: usize = 7;
 
 /// What the pixels of one block depend on.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -83,8 +86,8 @@ const LEAST_RANGE: f32 = 0.1;
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Prediction {
     pub grey: Lanes,
-    /// Its derivatives, by feature.
-    pub features: [Lanes; FEATURES],
+    /// Its derivatives, by column; that of the right side is left to be filled.
+    pub columns: [Lanes; COLUMNS],
 }
 
 /// How far outside its edge a pixel lies, and how that distance changes.
@@ -119,12 +122,12 @@ impl Profile {
         let y = self.beyond_flank(chunk);
         let s = self.blur;
         let mut z = [0.0; LANES];
-        for i in 0..LANES {
-            z[i] = -y[i] / s;
-        }
-        let m = moments(table, &z);
         let (root, per_width, per_blur) =
             ((2.0 * s / self.half_width).sqrt(), 1.0 / self.half_width, 1.0 / s);
+        for i in 0..LANES {
+            z[i] = -y[i] * per_blur;
+        }
+        let m = table.moments(&z);
         let (ramp, limb) = (self.ramp * per_width, self.limb * root);
         let mut at = Prediction::default();
         for i in 0..LANES {
@@ -138,13 +141,13 @@ impl Profile {
                 + density
                     * (step - slope * s * z[i] + 0.5 * curvature * s * s * (1.0 - z[i] * z[i]));
             at.grey[i] = outside + step * share + density * behind + ramp * rise + limb * m.root[i];
-            at.features[EDGE][i] = by_z * per_blur + ramp * share;
-            at.features[BLUR][i] = (0.5 * limb * m.root[i] - by_z * z[i]) * per_blur
+            at.columns[EDGE][i] = by_z * per_blur + ramp * share;
+            at.columns[BLUR][i] = (0.5 * limb * m.root[i] - by_z * z[i]) * per_blur
                 + density * (ramp + slope + curvature * s * z[i]);
-            at.features[INSIDE][i] = share;
-            at.features[OUTSIDE][i] = 1.0 - share;
-            at.features[RAMP][i] = rise * per_width;
-            at.features[LIMB][i] = m.root[i] * root;
+            at.columns[INSIDE][i] = share;
+            at.columns[OUTSIDE][i] = 1.0 - share;
+            at.columns[RAMP][i] = rise * per_width;
+            at.columns[LIMB][i] = m.root[i] * root;
         }
         at
     }
@@ -156,12 +159,12 @@ impl Profile {
         let s = self.blur;
         let d = end.distance(table, &from_flank, &chunk.p, s);
         let mut z = [0.0; LANES];
-        for i in 0..LANES {
-            z[i] = -d.y[i] / s;
-        }
-        let m = moments(table, &z);
         let (root, per_width, per_blur) =
             ((2.0 * s / self.half_width).sqrt(), 1.0 / self.half_width, 1.0 / s);
+        for i in 0..LANES {
+            z[i] = -d.y[i] * per_blur;
+        }
+        let m = table.moments(&z);
         let (ramp, limb) = (self.ramp * per_width, self.limb * root);
         let mut at = Prediction::default();
         for i in 0..LANES {
@@ -179,16 +182,16 @@ impl Profile {
                         - ramp * (from_flank[i] + lean * z[i]));
             let (by_y, by_lean) = (-by_z * per_blur, ramp * s * density);
             at.grey[i] = outside + step * share + density * behind + ramp * rise + limb * m.root[i];
-            at.features[EDGE][i] =
+            at.columns[EDGE][i] =
                 ramp * share - by_y * d.by_flank[i] - by_lean * d.by_flank_twice[i];
-            at.features[BLUR][i] = 0.5 * limb * m.root[i] * per_blur
+            at.columns[BLUR][i] = 0.5 * limb * m.root[i] * per_blur
                 + by_y * (d.by_blur[i] + z[i])
                 + density * (ramp * d.by_flank[i] + slope + curvature * s * z[i]);
-            at.features[END][i] = -(by_y * d.by_u[i] + by_lean * d.by_flank_and_u[i]);
-            at.features[INSIDE][i] = share;
-            at.features[OUTSIDE][i] = 1.0 - share;
-            at.features[RAMP][i] = rise * per_width;
-            at.features[LIMB][i] = m.root[i] * root;
+            at.columns[END][i] = -(by_y * d.by_u[i] + by_lean * d.by_flank_and_u[i]);
+            at.columns[INSIDE][i] = share;
+            at.columns[OUTSIDE][i] = 1.0 - share;
+            at.columns[RAMP][i] = rise * per_width;
+            at.columns[LIMB][i] = m.root[i] * root;
         }
         at
     }
@@ -199,12 +202,17 @@ impl RoundEnd {
     fn distance(self, table: BlurTable, from_flank: &Lanes, p: &Lanes, s: f32) -> Distance {
         let radius = self.radius;
         let mut d = Distance::default();
+        let mut depth = [0.0; LANES];
+        for i in 0..LANES {
+            depth[i] = (p[i] - self.middle) / s;
+        }
+        let begun = table.moments(&depth);
         for i in 0..LANES {
             let u = p[i] - self.middle;
-            let begun = table.moments(u / s);
+            let (step, density) = (begun.step[i], begun.step_slope[i]);
             // E[(u + s Z)₊²], halved, and its derivative by u.
-            let smooth = 0.5 * ((u * u + s * s) * begun.step + u * s * begun.step_slope);
-            let smooth_by_u = u * begun.step + s * begun.step_slope;
+            let smooth = 0.5 * ((u * u + s * s) * step + u * s * density);
+            let smooth_by_u = u * step + s * density;
             let sharp = u.max(0.0);
             let from_middle = from_flank[i] + radius;
             let range =
@@ -213,34 +221,12 @@ impl RoundEnd {
             d.y[i] = range - radius + (smooth - 0.5 * sharp * sharp) / radius;
             d.by_flank[i] = from_middle / range;
             d.by_u[i] = sharp / range + (smooth_by_u - sharp) / radius;
-            d.by_blur[i] = s * begun.step / radius;
+            d.by_blur[i] = s * step / radius;
             d.by_flank_twice[i] = sharp * sharp / cube;
             d.by_flank_and_u[i] = -sharp * from_middle / cube;
         }
         d
     }
-}
-
-/// [`Moments`](super::blur::Moments) of every lane.
-struct MomentLanes {
-    step: Lanes,
-    step_slope: Lanes,
-    root: Lanes,
-    root_slope: Lanes,
-}
-
-#[inline(always)]
-fn moments(table: BlurTable, z: &Lanes) -> MomentLanes {
-    let none = [0.0; LANES];
-    let mut at = MomentLanes { step: none, step_slope: none, root: none, root_slope: none };
-    for i in 0..LANES {
-        let m = table.moments(z[i]);
-        at.step[i] = m.step;
-        at.step_slope[i] = m.step_slope;
-        at.root[i] = m.root;
-        at.root_slope[i] = m.root_slope;
-    }
-    at
 }
 
 // The profile is private, and what it must agree with are its own derivatives.
@@ -297,8 +283,8 @@ mod tests {
         let (profile, end) = (profile(), RoundEnd { middle: 25.0, radius: 7.8 });
         for slope in [0.0, 6.0] {
             let chunk = chunk(p, 8.0, slope);
-            let analytic = predict(&profile, end, &chunk).features;
-            for (feature, analytic) in analytic.iter().enumerate() {
+            let analytic = predict(&profile, end, &chunk).columns;
+            for (feature, analytic) in analytic.iter().enumerate().filter(|f| f.0 != RIGHT) {
                 let at = |steps: f32| {
                     let (profile, end) = nudge(&profile, end, feature, steps * STEP);
                     predict(&profile, end, &chunk).grey
@@ -341,7 +327,7 @@ mod tests {
         let round = profile.round(BlurTable::new(), &chunk, end);
         for i in 0..LANES {
             assert!((straight.grey[i] - round.grey[i]).abs() < 1e-3);
-            assert!((straight.features[EDGE][i] - round.features[EDGE][i]).abs() < 1e-3);
+            assert!((straight.columns[EDGE][i] - round.columns[EDGE][i]).abs() < 1e-3);
         }
     }
 }

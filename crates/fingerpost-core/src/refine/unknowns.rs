@@ -1,7 +1,13 @@
 //! What is fitted, and how it spreads over the features of a block's pixels.
 
+#![expect(
+    clippy::inline_always,
+    reason = "what is inlined into a function with wider instructions is compiled for them"
+)]
+
 use super::PhotometricOptions;
-use super::profile::{self, EDGE, FEATURES, INSIDE, OUTSIDE, Profile, RAMP};
+use super::gram::Equations;
+use super::profile::{self, COLUMNS, EDGE, INSIDE, OUTSIDE, Profile, RAMP};
 use super::sketch::{FlankLines, SIDES, Sketch};
 use nalgebra::{SMatrix, SVector};
 
@@ -51,20 +57,20 @@ const SLOT_FEATURE: [usize; SLOTS] = [
     EDGE,
     EDGE,
     EDGE,
+    INSIDE,
+    INSIDE,
+    OUTSIDE,
+    OUTSIDE,
     profile::BLUR,
-    profile::END,
-    INSIDE,
-    OUTSIDE,
-    INSIDE,
-    OUTSIDE,
     RAMP,
     profile::LIMB,
+    profile::END,
 ];
 
 /// The unknowns that a flank sees, and the slots of them: the edge is σ times the bisector plus the
 /// half-width.
 const SEEN: usize = OWN + OWN_COUNT;
-const SEEN_SLOT: [usize; SEEN] = [0, 1, 2, 0, 1, 2, 3, 4, 4, 5, 6, 7, 8, 9, 10];
+const SEEN_SLOT: [usize; SEEN] = [0, 1, 2, 0, 1, 2, 7, 10, 10, 4, 6, 3, 5, 8, 9];
 
 fn seen_unknown(seen: usize, flank: usize) -> usize {
     if seen < OWN { seen } else { seen + flank * OWN_COUNT }
@@ -82,9 +88,10 @@ pub(super) struct Unknowns(pub Vector);
 pub(super) type Factors = [f64; SLOTS];
 
 /// The factors of a block whose middle is at p, with half the length in use h.
+#[inline(always)]
 pub(super) fn factors(p: f64, h: f64) -> Factors {
     let t = p / h;
-    [1.0, p, 1.5 * t * t - 0.5, 1.0, 1.0, t, t, 1.0, 1.0, 1.0, 1.0]
+    [1.0, p, 1.5 * t * t - 0.5, 1.0, t, 1.0, t, 1.0, 1.0, 1.0, 1.0]
 }
 
 impl Unknowns {
@@ -135,6 +142,7 @@ impl Unknowns {
 
     /// What a block of a flank looks like whose levels and edge deviate by `effects`: inside,
     /// outside, edge.
+    #[inline(always)]
     pub fn profile(&self, sketch: &Sketch, flank: usize, p: f64, effects: &[f64; 3]) -> Profile {
         let x = &self.0;
         let h = sketch.half_length_px;
@@ -159,16 +167,26 @@ impl Unknowns {
             + step[HALF_WIDTH].abs()
             + half_length_px * (step[SLOPE].abs() + step[TAPER].abs())
     }
+}
 
-    /// What a step of the unknowns changes in a block's features.
-    pub fn by_feature(step: &Vector, flank: usize, factors: &Factors) -> [f64; FEATURES] {
-        let mut by_feature = [0.0; FEATURES];
-        for seen in 0..SEEN {
-            let slot = SEEN_SLOT[seen];
-            by_feature[SLOT_FEATURE[slot]] +=
-                seen_sign(seen, flank) * factors[slot] * step[seen_unknown(seen, flank)];
+/// What a step of the unknowns changes in the slots of a flank.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct FlankStep([f64; SLOTS]);
+
+impl FlankStep {
+    pub fn of(step: &Vector, flank: usize) -> Self {
+        let mut slots = [0.0; SLOTS];
+        for (seen, &slot) in SEEN_SLOT.iter().enumerate() {
+            slots[slot] += seen_sign(seen, flank) * step[seen_unknown(seen, flank)];
         }
-        by_feature
+        Self(slots)
+    }
+
+    /// What it changes in a block's features, column by column.
+    pub fn changes(&self, factors: &Factors) -> [f64; COLUMNS] {
+        let [_, p, bend, _, t, ..] = *factors;
+        let [e0, e1, e2, a, a1, b, b1, blur, ramp, limb, end] = self.0;
+        [e0 + p * e1 + bend * e2, a + t * a1, b + t * b1, blur, ramp, limb, 0.0, end]
     }
 }
 
@@ -193,28 +211,23 @@ pub(super) fn prior(
     sigma.map(|s| 1.0 / (s * s))
 }
 
-/// Normal equations of one flank, in its slots; only the upper half is kept.
+/// Normal equations of one flank, in its slots, and their right side.
 #[derive(Debug, Clone, Copy, Default)]
-pub(super) struct FlankEquations {
-    information: [[f64; SLOTS]; SLOTS],
-    right: [f64; SLOTS],
-}
+pub(super) struct FlankEquations([[f64; SLOTS + 1]; SLOTS]);
 
 impl FlankEquations {
     /// Adds a block's, which are those of its features.
-    pub fn add(
-        &mut self,
-        say: f64,
-        factors: &Factors,
-        information: &[[f64; FEATURES]; FEATURES],
-        right: &[f64; FEATURES],
-    ) {
+    #[inline(always)]
+    pub fn add(&mut self, say: f64, factors: &Factors, equations: &Equations) {
+        let [_, p, bend, _, t, ..] = *factors;
+        let rows = equations.map(|[edge, inside, outside, blur, ramp, limb, right, end]| {
+            let (a, b) = (inside, outside);
+            [edge, p * edge, bend * edge, a, t * a, b, t * b, blur, ramp, limb, end, right]
+        });
         for i in 0..SLOTS {
-            let (factor, feature) = (say * factors[i], SLOT_FEATURE[i]);
-            self.right[i] += factor * right[feature];
-            let from = &information[feature];
-            for j in i..SLOTS {
-                self.information[i][j] += factor * factors[j] * from[SLOT_FEATURE[j]];
+            let (factor, from) = (say * factors[i], &rows[SLOT_FEATURE[i]]);
+            for (sum, entry) in self.0[i].iter_mut().zip(from) {
+                *sum += factor * entry;
             }
         }
     }
@@ -223,10 +236,11 @@ impl FlankEquations {
     pub fn spread(&self, flank: usize, information: &mut Information, right: &mut Vector) {
         for (a, &i) in SEEN_SLOT.iter().enumerate() {
             let (row, sign) = (seen_unknown(a, flank), seen_sign(a, flank));
-            right[row] += sign * self.right[i];
-            for (b, &j) in SEEN_SLOT.iter().enumerate() {
-                information[(row, seen_unknown(b, flank))] +=
-                    sign * seen_sign(b, flank) * self.information[i.min(j)][i.max(j)];
+            right[row] += sign * self.0[i][SLOTS];
+            // The lower half, which is all that is looked at.
+            for (b, &j) in SEEN_SLOT.iter().enumerate().skip(a) {
+                information[(seen_unknown(b, flank), row)] +=
+                    sign * seen_sign(b, flank) * self.0[i][j];
             }
         }
     }

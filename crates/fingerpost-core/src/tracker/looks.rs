@@ -3,7 +3,7 @@
 use crate::Result;
 use crate::appearance::Appearance;
 use crate::discriminant::{Discriminant, DiscriminantImage, Mixture, region_about};
-use crate::frame::Frame;
+use crate::frame::{Frame, SidedPixel};
 use crate::search::{Cue, Polarity};
 use crate::shape_space::PlacedSample;
 use nalgebra::{Point2, Vector2};
@@ -62,8 +62,8 @@ pub(super) struct Looks {
     mixed: Appearance,
     /// Whether that tells hand and background apart better than `plain`.
     finer: bool,
-    /// The pixels of one frame, and whether they are the hand.
-    pixels: Vec<(Point2<f64>, bool)>,
+    /// The pixels of one frame.
+    pixels: Vec<SidedPixel>,
 }
 
 impl Looks {
@@ -102,14 +102,8 @@ impl Looks {
         self.gather(contour, finger);
         self.plain.fade(keep as f32);
         self.discriminant.fade(keep);
-        for &(p, is_hand) in &self.pixels {
-            self.plain.observe(frame, p.x, p.y, is_hand);
-        }
-        if frame.colour().is_some() {
-            for &(p, is_hand) in &self.pixels {
-                self.discriminant.observe(frame, p.x, p.y, is_hand);
-            }
-        }
+        self.plain.observe_all(frame, &self.pixels);
+        self.discriminant.observe_all(frame, &self.pixels);
         self.plain.learn();
         // The image that the frame was searched in is there already.
         let searched = self.discriminant.mixture().copied();
@@ -118,12 +112,12 @@ impl Looks {
             let shown = image.of(
                 frame,
                 mixture,
-                region_about(self.pixels.iter().map(|&(p, _)| (p, 0.0))),
+                region_about(
+                    self.pixels.iter().map(|p| (Point2::new(f64::from(p.x), f64::from(p.y)), 0.0)),
+                ),
             )?;
             self.mixed.fade(keep as f32);
-            for &(p, is_hand) in &self.pixels {
-                self.mixed.observe(&shown, p.x, p.y, is_hand);
-            }
+            self.mixed.observe_all(&shown, &self.pixels);
             self.mixed.learn();
         }
         self.finer = self.mixed.separation() > self.plain.separation();
@@ -165,10 +159,12 @@ impl Looks {
             let mut k = EDGE_PX;
             while k <= outer_px {
                 if k <= depth_px {
-                    self.pixels.push((position - normal * k, true));
+                    let at = position - normal * k;
+                    self.pixels.extend(SidedPixel::at(at.x, at.y, true));
                 }
                 if k >= 2.0 * EDGE_PX {
-                    self.pixels.push((position + normal * k, false));
+                    let at = position + normal * k;
+                    self.pixels.extend(SidedPixel::at(at.x, at.y, false));
                 }
                 k += 1.0;
             }
