@@ -751,9 +751,9 @@ fn flanks_that_are_not_quite_straight_are_told_of_but_not_believed() {
     for (y, row) in torn.grey.chunks_exact_mut(SIZE).enumerate() {
         let aside = 0.6 * (y as f64 * 0.8).sin();
         let at = |x: usize| canvas.grey[y * SIZE + x.clamp(0, SIZE - 1)];
-        for x in 1..SIZE - 1 {
+        for (x, grey) in row.iter_mut().enumerate().take(SIZE - 1).skip(1) {
             let next = if aside > 0.0 { at(x + 1) } else { at(x - 1) };
-            row[x] = at(x) + f64::abs(aside) * (next - at(x));
+            *grey = at(x) + f64::abs(aside) * (next - at(x));
         }
     }
     let picture = torn.take(2.0, &mut noise);
