@@ -281,6 +281,7 @@ def test_an_observation_tells_what_the_search_found_and_why_the_frame_counts():
         ("motion", "refused: no hand moves like that"),
         ("agreement", "refused: finger agreement 31 % (min 50)"),
         ("residual", "refused: residual 2.51 px (max 2.00)"),
+        ("misfit", "refused: the finger is bent"),
     ],
 )
 def test_a_refusal_names_what_was_asked(refusal, verdict):
@@ -292,11 +293,13 @@ def test_a_refusal_names_what_was_asked(refusal, verdict):
         residual_rms_px=2.51,
         max_residual_px=2.0,
         innovation=None,
+        bend_rad=0.6,
     )
     track = SimpleNamespace(diagnostics=told, finger_line=None)
     frame = Frame(0, 0.0, np.zeros((4, 4), np.uint8))
     observed = Observation("left", frame, track, np.empty((0, 2)), None)
     assert observed.reasons[0] == verdict
+    assert "bend 34°" in observed.reasons[1]
 
 
 def test_a_rig_that_cannot_point_is_refused(recording):

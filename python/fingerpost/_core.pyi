@@ -1912,13 +1912,16 @@ class Diagnostics:
     @property
     def refusal(
         self,
-    ) -> Literal["no-fit", "size", "motion", "agreement", "residual", "background"] | None:
+    ) -> (
+        Literal["no-fit", "size", "motion", "agreement", "residual", "background", "misfit"] | None
+    ):
         """Why the fit was not accepted; None if it was.
 
         "no-fit": none was determined that could be a finger. "size": it is much wider, slimmer or
         more tapered than the hand that is followed. "motion": no hand moves like that.
         "agreement", "residual": too few edges agree with it, or they lie too far from it.
         "background": it lies on a table that is known, or inside of what stands before that.
+        "misfit": the finger is bent, so that no straight line is its axis.
         """
 
     @property
@@ -1927,4 +1930,14 @@ class Diagnostics:
 
         3 on average for a hand that moves as the option ``track.dynamics`` says; above 21 once in
         10,000 frames. None where nothing foretold them.
+        """
+
+    @property
+    def bend_rad(self) -> float | None:
+        """How much the finger is bent, as the image shows it [rad].
+
+        The direction of the part with the tip minus that of the part with the knuckle; beyond 0.35
+        (20°) the fit is a "misfit". A view sees only what of a bend lies across its line of sight.
+        None where the flanks of either part do not tell, for a fit that is refused for another
+        reason, and for the paper's model.
         """

@@ -168,6 +168,7 @@ def _verdict(track: Track) -> str:
         "agreement": agreement,
         "residual": residual,
         "background": "it is no finger before the table",
+        "misfit": "the finger is bent",
     }
     return f"refused: {reasons.get(told.refusal or '', 'no fit that could be a finger')}"
 
@@ -179,6 +180,8 @@ def _details(track: Track, search: SearchMarks) -> str:
     details = [f"{lines} lines: {agree} agree, {hits - agree} rejected, {lines - hits} no edge"]
     if track.diagnostics.innovation is not None:
         details.append(f"innovation {track.diagnostics.innovation:.1f}")
+    if track.diagnostics.bend_rad is not None:
+        details.append(f"bend {np.degrees(track.diagnostics.bend_rad):.0f}°")
     if track.finger_line is not None:
         details.append(f"line from {track.finger_line.source}")
     return "   ".join(details)

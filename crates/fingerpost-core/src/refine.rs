@@ -63,10 +63,12 @@ mod photometric;
 mod pixels;
 mod profile;
 mod sketch;
+mod straightness;
 mod unknowns;
 
 pub use background::KnownBackground;
 pub use options::{BisectorOptions, PhotometricOptions, RefineOptions};
+pub use straightness::Bend;
 
 use crate::appearance::Appearance;
 use crate::frame::Frame;
@@ -80,6 +82,7 @@ use nalgebra::Matrix2;
 use noise::NoiseEstimator;
 use photometric::{Photometric, PhotometricFit};
 use sketch::Sketch;
+use straightness::Straightness;
 
 /// A stretch of a flank, in px along the axis from its anchor; empty unless `to_px > from_px`.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -199,6 +202,7 @@ pub struct Refiner {
     options: RefineOptions,
     bisector: Bisector,
     photometric: Photometric,
+    straightness: Straightness,
     noise: NoiseEstimator,
 }
 
@@ -212,6 +216,7 @@ impl Refiner {
         Ok(Self {
             bisector: Bisector::new(options.bisector)?,
             photometric: Photometric::new(options.photometric),
+            straightness: Straightness::new(options.bisector)?,
             noise: NoiseEstimator::new(),
             options,
         })
@@ -221,7 +226,8 @@ impl Refiner {
     #[must_use]
     pub fn with_isa(self, isa: Isa) -> Self {
         let bisector = self.bisector.with_isa(isa);
-        Self { bisector, photometric: self.photometric.with_isa(isa), ..self }
+        let straightness = self.straightness.with_isa(isa);
+        Self { bisector, photometric: self.photometric.with_isa(isa), straightness, ..self }
     }
 
     /// The options in force.
@@ -269,6 +275,22 @@ impl Refiner {
             Some((fit, noise_grey))
         });
         Ok(self.believed(noise_grey, &start, bisector, photometric))
+    }
+
+    /// How a finger that is believed to be near `finger` is bent; `None` when its flanks do not tell.
+    /// The arguments are those of [`refine`](Self::refine).
+    ///
+    /// # Errors
+    /// When a number of the finger is not finite or its half-width is not positive.
+    pub fn bend(
+        &mut self,
+        frame: &Frame<'_>,
+        finger: &Finger,
+        polarity: Polarity,
+        appearance: Option<&Appearance>,
+    ) -> Result<Option<Bend>> {
+        let cue = appearance.map_or(Cue::Edges, Cue::HandEdges);
+        self.straightness.bend(frame, cue, polarity, finger)
     }
 
     /// The photometric line before a known background, and the noise of the picture that shows it;

@@ -26,6 +26,13 @@
 //! with it, and the residual offsets of those are small; see [`AcceptOptions`]. A frame whose fit
 //! is not accepted yields no finger line.
 //!
+//! **Bent.** No straight line is the axis of a bent finger. Of a fit that is accepted by its edges
+//! the two halves of the finger are looked at once more, each for itself ([`crate::refine::Bend`]);
+//! where they differ by more than 20° in the image, the fit is a [`Refusal::Misfit`]. The
+//! hand stays in sight without a line, and has one again in the first frame that shows the finger
+//! straight. A view sees only what of a bend lies across its line of sight. The paper's model is
+//! not looked at so.
+//!
 //! Source: Cipolla, Hadfield & Hollinghurst 1994, section 3.2.
 
 mod convergence;
@@ -40,7 +47,9 @@ use crate::background::Background;
 use crate::dynamics::{Dynamics, Gate, Innovation, Prediction, chi_square_quantile};
 use crate::fit::Prior;
 use crate::frame::Frame;
-use crate::refine::{Finger, KnownBackground, RefineOptions, Refined, Refiner, Source, Stretch};
+use crate::refine::{
+    Bend, Finger, KnownBackground, RefineOptions, Refined, Refiner, Source, Stretch,
+};
 use crate::search::{EdgeMeasurement, MAX_HALF_LENGTH_PX, Polarity, Scale, SearchLine, check_size};
 use crate::shape_space::{
     Affine, AffineMap, Axis, BandMeasure, PlacedSample, PlanarSpace, Pose, RIBBON_DOF, Ribbon,
@@ -63,7 +72,7 @@ use scene::Scene;
 use seek::{Judged, Seek};
 use std::f64::consts::TAU;
 pub use verdict::Refusal;
-use verdict::{Known, Motion};
+use verdict::{Known, Motion, Posture};
 
 /// Where the template waits for the hand.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -220,6 +229,9 @@ pub struct Diagnostics {
     /// covariance: 3 on average for a hand that moves as [`TrackOptions::dynamics`] says. None
     /// where nothing foretold them.
     pub innovation: Option<f64>,
+    /// How much the finger is bent, as the image shows it: the direction of the half with the tip
+    /// minus that of the half with the knuckle \[rad\]. None where the flanks do not tell.
+    pub bend_rad: Option<f64>,
 }
 
 /// A line of the last search, and what became of it.
@@ -290,6 +302,11 @@ struct Hand {
     looks: Option<Looks>,
     /// Frames in a row in which its thumb was not seen.
     thumb_missed: usize,
+    /// Whether its finger is straight, for how many frames in a row it has not been, and how often
+    /// it has been since it was acquired.
+    posture: Posture,
+    bent_frames: usize,
+    straight_frames: usize,
 }
 
 /// What the contour in the image is made from.
@@ -542,6 +559,9 @@ const FREE_PX: f64 = 3.0;
 const FREE_SHARE: f64 = 0.5;
 const FREE_CONTRAST: f64 = 0.2;
 
+/// A hand whose finger is bent in more frames in a row than this is lost.
+const MOST_BENT_FRAMES: usize = 30;
+
 /// A lost hand is looked for this much further than a tracked one.
 const LOST_REACH: f64 = 2.0;
 /// A fit that explains this part of the contour needs no second look from afar.
@@ -581,6 +601,9 @@ impl ContourTracker {
             moulded: Vec::with_capacity(samples.len()),
             looks: None,
             thumb_missed: 0,
+            posture: Posture::Straight,
+            bent_frames: 0,
+            straight_frames: 0,
         };
         Ok(Self {
             convergence: Convergence::new(&options)?,
@@ -716,9 +739,13 @@ impl ContourTracker {
         let accept = self.options.acquire.accept;
         let found = self.find(frame, shape, reach_px, &accept, None)?;
         if self.known(&accept, None).judge(&found).is_ok() {
-            self.hand.shape = found.shape;
-            self.start(time_s, &found.shape)?;
-            return self.tracked(frame, time_s, &found, &accept);
+            let bend = self.bend(frame, &found)?;
+            let posture = self.hand.posture.after(bend.as_ref(), &found);
+            if posture != Posture::Bent {
+                self.hand.shape = found.shape;
+                self.start(time_s, &found.shape, posture)?;
+                return self.tracked(frame, time_s, &found, &accept);
+            }
         }
         self.hand.kind = settling;
         self.acquire(frame, time_s, settled, Some(last))
@@ -752,12 +779,21 @@ impl ContourTracker {
             self.hand.shape = self.waiting.shape(&self.template);
             self.hand.kind = self.waiting.kind(&self.options);
         }
-        if settled >= settle_frames
-            && let Some(acquired) = self.freeze(frame)?
-        {
-            let accept = self.options.track.accept;
-            self.start(time_s, &acquired.shape)?;
-            return self.tracked(frame, time_s, &acquired, &accept);
+        if settled >= settle_frames {
+            let before = self.hand.clone();
+            if let Some(acquired) = self.freeze(frame)? {
+                let bend = self.bend(frame, &acquired)?;
+                let posture = Posture::Straight.after(bend.as_ref(), &acquired);
+                if posture != Posture::Bent {
+                    let accept = self.options.track.accept;
+                    self.start(time_s, &acquired.shape, posture)?;
+                    return self.tracked(frame, time_s, &acquired, &accept);
+                }
+                refusal = Some(Refusal::Misfit);
+                self.hand = before;
+            } else {
+                self.hand = before;
+            }
         }
         let (phase, status) = lost
             .map_or((Phase::Acquiring { settled }, Status::Acquiring), |last| {
@@ -828,9 +864,8 @@ impl ContourTracker {
     }
 
     /// Keeps the settled hand's dimensions and looks: tracking starts from them. None if the
-    /// paper's template cannot take them on.
+    /// paper's template cannot take them on, or explains them badly.
     fn freeze(&mut self, frame: &Scene<'_>) -> Result<Option<Found>> {
-        let before = self.hand.clone();
         self.bed_in(frame)?;
         if let Some(looks) = &mut self.hand.looks {
             looks.anchor();
@@ -850,7 +885,6 @@ impl ContourTracker {
                 self.hand.kind.has_thumb = with_thumb && pistol.is_ok();
                 let Ok(template) = pistol.or_else(|_| self.template.moulded(&x, length_px, false))
                 else {
-                    self.hand = before;
                     return Ok(None);
                 };
                 self.hand.moulded = template.samples(self.options.samples)?;
@@ -859,13 +893,11 @@ impl ContourTracker {
             }
             (Shape::Planar(map), _) => self.affine(frame, map, NEAR_PX)?,
         };
-        if frozen.is_accepted(&self.options.track.accept) {
+        let accepted = frozen.is_accepted(&self.options.track.accept);
+        if accepted {
             self.hand.shape = frozen.shape;
-            Ok(Some(frozen))
-        } else {
-            self.hand = before;
-            Ok(None)
         }
+        Ok(accepted.then_some(frozen))
     }
 
     /// Learns what the settled hand looks like, and looks at it once more in the mixture of colours
@@ -901,12 +933,14 @@ impl ContourTracker {
     }
 
     /// A hand that was found is followed from here.
-    fn start(&mut self, time_s: f64, shape: &Shape) -> Result<()> {
+    fn start(&mut self, time_s: f64, shape: &Shape, posture: Posture) -> Result<()> {
         let options = &self.options.track.dynamics;
         let (components, gap_s) = (options.components(), options.longest_gap_s);
         let at = shape.placement();
         self.dynamics = Some(Dynamics::start(components, gap_s, time_s, &at, &misfit())?);
         self.hand.thumb_missed = 0;
+        self.hand.posture = posture;
+        (self.hand.bent_frames, self.hand.straight_frames) = (0, 0);
         self.phase = Phase::Tracking { missed: 0 };
         Ok(())
     }
@@ -944,14 +978,23 @@ impl ContourTracker {
         let min_agreement = found.fit.map_or(accept.min_inliers, |fit| known.min_agreement(&fit));
         let accept = AcceptOptions { min_inliers: min_agreement, ..accept };
         if let (Ok(()), Some((dynamics, _))) = (verdict, followed) {
+            let bend = self.bend(frame, &found)?;
+            self.hand.posture = self.hand.posture.after(bend.as_ref(), &found);
             self.hand.shape = found.shape;
-            self.hand.grow();
-            self.hand.count_thumb(&found, lose_after_frames);
-            self.learn_looks(frame)?;
             self.dynamics = Some(dynamics);
-            self.phase = Phase::Tracking { missed: 0 };
-            let mut track = self.tracked(frame, time_s, &found, &accept)?;
+            let mut track = if self.hand.posture == Posture::Bent {
+                self.keep_in_sight(time_s, &found, &accept)
+            } else {
+                self.hand.bent_frames = 0;
+                self.hand.straight_frames += 1;
+                self.hand.grow();
+                self.hand.count_thumb(&found, lose_after_frames);
+                self.learn_looks(frame)?;
+                self.phase = Phase::Tracking { missed: 0 };
+                self.tracked(frame, time_s, &found, &accept)?
+            };
             track.diagnostics.innovation = innovation;
+            track.diagnostics.bend_rad = bend.map(|b| b.angle_rad);
             return Ok(track);
         }
         let missed = missed + 1;
@@ -965,6 +1008,20 @@ impl ContourTracker {
         let mut track = track(time_s, status, &found, &accept, verdict.err());
         track.diagnostics.innovation = innovation;
         Ok(track)
+    }
+
+    /// A bent finger yields no line, but stays in sight, to be followed again when it is straight;
+    /// not for longer than it has been straight, for what is bent may be no finger at all.
+    fn keep_in_sight(&mut self, time_s: f64, found: &Found, accept: &AcceptOptions) -> Track {
+        self.hand.bent_frames += 1;
+        let patience = self.hand.straight_frames.min(MOST_BENT_FRAMES);
+        let is_over = self.hand.bent_frames > patience;
+        self.phase = if is_over {
+            Phase::Lost { last: (found.shape, self.hand.kind), settled: 0 }
+        } else {
+            Phase::Tracking { missed: 0 }
+        };
+        track(time_s, self.status(), found, accept, Some(Refusal::Misfit))
     }
 
     /// What a fit of the followed hand is judged by.
@@ -1284,6 +1341,15 @@ impl ContourTracker {
         Ok(Track { finger_line, ..track(time_s, Status::Tracking, found, accept, None) })
     }
 
+    /// How the finger of a fit that counts is bent, if its flanks tell; never of the paper's model.
+    fn bend(&mut self, frame: &Scene<'_>, found: &Found) -> Result<Option<Bend>> {
+        let Shape::Ribbon(x) = found.shape else { return Ok(None) };
+        let Some(finger) = self.finger(&x)? else { return Ok(None) };
+        let sight = self.hand.sight(frame, Lead::HandEdges, self.options.polarity);
+        let shown = self.convergence.shown(frame, sight.mixture, &finger)?;
+        self.refiner.bend(&shown, &finger, sight.polarity, sight.cue.appearance())
+    }
+
     /// The finger by its flanks alone; none if they cannot be believed.
     fn refine(&mut self, frame: &Scene<'_>, x: &RibbonVector) -> Result<Option<Refined>> {
         let Some(finger) = self.finger(x)? else { return Ok(None) };
@@ -1348,6 +1414,7 @@ fn track(
             residual_rms_px: found.fit.map_or(0.0, |f| f.residual_rms_px),
             rank: found.fit.map_or(0, |f| f.rank),
             innovation: None,
+            bend_rad: None,
         },
     }
 }

@@ -4,7 +4,8 @@
 
 mod common;
 
-use common::{Canvas, Noise, Picture};
+use common::{BentFinger, Canvas, Noise, Picture, Shape};
+use fingerpost_core::appearance::Appearance;
 use fingerpost_core::nalgebra::{Matrix2, Matrix4, Point2, Vector2, Vector3, Vector4};
 use fingerpost_core::refine::{
     Finger, KnownBackground, RefineOptions, Refined, Refiner, Source, Stretch,
@@ -840,4 +841,113 @@ fn options_out_of_range_are_refused() {
     refused(&|o| o.photometric.cutoff = 1.0);
     refused(&|o| o.photometric.bend_px = 0.0);
     refused(&|o| o.photometric.max_iterations = 0);
+}
+
+/// A finger of some 14 px, bent in its middle, and what a tracker that follows its tip would know.
+fn bent_finger(bend_rad: f64, noise: &mut Noise) -> (BentFinger, Finger) {
+    let middle = 0.5 * SIZE as f64;
+    let finger = BentFinger {
+        joint_px: Point2::new(middle + noise.uniform(), middle + noise.uniform()),
+        angle_rad: noise.between(0.0, TAU),
+        bend_rad,
+        length_px: 36.0,
+        half_width_px: 7.0,
+    };
+    // A line through both parts of a finger that is hardly bent; along the tip of others.
+    let lag = if bend_rad.abs() < 0.4 { 0.5 } else { 0.0 };
+    let angle_rad = finger.angle_rad + (1.0 - lag) * bend_rad;
+    let axis = Axis::of_finger(finger.joint_px, angle_rad, 36.0);
+    let stretch = Stretch { from_px: -25.0, to_px: 31.0 };
+    let flanks = [stretch; 2];
+    let believed =
+        Finger { axis, half_width_px: 7.2, taper: 0.0, flanks, round_end_px: Some(29.0) };
+    (finger, believed)
+}
+
+/// What the hand looks like before an even background.
+fn looks(frame: &Frame<'_>, finger: &BentFinger) -> Appearance {
+    let mut appearance = Appearance::new(false);
+    for (x, y) in (0..SIZE).flat_map(|y| (0..SIZE).map(move |x| (x, y))) {
+        let (x, y) = (x as f64, y as f64);
+        let (depth, _) = finger.depth(Point2::new(x, y));
+        if depth.abs() > 2.0 {
+            appearance.observe(frame, x, y, depth > 0.0);
+        }
+    }
+    appearance.learn();
+    appearance
+}
+
+#[test]
+fn a_bend_is_measured_as_it_is() {
+    let mut noise = Noise::new(0x6265_6e64);
+    let mut refiner = refiner();
+    for bend_deg in [-60.0, -45.0, -25.0, -15.0, -5.0, 0.0, 3.0, 10.0, 20.0, 30.0, 50.0, 65.0] {
+        for _ in 0..4 {
+            let (finger, believed) = bent_finger(f64::to_radians(bend_deg), &mut noise);
+            let canvas = Canvas::new(SIZE, SIZE, TABLE).paint(&finger, TABLE + 80.0).blur(0.96);
+            let picture = canvas.take(2.0, &mut noise);
+            let frame = Frame::gray(picture.view());
+            let looks = looks(&frame, &finger);
+            let bend =
+                refiner.bend(&frame, &believed, Polarity::Bright, Some(&looks)).unwrap().unwrap();
+            let error_deg = bend.angle_rad.to_degrees() - bend_deg;
+            assert!(error_deg.abs() < 3.0, "{error_deg} at {bend_deg}: {bend:?}");
+            assert!((0.0..0.1).contains(&bend.sigma_rad), "{bend:?}");
+        }
+    }
+}
+
+#[test]
+fn straight_fingers_have_no_bend_however_they_are_lit() {
+    let mut noise = Noise::new(0x7374_7261);
+    let mut refiner = refiner();
+    let lit = Light { side: 0.3, limb: 0.3, ..PLAIN };
+    for (taper, light) in [(0.0, PLAIN), (0.2, PLAIN), (0.1, lit)] {
+        for _ in 0..8 {
+            let cone = Cone::random(&mut noise, taper, 1.0);
+            let picture = cone.render(&light, 1, &|_, _| TABLE).take(2.0, &mut noise);
+            let believed = cone.believed(&mut noise, 0.3);
+            let frame = Frame::gray(picture.view());
+            let bend = refiner.bend(&frame, &believed, Polarity::Bright, None).unwrap().unwrap();
+            assert!(bend.angle_rad.abs() < 0.03, "{bend:?} of {cone:?}");
+        }
+    }
+}
+
+#[test]
+fn a_half_that_does_not_show_does_not_bend() {
+    let mut noise = Noise::new(0x6869_6465);
+    let mut refiner = refiner();
+    for bend_rad in [0.0, 0.4] {
+        let (finger, believed) = bent_finger(bend_rad, &mut noise);
+        // A disc before the half with the knuckle: as bright as the finger, and larger.
+        let back = Vector2::new(finger.angle_rad.cos(), finger.angle_rad.sin()) * 16.0;
+        let disc = BentFinger {
+            joint_px: finger.joint_px - back,
+            bend_rad: 0.0,
+            length_px: 14.1,
+            half_width_px: 14.0,
+            ..finger
+        };
+        let canvas = Canvas::new(SIZE, SIZE, TABLE).paint(&finger, 150.0).paint(&disc, 150.0);
+        let picture = canvas.blur(0.96).take(2.0, &mut noise);
+        let frame = Frame::gray(picture.view());
+        let bend = refiner.bend(&frame, &believed, Polarity::Bright, None).unwrap();
+        assert_eq!(bend, None, "{bend_rad}");
+    }
+}
+
+#[test]
+fn a_taper_that_closes_the_finger_is_no_error() {
+    let mut noise = Noise::new(0x7461_7065);
+    let mut refiner = refiner();
+    let (finger, believed) = bent_finger(1.0, &mut noise);
+    let picture = Canvas::new(SIZE, SIZE, TABLE).paint(&finger, 150.0).take(2.0, &mut noise);
+    let frame = Frame::gray(picture.view());
+    let looks = looks(&frame, &finger);
+    for taper in [-0.22, -0.15, 0.15, 0.22, 0.27] {
+        let tapered = Finger { taper, ..believed };
+        assert!(refiner.bend(&frame, &tapered, Polarity::Bright, Some(&looks)).is_ok(), "{taper}");
+    }
 }

@@ -4,7 +4,7 @@
 
 mod common;
 
-use common::{Canvas, Hand, Noise, Picture, Shape};
+use common::{BentFinger, Canvas, Hand, Noise, Picture, Shape};
 use fingerpost_core::fit::{FitOptions, Loss};
 use fingerpost_core::frame::ColourView;
 use fingerpost_core::image::GrayView;
@@ -1083,4 +1083,97 @@ fn what_no_hand_does_from_frame_to_frame_is_refused() {
         }
         assert!(refusals.contains(&refusal), "{refusals:?}");
     }
+}
+
+/// A finger that lies along the waiting template, with its joint in the middle.
+fn pointing() -> BentFinger {
+    let ahead = Vector2::new(START.angle_rad.cos(), START.angle_rad.sin());
+    let length_px = 0.5 * LENGTH_PX;
+    BentFinger {
+        joint_px: START.tip_px - ahead * length_px,
+        angle_rad: START.angle_rad,
+        bend_rad: 0.0,
+        length_px,
+        half_width_px: 0.115 * LENGTH_PX,
+    }
+}
+
+fn picture_of(finger: &BentFinger, noise: &mut Noise) -> Picture {
+    let canvas = Canvas::new(WIDTH, HEIGHT, BACKGROUND).paint(finger, HAND);
+    canvas.blur(BLUR_PX).take(NOISE, noise)
+}
+
+#[test]
+fn a_finger_that_bends_is_a_misfit_until_it_is_straight_again() {
+    // From one frame to the next; up, held, and back.
+    for (thumb, step_deg, most) in
+        [(Thumb::None, 5.0, 10), (Thumb::None, -5.0, 10), (Thumb::Left, 12.0, 5)]
+    {
+        let mut tracker = tracker(Model::Ribbon, thumb);
+        let (mut noise, mut refusals) = (Noise::new(0x6265_6e64), Vec::new());
+        let straight = [0; 30];
+        let up = (0..most).chain([most; 6]).chain((0..most).rev());
+        let steps: Vec<i32> = straight.into_iter().chain(up).chain([0; 4]).collect();
+        for (k, &n) in steps.iter().enumerate() {
+            let bend_rad = (step_deg * f64::from(n)).to_radians();
+            let finger = pointing().bent(bend_rad);
+            let track = update(&mut tracker, &picture_of(&finger, &mut noise), k as f64 * FRAME_S);
+            let told = track.diagnostics;
+            let case = format!("frame {k}, {:.0} deg: {told:?}", bend_rad.to_degrees());
+            if k < 6 {
+                continue;
+            }
+            assert_eq!(track.status, Status::Tracking, "{case}");
+            if bend_rad.abs() < 0.21 {
+                assert!(track.finger_line.is_some() && told.refusal.is_none(), "{case}");
+            }
+            if bend_rad.abs() > 0.42 {
+                assert!(track.finger_line.is_none() && track.shape.is_none(), "{case}");
+                refusals.extend(told.refusal);
+            }
+            if let Some(told) = told.bend_rad {
+                assert!((told - bend_rad).abs() < 0.06, "{case}");
+            }
+        }
+        let misfits = refusals.iter().filter(|&&r| r == Refusal::Misfit).count();
+        assert!(misfits + 3 >= refusals.len() && misfits > 6, "{refusals:?}");
+        let last = picture_of(&pointing(), &mut noise);
+        let line = update(&mut tracker, &last, 2.0).finger_line.unwrap();
+        assert!(turn(START.angle_rad, line.axis.angle_rad).abs() < 0.003, "{line:?}");
+        assert!((line.axis.tip - pointing().tip_px()).norm() < 0.5, "{line:?}");
+    }
+}
+
+#[test]
+fn a_template_does_not_wait_for_a_bent_finger() {
+    let mut tracker = tracker(Model::Ribbon, Thumb::None);
+    let mut noise = Noise::new(0x7761_6974);
+    let mut refusals = Vec::new();
+    for k in 0..10 {
+        let finger = pointing().bent(0.42);
+        let track = update(&mut tracker, &picture_of(&finger, &mut noise), f64::from(k) * FRAME_S);
+        assert!(track.finger_line.is_none(), "frame {k}: {track:?}");
+        refusals.extend(track.diagnostics.refusal);
+    }
+    assert!(refusals.contains(&Refusal::Misfit), "{refusals:?}");
+    for k in 10..14 {
+        update(&mut tracker, &picture_of(&pointing(), &mut noise), f64::from(k) * FRAME_S);
+    }
+    assert_eq!(tracker.status(), Status::Tracking);
+}
+
+#[test]
+fn what_stays_bent_for_longer_than_it_was_straight_is_lost() {
+    let mut tracker = tracker(Model::Ribbon, Thumb::None);
+    let mut noise = Noise::new(0x7374_6179);
+    let mut time_s = 0.0;
+    let mut show = |bend_rad: f64| {
+        time_s += FRAME_S;
+        let picture = picture_of(&pointing().bent(bend_rad), &mut noise);
+        update(&mut tracker, &picture, time_s)
+    };
+    let straight = (0..10).filter(|_| show(0.0).finger_line.is_some()).count();
+    let bent = (0..40).take_while(|_| show(0.5).status == Status::Tracking).count();
+    assert!((straight - 1..=straight).contains(&bent), "{straight} frames, then {bent}");
+    assert!(show(0.0).finger_line.is_some());
 }

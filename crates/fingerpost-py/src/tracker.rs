@@ -430,6 +430,12 @@ impl PyDiagnostics {
         self.0.innovation
     }
 
+    /// How much the finger is bent.
+    #[getter]
+    fn bend_rad(&self) -> Option<f64> {
+        self.0.bend_rad
+    }
+
     fn __repr__(&self) -> String {
         let Diagnostics { visible, hits, inliers, residual_rms_px, rank, iterations, .. } = self.0;
         let accepted = if self.0.accepted { "True" } else { "False" };

@@ -85,6 +85,7 @@ words! {
         Agreement = "agreement",
         Residual = "residual",
         Background = "background",
+        Misfit = "misfit",
     }
     CueKind { Edges = "edges", HandEdges = "hand-edges", Votes = "votes" }
     Schedule { ByNeed = "by-need", InTurn = "in-turn", SideBySide = "side-by-side" }

@@ -31,7 +31,7 @@ const NEAR_PX: f64 = 3.0;
 /// The line has settled when it moves less than this anywhere on the finger \[px\].
 const SETTLED_PX: f64 = 0.02;
 /// From one search to the next \[px\]: nearer ones see the same pixels, and tell little more.
-const STATION_PX: f64 = 2.0;
+pub(super) const STATION_PX: f64 = 2.0;
 /// Noise moves edges one by one; what lies behind the finger moves whole runs of them alike, and
 /// counts so many times as much. Measured before ellipses of 6–20 px and up to ±25 or ±50 grey levels.
 const DISTURBED_RUN: f64 = 20.0;

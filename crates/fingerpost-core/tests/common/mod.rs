@@ -176,6 +176,48 @@ impl Shape for Hand {
     }
 }
 
+/// A finger that is bent where its two parts meet.
+#[derive(Debug, Clone, Copy)]
+pub struct BentFinger {
+    /// Where the axes of the two parts meet \[px\].
+    pub joint_px: Point2<f64>,
+    /// Direction of the part with the knuckle, and the turn of the part with the tip against it.
+    pub angle_rad: f64,
+    pub bend_rad: f64,
+    /// From the joint to the apex \[px\].
+    pub length_px: f64,
+    pub half_width_px: f64,
+}
+
+impl BentFinger {
+    /// The same finger with another bend; its part with the knuckle keeps still.
+    pub fn bent(self, bend_rad: f64) -> Self {
+        Self { bend_rad, ..self }
+    }
+
+    /// The apex of the tip \[px\].
+    pub fn tip_px(&self) -> Point2<f64> {
+        let (sin, cos) = (self.angle_rad + self.bend_rad).sin_cos();
+        self.joint_px + Vector2::new(cos, sin) * self.length_px
+    }
+}
+
+impl Shape for BentFinger {
+    fn depth(&self, at: Point2<f64>) -> (f64, Vector2<f64>) {
+        let Self { joint_px, angle_rad, bend_rad, length_px, half_width_px } = *self;
+        let part = |end: Point2<f64>, angle_rad: f64, length_px: f64| {
+            let along = Vector2::new(angle_rad.cos(), angle_rad.sin());
+            Band { end, along, length_px, half_width_px, taper: 0.0 }.depth(at)
+        };
+        let length_px = length_px - half_width_px;
+        let (sin, cos) = (angle_rad + bend_rad).sin_cos();
+        let end = joint_px + Vector2::new(cos, sin) * length_px;
+        let tip = part(end, angle_rad + bend_rad, length_px);
+        let knuckle = part(joint_px, angle_rad, 2.0 * length_px);
+        if knuckle.0 > tip.0 { knuckle } else { tip }
+    }
+}
+
 /// An image in the making.
 #[derive(Debug, Clone)]
 pub struct Canvas {

@@ -1,0 +1,166 @@
+"""A finger that bends is reported, not fitted: on simulated hands, and on photographs of one.
+
+The photographs are images 547–568 of the TI1K data set (github.com/MahmudulAlam/TI1K-Dataset, MIT
+licence) with the silhouettes' medial lines in `axis.csv`: the finger is straight in the middle and
+bends at either end. They are not part of the project; FINGERPOST_TI1K names their folder.
+"""
+
+import csv
+import math
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from fingerpost._core import ContourTracker, StartPose, Template, Track
+from fingerpost.simulate import Background, Camera, DevicePose, Hand, SimulatedRig
+
+FRAME_S = 1 / 30
+SEED = 20
+POSE = DevicePose.pointing_at((200, 200), hover_mm=120, slant_deg=40)
+STRAIGHT_FRAMES = 24
+STRAIGHT_AGAIN_FRAMES = 6
+BENDING_FRAMES = 12
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What a view showed in a frame, and what its tracker made of it."""
+
+    bend_rad: float
+    angle_rad: float
+    track: Track
+
+
+def directions(camera: Camera, hand: Hand, pose: DevicePose) -> tuple[float, float]:
+    """Direction in the image of the finger's part with the knuckle, and of that with the tip."""
+    links, world_from_device = hand.body.links, pose.world_from_device
+    last = links[hand.body.finger]
+    first = next((link for link in links if link.end_mm == last.start_mm), last)
+
+    def angle_rad(link) -> float:
+        ends = np.array([link.start_mm, link.end_mm])
+        start, end = camera.project(ends @ world_from_device[:, :3].T + world_from_device[:, 3])
+        return math.atan2(end[1] - start[1], end[0] - start[0])
+
+    return angle_rad(first), angle_rad(last)
+
+
+def turn(a: float, b: float) -> float:
+    return math.remainder(b - a, math.tau)
+
+
+def bending(thumb: str, most_deg: float, rig: SimulatedRig, view: int) -> Iterator[Seen]:
+    """Straight, then bending to `most_deg`, held, and straight again."""
+    ramp = np.linspace(0.0, most_deg, BENDING_FRAMES)
+    still = np.zeros(STRAIGHT_FRAMES)
+    held = np.full(6, most_deg)
+    bends_deg = np.concatenate([still, ramp, held, ramp[::-1], still[:STRAIGHT_AGAIN_FRAMES]])
+    rng = np.random.default_rng(SEED)
+    tracker = None
+    for k, bend_deg in enumerate(bends_deg):
+        hand = Hand(thumb=thumb, bend_deg=float(bend_deg))
+        frame = rig.render(POSE, rng=rng, device=hand)
+        if tracker is None:
+            start = frame.truth.views[view].finger.start()
+            at = StartPose(start.tip_px, math.radians(start.angle_deg), start.length_px)
+            tracker = ContourTracker(Template.pistol(start.thumb), at)
+        from_rad, to_rad = directions(rig.cameras[view], hand, POSE)
+        track = tracker.update(frame.images[view], k * FRAME_S)
+        yield Seen(turn(from_rad, to_rad), to_rad, track)
+
+
+@pytest.mark.parametrize("thumb", ["up", "folded"])
+@pytest.mark.parametrize("view", [0, 1])
+def test_a_finger_that_bends_has_no_line_until_it_is_straight_again(thumb, view):
+    seen = list(bending(thumb, 60.0, SimulatedRig(), view))
+    assert max(abs(s.bend_rad) for s in seen) > math.radians(35)
+    for k, s in enumerate(seen[4:], 4):
+        told, bend_deg = s.track.diagnostics, abs(math.degrees(s.bend_rad))
+        if bend_deg < 10:
+            assert s.track.finger_line is not None, (k, bend_deg, told)
+        if bend_deg < 1:
+            assert abs(turn(s.angle_rad, s.track.finger_line.angle_rad)) < 0.02, k
+        if bend_deg > 25:
+            assert s.track.finger_line is None, (k, bend_deg)
+            assert told.refusal == "misfit", (k, bend_deg, told)
+        if told.bend_rad is not None:
+            assert told.bend_rad == pytest.approx(s.bend_rad, abs=math.radians(8)), k
+    assert all(s.track.status == "tracking" for s in seen[4:])
+
+
+@pytest.mark.parametrize("clutter", [0.0, 50.0])
+@pytest.mark.parametrize("taper", [0.0, 0.28])
+def test_a_straight_finger_is_no_misfit(clutter, taper):
+    rig = SimulatedRig(background=Background(clutter=clutter, seed=3))
+    rng = np.random.default_rng(SEED)
+    trackers = None
+    for k in range(20):
+        pose = replace(POSE, azimuth_deg=2.0 * k - 20.0)
+        frame = rig.render(pose, rng=rng, device=Hand(taper=taper))
+        if trackers is None:
+            starts = [view.finger.start() for view in frame.truth.views]
+            trackers = [
+                ContourTracker(
+                    Template.pistol(s.thumb),
+                    StartPose(s.tip_px, math.radians(s.angle_deg), s.length_px),
+                )
+                for s in starts
+            ]
+        for tracker, image in zip(trackers, frame.images, strict=True):
+            track = tracker.update(image, k * FRAME_S)
+            assert track.diagnostics.refusal != "misfit", (k, track.diagnostics)
+            if k > 3:
+                assert track.finger_line is not None
+
+
+def test_a_bend_along_the_line_of_sight_does_not_show():
+    # Towards the camera, or away from it: the finger only gets shorter.
+    rig = SimulatedRig()
+    pose = DevicePose.pointing_at((200, 200), hover_mm=120, slant_deg=40, roll_deg=-90)
+    shown = [
+        abs(turn(*directions(camera, Hand(bend_deg=40.0), at)))
+        for camera in rig.cameras
+        for at in (POSE, pose)
+    ]
+    assert min(shown) < math.radians(15) < math.radians(25) < max(shown)
+
+
+FOLDER = Path(os.environ.get("FINGERPOST_TI1K", "ti1k"))
+
+
+@pytest.mark.skipif(not (FOLDER / "axis.csv").exists(), reason="needs the photographs of TI1K")
+@pytest.mark.parametrize("half_widths", [5.5, 6.5, 7.4])
+@pytest.mark.parametrize(
+    ("thumb", "numbers"),
+    [("none", range(553, 569)), ("right", range(553, 569)), ("none", range(556, 546, -1))],
+)
+def test_photographs_of_a_finger_that_bends(half_widths, thumb, numbers):
+    with (FOLDER / "axis.csv").open() as rows:
+        axes = {int(row["frame"][-8:-4]): row for row in csv.DictReader(rows)}
+    images = {k: cv2.imread(str(FOLDER / axes[k]["frame"])) for k in numbers}
+    first = {name: float(axes[numbers[0]][name]) for name in axes[numbers[0]] if name != "frame"}
+    start = StartPose(
+        (first["apex_x"], first["apex_y"]),
+        math.radians(first["angle_deg"]),
+        half_widths * first["width_px"] / 2,
+    )
+    tracker = ContourTracker(Template.pistol(thumb), start)
+    errors = []
+    for index, k in enumerate([numbers[0]] * 8 + list(numbers)):
+        grey = cv2.cvtColor(images[k], cv2.COLOR_BGR2GRAY)
+        track = tracker.update(grey, index / 10, images[k])
+        if index < 8:
+            continue
+        if 550 <= k <= 560:
+            assert track.finger_line is not None, (k, track.diagnostics)
+            silhouette_rad = math.radians(float(axes[k]["angle_deg"]))
+            errors.append(turn(silhouette_rad, track.finger_line.angle_rad))
+        if k < 548 or k > 564:
+            assert track.finger_line is None, (k, track.diagnostics)
+            assert track.diagnostics.refusal == "misfit", (k, track.diagnostics)
+    assert np.median(np.abs(errors)) < math.radians(3.0)
