@@ -31,6 +31,7 @@
 mod convergence;
 mod looks;
 mod mould;
+mod neighbours;
 mod options;
 mod scene;
 mod seek;
