@@ -309,6 +309,26 @@ def test_no_fingers_make_no_pairs():
     assert pair_scores(viewpoints(rig), ([], sightings(rig, OVER_THE_TABLE))).shape == (0, 2)
 
 
+def test_a_found_finger_is_seen_at_length_once_a_frame_shows_it_all():
+    rig, motion = SCENES["plain"], Trajectory.hold(OVER_THE_TABLE, 0.1)
+    image = rig.render(motion, time_s=0.0, rng=np.random.default_rng(SEED)).images[0]
+    search, frame = HandSearch(), Frame(0, 0.0, image)
+    search.look(frame)
+    search.judge(np.zeros(len(search.candidates)))
+    assert search.try_out(search.candidates[0], frame)
+    (trial,) = search.trials
+    line = trial.track.finger_line
+    ahead = np.array([np.cos(line.angle_rad), np.sin(line.angle_rad)])
+    v, u = np.indices(image.shape)
+    behind_px = np.stack([line.tip_px[0] - u, line.tip_px[1] - v], axis=-1) @ ahead
+    covered = np.where(behind_px > 3.5 * trial.half_width_px, np.median(image), image)
+    lengths_px = []
+    for shown in (covered.astype(np.uint8), image):
+        search.believe(trial, Frame(0, 0.0, shown))
+        lengths_px.append(np.ptp(trial.tracker.contour() @ ahead))
+    assert lengths_px[1] > 1.2 * lengths_px[0]
+
+
 def test_options_of_the_search_are_checked():
     with pytest.raises(InvalidInputError, match="rates"):
         LearnedBackground({"rates": 1.0})
