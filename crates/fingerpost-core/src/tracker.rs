@@ -505,6 +505,11 @@ const FREE_PX: f64 = 3.0;
 const FREE_SHARE: f64 = 0.5;
 const FREE_CONTRAST: f64 = 0.2;
 
+/// Half the width of the largest finger for which lengths and speeds in pixels are meant as they
+/// are \[px\], while it is waited for and while it is followed; those of a larger one grow with it.
+const ACQUIRED_HALF_WIDTH_PX: f64 = 10.0;
+const FOLLOWED_HALF_WIDTH_PX: f64 = 13.0;
+
 /// A lost hand is looked for this much further than a tracked one.
 const LOST_REACH: f64 = 2.0;
 /// A fit that explains this part of the contour needs no second look from afar.
@@ -545,10 +550,12 @@ impl ContourTracker {
             looks: None,
             thumb_missed: 0,
         };
+        let large = (ribbon[3] / ACQUIRED_HALF_WIDTH_PX).max(1.0);
+        let options = TrackerOptions { acquire: options.acquire.enlarged(large), ..options };
         Ok(Self {
             convergence: Convergence::new(&options)?,
             seek: Seek::with_capacity(samples.len()),
-            gate: options.gate()?,
+            gate: options.gate(1.0)?,
             surprise: chi_square_quantile(SURPRISE, 3)?,
             phase: Phase::Acquiring { settled: 0 },
             refiner: Refiner::new(RefineOptions::default())?,
@@ -675,7 +682,7 @@ impl ContourTracker {
     ) -> Result<Track> {
         let (shape, kind) = last;
         let settling = std::mem::replace(&mut self.hand.kind, kind);
-        let reach_px = LOST_REACH * self.options.track.half_length_px;
+        let reach_px = LOST_REACH * self.largeness() * self.options.track.half_length_px;
         let accept = self.options.acquire.accept;
         let found = self.find(frame, shape, reach_px, &accept, None)?;
         if self.known(&accept, None).judge(&found).is_ok() {
@@ -865,13 +872,20 @@ impl ContourTracker {
 
     /// A hand that was found is followed from here.
     fn start(&mut self, time_s: f64, shape: &Shape) -> Result<()> {
+        let large = self.largeness();
+        self.gate = self.options.gate(large)?;
         let options = &self.options.track.dynamics;
-        let (components, gap_s) = (options.components(), options.longest_gap_s);
+        let (components, gap_s) = (options.components(large), options.longest_gap_s);
         let at = shape.placement();
         self.dynamics = Some(Dynamics::start(components, gap_s, time_s, &at, &misfit())?);
         self.hand.thumb_missed = 0;
         self.phase = Phase::Tracking { missed: 0 };
         Ok(())
+    }
+
+    /// How many times as large as a usual hand this one is seen: it moves so much farther.
+    fn largeness(&self) -> f64 {
+        (self.hand.acquired[3] / FOLLOWED_HALF_WIDTH_PX).max(1.0)
     }
 
     /// What the hand's motion tells about this frame; nothing after a long gap.
@@ -896,7 +910,7 @@ impl ContourTracker {
         let expected = foretold.window.expected.vector;
         // It may as well have stopped or turned round, and the longer it is unseen the more it may.
         let went_px = (expected - from.placement()).xy().norm();
-        let reach_px = half_length_px * (1.0 + missed as f64) + went_px;
+        let reach_px = self.largeness() * half_length_px * (1.0 + missed as f64) + went_px;
         let predicted = from.placed(&expected);
         let found = self.find(frame, predicted, reach_px, &accept, Some(&foretold))?;
         let followed = foretold.followed(&found)?;
@@ -1044,7 +1058,7 @@ impl ContourTracker {
         scale: Scale,
         window: Option<Window>,
     ) -> Result<Found> {
-        let look = Look { scale, ..Look::edges(NEAR_PX) };
+        let look = Look { scale, ..Look::edges(self.largeness() * NEAR_PX) };
         let first = match window {
             Some(Window { gate, .. }) => Look { scale, window, ..Look::edges(gate.longest_px()) },
             None => look,
