@@ -381,6 +381,23 @@ def test_a_hand_is_found_on_a_desk(is_mirrored: bool):
     assert max(errors_mm) < DESK_GROSS_MM
 
 
+@pytest.mark.parametrize("gain", [0.6, 1.5])
+def test_a_hand_is_followed_when_the_light_changes(gain: float):
+    rig = Rig.load(DESK / "rig.toml")
+    with ExitStack() as stack:
+        sources = [stack.enter_context(open_source(view.source)) for view in rig.views]
+        frames = list(islice(read_views(sources), DESK_FRAMES))
+    pointer, changes_at, seen = Pointer(rig), DESK_FRAMES // 2, []
+    for k, pair in enumerate(frames):
+        light = gain if k >= changes_at else 1.0
+        lit = [np.clip(light * f.image, 0, 255).round().astype(np.uint8) for f in pair]
+        frame = [Frame(k, f.time_s, i) for f, i in zip(pair, lit, strict=True)]
+        seen += [step.observations for step in pointer.update(frame)]
+    after = [view.finger for views in seen[changes_at:] for view in views]
+    assert len(after) >= DESK_FRAMES
+    assert not [finger for finger in after if isinstance(finger, Status)]
+
+
 # --- fingers that two views cannot share -------------------------------------------------------
 
 

@@ -29,6 +29,7 @@
 //! Source: Cipolla, Hadfield & Hollinghurst 1994, section 3.2.
 
 mod convergence;
+mod exposure;
 mod looks;
 mod mould;
 mod neighbours;
@@ -54,6 +55,7 @@ use convergence::{
     Attempt, CONVERGED_PX, Converged, Convergence, Fit, Seen, TAKEN_OVER_PX, Window,
     max_residual_px,
 };
+use exposure::Exposure;
 use looks::{Lead, Looks, Sight, Silhouette};
 use mould::{Kind, Mould, finger_samples};
 use nalgebra::{Matrix2, Matrix3, Point2, Rotation2, SMatrix, SVector, Vector2, Vector3};
@@ -232,6 +234,8 @@ pub struct ContourTracker {
     /// How a tracked hand moves.
     dynamics: Option<Dynamics<3>>,
     last_time_s: Option<f64>,
+    /// The light in which the hand's looks are known.
+    exposure: Exposure,
 }
 
 /// The template before it has seen a hand.
@@ -561,6 +565,7 @@ impl ContourTracker {
             refiner: Refiner::new(RefineOptions::default())?,
             dynamics: None,
             last_time_s: None,
+            exposure: Exposure::default(),
             template,
             options,
             samples,
@@ -628,10 +633,19 @@ impl ContourTracker {
         Error::within("frame time [s]", time_s, "at or after the last frame's", |t| t >= last)?;
         self.last_time_s = Some(time_s);
         self.convergence.begin_frame();
+        self.relight(frame);
         match self.phase {
             Phase::Acquiring { settled } => self.acquire(frame, time_s, settled, None),
             Phase::Lost { last, settled } => self.recover(frame, time_s, settled, last),
             Phase::Tracking { missed } => self.follow(frame, time_s, missed),
+        }
+    }
+
+    /// Takes what is known of colours over into the light of a frame.
+    fn relight(&mut self, frame: &Frame<'_>) {
+        let gain = self.exposure.changed(frame.image());
+        if let (Some(gain), Some(looks)) = (gain, &mut self.hand.looks) {
+            looks.relight(gain);
         }
     }
 

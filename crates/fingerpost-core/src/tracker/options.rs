@@ -112,11 +112,8 @@ impl DynamicsOptions {
             },
             domain,
         };
-        let place = component(
-            large * self.acceleration_px_s2,
-            large * self.first_speed_px_s,
-            Domain::Line,
-        );
+        let place =
+            component(large * self.acceleration_px_s2, large * self.first_speed_px_s, Domain::Line);
         let angle = component(self.acceleration_rad_s2, self.first_speed_rad_s, Domain::Circle);
         [place, place, angle]
     }
