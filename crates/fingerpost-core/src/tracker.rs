@@ -565,7 +565,7 @@ impl ContourTracker {
             refiner: Refiner::new(RefineOptions::default())?,
             dynamics: None,
             last_time_s: None,
-            exposure: Exposure::default(),
+            exposure: Exposure::new(),
             template,
             options,
             samples,

@@ -19,7 +19,7 @@ const LEVELS: std::ops::RangeInclusive<u8> = 12..=243;
 const ENOUGH: f64 = 0.25;
 
 /// The light in which colours were learned.
-#[derive(Debug, Clone, Default)]
+#[derive(Debug, Clone)]
 pub(super) struct Exposure {
     size: (usize, usize),
     grid: Vec<u8>,
@@ -28,6 +28,16 @@ pub(super) struct Exposure {
 }
 
 impl Exposure {
+    pub fn new() -> Self {
+        let pixels = GRID[0] * GRID[1];
+        Self {
+            size: (0, 0),
+            grid: Vec::with_capacity(pixels),
+            now: Vec::with_capacity(pixels),
+            ratios: Vec::with_capacity(pixels),
+        }
+    }
+
     /// How many times as bright a frame is as the one by which the light was last told; none if
     /// that is no other light.
     pub fn changed(&mut self, image: &GrayView<'_>) -> Option<f64> {
@@ -79,7 +89,7 @@ mod tests {
 
     #[test]
     fn a_change_of_light_is_told_once_it_matters() {
-        let mut exposure = Exposure::default();
+        let mut exposure = Exposure::new();
         assert_eq!(changed(&mut exposure, texture), None);
         assert_eq!(changed(&mut exposure, |i| 0.97 * texture(i)), None);
         let gain = changed(&mut exposure, |i| 0.7 * texture(i)).unwrap();
@@ -95,7 +105,7 @@ mod tests {
 
     #[test]
     fn what_covers_less_than_half_of_the_picture_is_no_light() {
-        let mut exposure = Exposure::default();
+        let mut exposure = Exposure::new();
         changed(&mut exposure, texture);
         let covered = |i: usize| if i % SIZE.0 < SIZE.0 * 2 / 5 { 30.0 } else { texture(i) };
         assert_eq!(changed(&mut exposure, covered), None);
@@ -103,7 +113,7 @@ mod tests {
 
     #[test]
     fn a_black_frame_tells_nothing() {
-        let mut exposure = Exposure::default();
+        let mut exposure = Exposure::new();
         changed(&mut exposure, texture);
         assert_eq!(changed(&mut exposure, |_| 0.0), None);
     }
