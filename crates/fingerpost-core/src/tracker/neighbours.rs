@@ -53,7 +53,7 @@ mod tests {
         let mut last = 0.0;
         let mut draw = |i: usize| {
             let fresh: f64 = (0..6).map(|_| uniform()).sum();
-            let keep = if i % (COUNT / 2) == 0 { 0.0 } else { rho };
+            let keep = if i.is_multiple_of(COUNT / 2) { 0.0 } else { rho };
             last = keep * last + (1.0 - keep * keep).sqrt() * fresh;
             last
         };
