@@ -31,7 +31,13 @@ from fingerpost._core import (
 )
 from fingerpost._core import FingerLine as CoreFingerLine
 from fingerpost.capture import Frame
-from fingerpost.pointing import FingerLine, PlaneView, Status, indicated_point
+from fingerpost.pointing import (
+    FingerLine,
+    PlaneView,
+    PointingOptions,
+    Status,
+    indicated_point,
+)
 
 Array = NDArray[np.float64]
 
@@ -114,6 +120,10 @@ SAME_TURN_RAD = 0.2
 
 REACH = 1.5
 """How far from the middle of the reference points one may point [plane sizes]."""
+
+MAY_POINT = PointingOptions(max_sigma=0.12)
+"""What a pair of finger lines must tell of their point before it is believed: templates that have
+just been started are short, and their lines less sure than those of a hand that is followed."""
 
 POINT_SPREAD = 1.0
 """At this distance from there the indicated point costs a pair 40 % of its score [plane sizes]."""
@@ -979,7 +989,7 @@ def _gives_point(views: Sequence[PlaneView], tracks: Sequence[Track | None]) -> 
     ]
     if len(fingers) < len(views):
         return True
-    return indicated_point(fingers, views, time_s=0.0).status is Status.OK
+    return indicated_point(fingers, views, time_s=0.0, options=MAY_POINT).status is Status.OK
 
 
 def _belief(score: float, trials: Sequence[Trial], stays: bool) -> float:
