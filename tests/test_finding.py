@@ -309,6 +309,26 @@ def test_no_fingers_make_no_pairs():
     assert pair_scores(viewpoints(rig), ([], sightings(rig, OVER_THE_TABLE))).shape == (0, 2)
 
 
+def test_a_found_finger_is_seen_at_length_once_a_frame_shows_it_all():
+    rig, motion = SCENES["plain"], Trajectory.hold(OVER_THE_TABLE, 0.1)
+    image = rig.render(motion, time_s=0.0, rng=np.random.default_rng(SEED)).images[0]
+    search, frame = HandSearch(), Frame(0, 0.0, image)
+    search.look(frame)
+    search.judge(np.zeros(len(search.candidates)))
+    assert search.try_out(search.candidates[0], frame)
+    (trial,) = search.trials
+    line = trial.track.finger_line
+    ahead = np.array([np.cos(line.angle_rad), np.sin(line.angle_rad)])
+    v, u = np.indices(image.shape)
+    behind_px = np.stack([line.tip_px[0] - u, line.tip_px[1] - v], axis=-1) @ ahead
+    covered = np.where(behind_px > 3.5 * trial.half_width_px, np.median(image), image)
+    lengths_px = []
+    for shown in (covered.astype(np.uint8), image):
+        search.believe(trial, Frame(0, 0.0, shown))
+        lengths_px.append(np.ptp(trial.tracker.contour() @ ahead))
+    assert lengths_px[1] > 1.2 * lengths_px[0]
+
+
 def test_options_of_the_search_are_checked():
     with pytest.raises(InvalidInputError, match="rates"):
         LearnedBackground({"rates": 1.0})
@@ -359,6 +379,23 @@ def test_a_hand_is_found_on_a_desk(is_mirrored: bool):
         truth = [(float(row["x"]), float(row["y"])) for row in csv.DictReader(file)]
     errors_mm = [np.hypot(*np.subtract(fixes[k].point, truth[k])) for k in found]
     assert max(errors_mm) < DESK_GROSS_MM
+
+
+@pytest.mark.parametrize("gain", [0.6, 1.5])
+def test_a_hand_is_followed_when_the_light_changes(gain: float):
+    rig = Rig.load(DESK / "rig.toml")
+    with ExitStack() as stack:
+        sources = [stack.enter_context(open_source(view.source)) for view in rig.views]
+        frames = list(islice(read_views(sources), DESK_FRAMES))
+    pointer, changes_at, seen = Pointer(rig), DESK_FRAMES // 2, []
+    for k, pair in enumerate(frames):
+        light = gain if k >= changes_at else 1.0
+        lit = [np.clip(light * f.image, 0, 255).round().astype(np.uint8) for f in pair]
+        frame = [Frame(k, f.time_s, i) for f, i in zip(pair, lit, strict=True)]
+        seen += [step.observations for step in pointer.update(frame)]
+    after = [view.finger for views in seen[changes_at:] for view in views]
+    assert len(after) >= DESK_FRAMES
+    assert not [finger for finger in after if isinstance(finger, Status)]
 
 
 # --- fingers that two views cannot share -------------------------------------------------------

@@ -24,6 +24,7 @@ from fingerpost.homography import transfer_to_image
 from fingerpost.lens import Lens
 from fingerpost.lines import distance
 from fingerpost.pointing import (
+    DEFAULT_OPTIONS,
     AlignmentState,
     FingerLine,
     PlaneView,
@@ -298,7 +299,7 @@ def test_a_finger_coplanar_with_the_cameras_is_never_believed(covariance):
         fingers = noisy_fingers(rng, cameras, pointing, covariance)
         fix = indicated_point(fingers, views, time_s=0.0)
         assert_refused(fix, "along the constraint lines")
-        assert largest_sigma(fix.covariance) > 0.05 * SIDE
+        assert largest_sigma(fix.covariance) > DEFAULT_OPTIONS.max_sigma * SIDE
 
 
 def test_exactly_parallel_constraint_lines_are_refused():
@@ -327,7 +328,7 @@ def test_a_finger_parallel_to_the_plane_is_refused(slant):
     level = dataclasses.replace(pointing, base=pointing.tip - 80 * direction)
     fix = fix_of(cameras, level, FINE, REFERENCES)
     assert_refused(fix, "along the constraint lines")
-    assert largest_sigma(fix.covariance) > 0.05 * SIDE
+    assert largest_sigma(fix.covariance) > DEFAULT_OPTIONS.max_sigma * SIDE
 
 
 def test_the_horizon_is_no_finger_line():
@@ -818,7 +819,7 @@ def test_any_finger_lines_give_a_fix_or_a_reason(entries, bent):
     fix = indicated_point(fingers, views, time_s=0.0)
     if fix.status is Status.OK:
         assert np.isfinite(fix.point).all()
-        assert largest_sigma(fix.covariance) <= 0.05 * SIDE
+        assert largest_sigma(fix.covariance) <= DEFAULT_OPTIONS.max_sigma * SIDE
         assert fix.ellipse().contains(fix.point)
     else:
         assert fix.status is Status.ILL_CONDITIONED

@@ -31,7 +31,13 @@ from fingerpost._core import (
 )
 from fingerpost._core import FingerLine as CoreFingerLine
 from fingerpost.capture import Frame
-from fingerpost.pointing import FingerLine, PlaneView, Status, indicated_point
+from fingerpost.pointing import (
+    FingerLine,
+    PlaneView,
+    PointingOptions,
+    Status,
+    indicated_point,
+)
 
 Array = NDArray[np.float64]
 
@@ -109,8 +115,15 @@ FAR_END_SEEN = 0.7
 """A template is no longer than the finger if on either flank at least this part of the edges agrees
 with the fit, over the given part of its length farthest from the tip."""
 
+SAME_TURN_RAD = 0.2
+"""It leads nowhere else: a template turned by more has taken other edges for the finger's."""
+
 REACH = 1.5
 """How far from the middle of the reference points one may point [plane sizes]."""
+
+MAY_POINT = PointingOptions(max_sigma=0.12)
+"""What a pair of finger lines must tell of their point before it is believed: templates that have
+just been started are short, and their lines less sure than those of a hand that is followed."""
 
 POINT_SPREAD = 1.0
 """At this distance from there the indicated point costs a pair 40 % of its score [plane sizes]."""
@@ -524,6 +537,8 @@ class Trial:
         Whether it was started when the background had long been known.
     frames, misses
         Frames in a row with an accepted fit, and without.
+    is_lengthened
+        Whether a template as long as its finger has taken over.
     """
 
     candidate: Candidate
@@ -535,6 +550,7 @@ class Trial:
     is_late: bool
     frames: int = 1
     misses: int = 0
+    is_lengthened: bool = False
 
     @property
     def is_over(self) -> bool:
@@ -771,24 +787,29 @@ class HandSearch:
                 self.found = None
             return
         self._unbelieved_frames = 0
-        if trial is self.found:
-            return
-        self.found = trial
         line = trial.track.finger_line
-        if line is None:
-            return
-        if not trial.has_come:
+        if trial is not self.found and line is not None and not trial.has_come:
             # It was there from the start: what was learned there is the hand.
             self.background.forget(_hand_region(line))
+        self.found = trial
+        if not trial.is_lengthened and line is not None:
+            self._lengthen(trial, line, frame)
+
+    def _lengthen(self, trial: Trial, line: CoreFingerLine, frame: Frame) -> None:
+        """Follow with the longest template that this frame shows all of, if there is one."""
         half_width_px = trial.half_width_px
+        here = StartPose(line.tip_px, line.angle_rad, half_width_px)
         for length in LENGTHS:
             start = StartPose(line.tip_px, line.angle_rad, length * half_width_px)
             tracker = self._tracker_at(start, half_width_px)
             for _ in range(LOOKS):
                 track = tracker.update(frame.grey(), frame.time_s, _colour(frame))
             found = track.finger_line
-            if found is not None and _far_ends_seen(tracker, found) >= FAR_END_SEEN:
-                trial.tracker, trial.track = tracker, track
+            if found is None or _far_ends_seen(tracker, found) < FAR_END_SEEN:
+                continue
+            there = StartPose(found.tip_px, found.angle_rad, half_width_px)
+            if _are_near(here, there, 2.0 * half_width_px, SAME_TURN_RAD):
+                trial.tracker, trial.track, trial.is_lengthened = tracker, track, True
                 return
 
     def candidate_sightings(self) -> list[Sighting]:
@@ -968,7 +989,7 @@ def _gives_point(views: Sequence[PlaneView], tracks: Sequence[Track | None]) -> 
     ]
     if len(fingers) < len(views):
         return True
-    return indicated_point(fingers, views, time_s=0.0).status is Status.OK
+    return indicated_point(fingers, views, time_s=0.0, options=MAY_POINT).status is Status.OK
 
 
 def _belief(score: float, trials: Sequence[Trial], stays: bool) -> float:

@@ -65,6 +65,33 @@ impl Histogram {
         }
         self.total *= f64::from(keep);
     }
+
+    /// Moves what was seen to levels `gain` times as high: what lies between two bins is shared out.
+    fn relight(&mut self, gain: f32, before: &mut [f32]) {
+        let (axes, side) =
+            if self.bins.len() == GRAY_BINS { (1, GRAY_BINS) } else { (3, COLOUR_BINS) };
+        let moved: [(usize, f32); GRAY_BINS] = from_fn(|i| {
+            let at = ((i as f32 + 0.5) * gain - 0.5).clamp(0.0, (side - 1) as f32);
+            let below = (at as usize).min(side - 2);
+            (below, at - below as f32)
+        });
+        before.copy_from_slice(&self.bins);
+        self.bins.fill(0.0);
+        for (bin, &seen) in before.iter().enumerate().filter(|(_, seen)| **seen > 0.0) {
+            // Along every axis it goes to the lower or to the upper one of two bins.
+            for corner in 0..1_usize << axes {
+                let (mut place, mut share, mut stride, mut rest) = (0, seen, 1, bin);
+                for axis in 0..axes {
+                    let (below, part) = moved[rest % side];
+                    let upper = (corner >> axis) & 1;
+                    place += (below + upper) * stride;
+                    share *= if upper == 1 { part } else { 1.0 - part };
+                    (rest, stride) = (rest / side, stride * side);
+                }
+                self.bins[place] += share;
+            }
+        }
+    }
 }
 
 impl Appearance {
@@ -92,6 +119,14 @@ impl Appearance {
     pub fn fade(&mut self, keep: f32) {
         self.hand.fade(keep);
         self.background.fade(keep);
+    }
+
+    /// Takes what was learned over into light that is `gain` times as bright.
+    pub fn relight(&mut self, gain: f32) {
+        for histogram in [&mut self.hand, &mut self.anchor, &mut self.background] {
+            histogram.relight(gain, &mut self.smooth[0]);
+        }
+        self.learn();
     }
 
     /// Keeps the hand as it is known now for good: it counts as much as all that is learned later,

@@ -80,6 +80,13 @@ impl Class {
         self.grey_squares *= keep;
     }
 
+    fn relight(&mut self, gain: f64) {
+        self.sum *= gain;
+        self.squares *= gain * gain;
+        self.grey *= gain;
+        self.grey_squares *= gain * gain;
+    }
+
     fn and(&self, other: &Self) -> Self {
         Self {
             weight: self.weight + other.weight,
@@ -124,6 +131,15 @@ impl Discriminant {
     pub fn fade(&mut self, keep: f64) {
         self.hand.fade(keep);
         self.background.fade(keep);
+    }
+
+    /// Takes what was learned over into light that is `gain` times as bright, and works the mixture
+    /// out anew.
+    pub fn relight(&mut self, gain: f64) {
+        for class in [&mut self.hand, &mut self.anchor, &mut self.background] {
+            class.relight(gain);
+        }
+        self.learn();
     }
 
     /// Keeps the hand as it is known now for good: it counts as much as all that is learned later.

@@ -36,8 +36,10 @@
 //! Source: Cipolla, Hadfield & Hollinghurst 1994, section 3.2.
 
 mod convergence;
+mod exposure;
 mod looks;
 mod mould;
+mod neighbours;
 mod options;
 mod scene;
 mod seek;
@@ -62,6 +64,7 @@ use convergence::{
     Attempt, CONVERGED_PX, Converged, Convergence, Fit, Seen, TAKEN_OVER_PX, Window,
     max_residual_px,
 };
+use exposure::Exposure;
 use looks::{Lead, Looks, Sight, Silhouette};
 use mould::{Kind, Mould, finger_samples};
 use nalgebra::{Matrix2, Matrix3, Point2, Rotation2, SMatrix, SVector, Vector2, Vector3};
@@ -278,6 +281,8 @@ pub struct ContourTracker {
     /// How a tracked hand moves.
     dynamics: Option<Dynamics<3>>,
     last_time_s: Option<f64>,
+    /// The light in which the hand's looks are known.
+    exposure: Exposure,
 }
 
 /// The template before it has seen a hand.
@@ -562,6 +567,11 @@ const FREE_CONTRAST: f64 = 0.2;
 /// A hand whose finger is bent in more frames in a row than this is lost.
 const MOST_BENT_FRAMES: usize = 30;
 
+/// Half the width of the largest finger for which lengths and speeds in pixels are meant as they
+/// are \[px\], while it is waited for and while it is followed; those of a larger one grow with it.
+const ACQUIRED_HALF_WIDTH_PX: f64 = 10.0;
+const FOLLOWED_HALF_WIDTH_PX: f64 = 13.0;
+
 /// A lost hand is looked for this much further than a tracked one.
 const LOST_REACH: f64 = 2.0;
 /// A fit that explains this part of the contour needs no second look from afar.
@@ -605,15 +615,18 @@ impl ContourTracker {
             bent_frames: 0,
             straight_frames: 0,
         };
+        let large = (ribbon[3] / ACQUIRED_HALF_WIDTH_PX).max(1.0);
+        let options = TrackerOptions { acquire: options.acquire.enlarged(large), ..options };
         Ok(Self {
             convergence: Convergence::new(&options)?,
             seek: Seek::with_capacity(samples.len()),
-            gate: options.gate()?,
+            gate: options.gate(1.0)?,
             surprise: chi_square_quantile(SURPRISE, 3)?,
             phase: Phase::Acquiring { settled: 0 },
             refiner: Refiner::new(RefineOptions::default())?,
             dynamics: None,
             last_time_s: None,
+            exposure: Exposure::new(),
             template,
             options,
             samples,
@@ -681,10 +694,19 @@ impl ContourTracker {
         Error::within("frame time [s]", time_s, "at or after the last frame's", |t| t >= last)?;
         self.last_time_s = Some(time_s);
         self.convergence.begin_frame();
+        self.relight(frame);
         match self.phase {
             Phase::Acquiring { settled } => self.acquire(frame, time_s, settled, None),
             Phase::Lost { last, settled } => self.recover(frame, time_s, settled, last),
             Phase::Tracking { missed } => self.follow(frame, time_s, missed),
+        }
+    }
+
+    /// Takes what is known of colours over into the light of a frame.
+    fn relight(&mut self, frame: &Frame<'_>) {
+        let gain = self.exposure.changed(frame.image());
+        if let (Some(gain), Some(looks)) = (gain, &mut self.hand.looks) {
+            looks.relight(gain);
         }
     }
 
@@ -735,7 +757,7 @@ impl ContourTracker {
     ) -> Result<Track> {
         let (shape, kind) = last;
         let settling = std::mem::replace(&mut self.hand.kind, kind);
-        let reach_px = LOST_REACH * self.options.track.half_length_px;
+        let reach_px = LOST_REACH * self.largeness() * self.options.track.half_length_px;
         let accept = self.options.acquire.accept;
         let found = self.find(frame, shape, reach_px, &accept, None)?;
         if self.known(&accept, None).judge(&found).is_ok() {
@@ -934,8 +956,10 @@ impl ContourTracker {
 
     /// A hand that was found is followed from here.
     fn start(&mut self, time_s: f64, shape: &Shape, posture: Posture) -> Result<()> {
+        let large = self.largeness();
+        self.gate = self.options.gate(large)?;
         let options = &self.options.track.dynamics;
-        let (components, gap_s) = (options.components(), options.longest_gap_s);
+        let (components, gap_s) = (options.components(large), options.longest_gap_s);
         let at = shape.placement();
         self.dynamics = Some(Dynamics::start(components, gap_s, time_s, &at, &misfit())?);
         self.hand.thumb_missed = 0;
@@ -943,6 +967,11 @@ impl ContourTracker {
         (self.hand.bent_frames, self.hand.straight_frames) = (0, 0);
         self.phase = Phase::Tracking { missed: 0 };
         Ok(())
+    }
+
+    /// How many times as large as a usual hand this one is seen: it moves so much farther.
+    fn largeness(&self) -> f64 {
+        (self.hand.acquired[3] / FOLLOWED_HALF_WIDTH_PX).max(1.0)
     }
 
     /// What the hand's motion tells about this frame; nothing after a long gap.
@@ -967,7 +996,7 @@ impl ContourTracker {
         let expected = foretold.window.expected.vector;
         // It may as well have stopped or turned round, and the longer it is unseen the more it may.
         let went_px = (expected - from.placement()).xy().norm();
-        let reach_px = half_length_px * (1.0 + missed as f64) + went_px;
+        let reach_px = self.largeness() * half_length_px * (1.0 + missed as f64) + went_px;
         let predicted = from.placed(&expected);
         let found = self.find(frame, predicted, reach_px, &accept, Some(&foretold))?;
         let followed = foretold.followed(&found)?;
@@ -1138,7 +1167,7 @@ impl ContourTracker {
         scale: Scale,
         window: Option<Window>,
     ) -> Result<Found> {
-        let look = Look { scale, ..Look::edges(NEAR_PX) };
+        let look = Look { scale, ..Look::edges(self.largeness() * NEAR_PX) };
         let first = match window {
             Some(Window { gate, .. }) => Look { scale, window, ..Look::edges(gate.longest_px()) },
             None => look,

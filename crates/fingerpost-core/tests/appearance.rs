@@ -122,6 +122,50 @@ fn fading_keeps_the_ratio() {
     }
 }
 
+/// Levels in a hand's and a background's range, and the same under another light.
+fn spread(light: f32) -> Appearance {
+    let mut appearance = Appearance::new(false);
+    for k in 0..40_u8 {
+        for (level, is_hand) in [(140 + k, true), (60 + k, false)] {
+            let lit = (f32::from(level) * light).round() as u8;
+            appearance.observe(&row(&[lit]), 0.0, 0.0, is_hand);
+        }
+    }
+    appearance.learn();
+    appearance
+}
+
+#[test]
+fn in_other_light_the_same_things_vote_the_same() {
+    for light in [0.6, 0.9, 1.3] {
+        let mut appearance = spread(1.0);
+        appearance.relight(light);
+        for level in (62..98).chain(142..178) {
+            let lit = (level as f32 * light).round() as u8;
+            let expected = vote_for(&spread(light), lit);
+            let vote = vote_for(&appearance, lit);
+            assert!((vote - expected).abs() < 0.5, "light {light}, {level}: {vote} for {expected}");
+        }
+    }
+}
+
+#[test]
+fn in_other_light_colours_keep_their_side() {
+    let (skin, wood) = ([120, 140, 180], [60, 90, 140]);
+    let mut appearance = Appearance::new(true);
+    for _ in 0..50 {
+        with_pixel(skin, |frame| appearance.observe(frame, 0.0, 0.0, true));
+        with_pixel(wood, |frame| appearance.observe(frame, 0.0, 0.0, false));
+    }
+    appearance.learn();
+    let dimmed = |colour: [u8; 3]| colour.map(|c| (f32::from(c) * 0.7).round() as u8);
+    // The hand is as dark as the wood was.
+    assert!(with_pixel(dimmed(skin), |f| appearance.vote(f, 0.0, 0.0)) < 1.0);
+    appearance.relight(0.7);
+    assert!(with_pixel(dimmed(skin), |f| appearance.vote(f, 0.0, 0.0)) > 2.0);
+    assert!(with_pixel(dimmed(wood), |f| appearance.vote(f, 0.0, 0.0)) < -2.0);
+}
+
 #[test]
 fn outside_the_frame_there_is_no_vote_and_nothing_to_see() {
     let bytes = [HAND, BACKGROUND];

@@ -100,6 +100,25 @@ fn it_is_the_mixture_of_fisher() {
 }
 
 #[test]
+fn in_other_light_it_is_the_mixture_that_would_be_learned_there() {
+    let spread = [[9, 12, 11], [3, 0, -3], [0, 2, -2]];
+    let (hand, background) = (class(SKIN, spread), class(WOOD, spread));
+    let light = 0.5;
+    let lit = |colours: &[Colour]| -> Vec<Colour> {
+        colours.iter().map(|c| c.map(|c| (f64::from(c) * light).round() as u8)).collect()
+    };
+    let mut relit = learned(&hand, &background);
+    relit.relight(light);
+    let there = learned(&lit(&hand), &lit(&background));
+    let all: Vec<Colour> = [lit(&hand), lit(&background)].concat();
+    let (told, expected) =
+        (shown(relit.mixture().unwrap(), &all), shown(there.mixture().unwrap(), &all));
+    for (told, expected) in told.iter().zip(&expected) {
+        assert!((told - expected).abs() < 3.0, "{told} {expected}");
+    }
+}
+
+#[test]
 fn a_hand_that_grey_shows_as_well_needs_none() {
     let spread = [[5, 5, 5], [2, 0, 0], [0, 0, 2]];
     assert_eq!(learned(&class([140; 3], spread), &class([60; 3], spread)).mixture(), None);

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -14,6 +14,10 @@ from fingerpost.simulate import PoseLimits
 
 UNITS_MM = {"µm": 1e-3, "mm": 1.0, "cm": 10.0, "dm": 100.0, "m": 1000.0, "in": 25.4, "inch": 25.4}
 """Names of plane units whose length is known [mm]."""
+
+
+STRICT = replace(BARE_HAND, max_sigma=0.05)
+"""Cameras should stand better than the least with which a hand can be followed."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,7 +50,7 @@ class AdviceOptions:
     reference_sigma_px: float = DEFAULT_REFERENCE_SIGMA_PX
     """Standard deviation of each reference point in u and in v [px], > 0."""
 
-    pointing: PointingOptions = BARE_HAND
+    pointing: PointingOptions = STRICT
     """When a point counts as one, and the allowance for what is no noise."""
 
     unit_mm: float | None = None

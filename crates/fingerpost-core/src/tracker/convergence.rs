@@ -1,6 +1,7 @@
 //! Gauss–Newton in one shape space: measure, linearise, solve, move, until nothing moves.
 
 use super::looks::{Looks, Sight, Silhouette};
+use super::neighbours::alike;
 use super::options::{AcceptOptions, TrackerOptions};
 use super::scene::Scene;
 use super::{MAX_DOF, SearchedLine, ShapeEstimate};
@@ -167,6 +168,8 @@ pub(super) struct Convergence {
     equations: EquationBuffer,
     /// Where edges agree with the fit.
     agreeing: Vec<PlacedSample>,
+    /// Residual offsets of those along the contour, part by part of the outline.
+    left_over: Vec<(Part, f64)>,
     /// The present frame as the hand's discriminant shows it.
     image: DiscriminantImage,
     /// Lines that are searched once more, where the hand begins, and which lines they replace.
@@ -196,6 +199,7 @@ impl Convergence {
             agrees: Vec::with_capacity(options.samples),
             equations: EquationBuffer::with_capacity(options.samples, MAX_DOF),
             agreeing: Vec::with_capacity(options.samples),
+            left_over: Vec::with_capacity(options.samples),
             image: DiscriminantImage::default(),
             again: Vec::with_capacity(options.samples),
             replaced: Vec::with_capacity(options.samples),
@@ -324,7 +328,22 @@ impl Convergence {
                 half_length_px = shrunk_px.min(left_px).max(MIN_HALF_LENGTH_PX);
             }
         }
+        if let Some(fit) = &mut at.fit {
+            // Counted already: that neighbours share pixels.
+            fit.line_covariance *= (self.alike(attempt.samples) / self.correlation).max(1.0);
+        }
         Ok(at)
+    }
+
+    /// As how many edge measurements that are independent the last ones count once.
+    fn alike(&mut self, samples: &[TemplateSample]) -> f64 {
+        let Self { visible, measurements, fitter, left_over, .. } = self;
+        let hits = visible.iter().zip(measurements).filter(|(_, found)| found.is_ok());
+        let told = hits.zip(fitter.residuals()).zip(fitter.agreeing());
+        let agreeing = told.filter(|(_, agrees)| *agrees);
+        left_over.clear();
+        left_over.extend(agreeing.map(|(((&i, _), &px), _)| (samples[i].part(), px)));
+        alike(left_over)
     }
 
     /// Offsets of the edges that the contour at `x` finds, without fitting anything.

@@ -89,6 +89,13 @@ impl Looks {
         self.mixed.anchor();
     }
 
+    /// Takes all over into light that is `gain` times as bright. The discriminant's image stays as
+    /// it is but for its noise, and so do the levels in it.
+    pub fn relight(&mut self, gain: f64) {
+        self.plain.relight(gain as f32);
+        self.discriminant.relight(gain);
+    }
+
     /// Takes over what a frame shows on either side of a finger's contour; what was known keeps a
     /// part `keep` of its weight.
     pub fn learn(

@@ -41,6 +41,14 @@ pub struct AcquireOptions {
     pub max_scale: f64,
 }
 
+impl AcquireOptions {
+    /// For a hand so many times as large as usual.
+    pub(super) fn enlarged(self, large: f64) -> Self {
+        let half_length_px = (large * self.half_length_px).min(MAX_HALF_LENGTH_PX as f64);
+        Self { half_length_px, ..self }
+    }
+}
+
 /// How the hand is followed.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TrackOptions {
@@ -95,8 +103,8 @@ impl Default for DynamicsOptions {
 }
 
 impl DynamicsOptions {
-    /// Of (c_u, c_v, θ).
-    pub(super) fn components(&self) -> [Component; 3] {
+    /// Of (c_u, c_v, θ) of a hand so many times as large as usual.
+    pub(super) fn components(&self, large: f64) -> [Component; 3] {
         let component = |acceleration, first_sigma, domain| Component {
             course: Course::Velocity {
                 density: acceleration_density(acceleration, self.acceleration_lasts_s),
@@ -104,7 +112,8 @@ impl DynamicsOptions {
             },
             domain,
         };
-        let place = component(self.acceleration_px_s2, self.first_speed_px_s, Domain::Line);
+        let place =
+            component(large * self.acceleration_px_s2, large * self.first_speed_px_s, Domain::Line);
         let angle = component(self.acceleration_rad_s2, self.first_speed_rad_s, Domain::Circle);
         [place, place, angle]
     }
@@ -184,10 +193,11 @@ impl Default for TrackerOptions {
 }
 
 impl TrackerOptions {
-    /// How far the edges of a tracked hand are looked for.
-    pub(super) fn gate(&self) -> Result<Gate> {
+    /// How far the edges of a tracked hand so many times as large as usual are looked for.
+    pub(super) fn gate(&self, large: f64) -> Result<Gate> {
         let TrackOptions { half_length_px, dynamics, .. } = &self.track;
-        Gate::new(dynamics.confidence, MIN_HALF_LENGTH_PX.min(*half_length_px), *half_length_px)
+        let longest_px = (large * half_length_px).min(MAX_HALF_LENGTH_PX as f64);
+        Gate::new(dynamics.confidence, MIN_HALF_LENGTH_PX.min(longest_px), longest_px)
     }
 
     /// Whether every option is finite and in its range; search and fit check their own.
