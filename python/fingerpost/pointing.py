@@ -68,7 +68,7 @@ _SEVERITY = {Status.OK: 0, Status.ILL_CONDITIONED: 1, Status.ACQUIRING: 2, Statu
 class PointingOptions:
     """What a fix needs to be called one, and what is known about errors beyond noise."""
 
-    max_sigma: float = 0.08
+    max_sigma: float = 0.065
     """Largest standard deviation of the indicated point in any direction [share of
     `PlaneView.plane_size`, > 0]. The system of 1994 was accurate to 0.037. A bare hand before a
     wooden desk is often known to no more than 0.06; what robots do with a point has limits of its
