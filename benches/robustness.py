@@ -4,9 +4,11 @@
 
 Each case is played so many times with other poses, paths and noise; `--workers 0` uses all cores.
 A *gross* error is beyond 5 % of the plane; RMS and coverage are of the rest. A point is *wrong* if
-its error exceeds three times its 99 % ellipse. A sequence is *lost* if no point is told at its end,
-or one that is grossly wrong. A hand is *back* if a point within 5 % of the plane is told within
-0.3 s of the first frame that shows all of its finger in every view.
+its error exceeds three times its 99 % ellipse. Where several hands point, a point is judged by the
+hand that is followed: the first, until it is out of full view and another one is not. A sequence is
+*lost* if no point is told at its end, or one that is grossly wrong. A hand is *back* if a point
+within 5 % of the plane is told within 0.3 s of the first frame that shows all of its finger in
+every view, after none was seen.
 
 The first two cases are `fingerpost experiment --clutter 50 --reference-noise 0.05`, without and
 with `--background-frames 40`. In the others the template of each view waits where the hand comes.
@@ -27,7 +29,7 @@ from fingerpost.config import Plane, Rig, Start, View
 from fingerpost.experiment import ExperimentOptions, run_experiment
 from fingerpost.experiment.trial import squared_in_sigmas
 from fingerpost.pipeline import Pointer, Step
-from fingerpost.pointing import BARE_HAND, PointingOptions, Status
+from fingerpost.pointing import BARE_HAND, Fix, PointingOptions, Status
 from fingerpost.simulate import (
     Background,
     DevicePose,
@@ -261,12 +263,54 @@ def configured(play: Play, rng: np.random.Generator) -> Rig:
     return Rig(plane=Plane(unit="mm", points=plane), views=tuple(views))
 
 
-def steps_of(play: Play, rng: np.random.Generator) -> Iterator[tuple[int, Step, Told | None]]:
+class Hands:
+    """The hands of a play, and which of them is followed."""
+
+    def __init__(self, play: Play) -> None:
+        self._play = play
+        others = [(d, motion) for d, motion in play.others if isinstance(d, Hand)]
+        self._pointing: list[tuple[PointingDevice | None, Motion]] = [(None, play.motion), *others]
+        self._followed = 0
+
+    def judge(self, fix: Fix, time_s: float) -> Told:
+        """Put what is told beside the hand that is followed.
+
+        Once that has left the full view of any camera, another one may be.
+        """
+        truths = [
+            self._play.rig.truth(motion, time_s=time_s, device=device)
+            for device, motion in self._pointing
+        ]
+        in_view = [
+            all(v.finger is not None and v.finger.in_view for v in truth.views) for truth in truths
+        ]
+        allowed = [i for i, seen in enumerate(in_view) if seen and not in_view[self._followed]]
+        nearest = Told(math.nan, math.nan, any(in_view))
+        for i in (self._followed, *allowed):
+            target = truths[i].indicated_mm
+            if fix.status is not Status.OK or fix.point is None or target is None:
+                continue
+            assert fix.covariance is not None
+            error = fix.point - target
+            error_mm = float(np.hypot(*error))
+            if not nearest.error_mm <= error_mm:
+                nearest = replace(
+                    nearest,
+                    error_mm=error_mm,
+                    mahalanobis2=squared_in_sigmas(error, fix.covariance),
+                )
+                if error_mm <= GROSS_MM:
+                    self._followed = i
+        return nearest
+
+
+def steps_of(play: Play, rng: np.random.Generator) -> Iterator[tuple[int, Step, Told]]:
     """Play a sequence, and put what the pointer tells beside the truth."""
     pointer = Pointer(
         configured(play, rng), pointing_options=play.options, reference_sigma_px=REFERENCE_NOISE_PX
     )
     covers = None
+    hands = Hands(play)
     for k in range(play.frames):
         time_s = k / FPS
         if play.covered and k == play.judged_from:
@@ -281,16 +325,7 @@ def steps_of(play: Play, rng: np.random.Generator) -> Iterator[tuple[int, Step, 
             for view, image in zip(shot.truth.views, shot.images, strict=True)
         ]
         for step in pointer.update(frames):
-            fix, target = step.fix, shot.truth.indicated_mm
-            in_view = all(v.finger is not None and v.finger.in_view for v in shot.truth.views)
-            told = Told(math.nan, math.nan, in_view)
-            if fix.status is Status.OK and fix.point is not None and target is not None:
-                assert fix.covariance is not None
-                error = fix.point - target
-                told = Told(
-                    float(np.hypot(*error)), squared_in_sigmas(error, fix.covariance), in_view
-                )
-            yield k, step, told
+            yield k, step, hands.judge(step.fix, time_s)
 
 
 def played(case: str, seed: int, index: int) -> Result:
@@ -300,8 +335,6 @@ def played(case: str, seed: int, index: int) -> Result:
     result = Result()
     before, since = True, None
     for k, _, told in steps_of(play, rng):
-        if told is None:
-            continue
         if k >= play.judged_from:
             result.told.append(told)
         # From full view on, a return is counted once: when it is back, or too late.

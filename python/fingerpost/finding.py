@@ -92,6 +92,9 @@ UNBELIEVED_FRAMES = 3
 COME_PART = 0.3
 """A hand may have come to a waiting template if this much of the finger's place is foreground."""
 
+COME_WHOLE = 0.8
+"""A finger of which this much is foreground has come into view as a whole."""
+
 BACKGROUND_PART = 0.1
 BACKGROUND_FRAMES = 8
 """A finger of which less than this has been foreground for so many frames is none."""
@@ -699,6 +702,18 @@ class HandSearch:
     def stands_out(self, frame: Frame, line: CoreFingerLine) -> bool:
         """Tell whether the inside of a finger is known to be foreground."""
         return self._foreground(frame, line) >= IN_FOREGROUND
+
+    def has_come_whole(self, frame: Frame, line: CoreFingerLine) -> bool:
+        """Tell whether all the inside of a finger is known to be foreground.
+
+        What is put down before a hand leaves parts of that between its edges.
+        """
+        tip, anchor = np.array(line.tip_px), np.array(line.anchor_px)
+        back = anchor - tip
+        aside = HALF_WIDTH * np.array([-back[1], back[0]])
+        along = np.linspace(0.2, 1.9, 14)[:, None, None] * back
+        places = tip + along + np.array([-1.2, 0.0, 1.2])[:, None] * aside
+        return self._likely(frame, places.reshape(-1, 2)) >= COME_WHOLE
 
     def _is_background(self, frame: Frame, line: CoreFingerLine) -> bool:
         """Tell whether the inside of a finger is known to be background."""

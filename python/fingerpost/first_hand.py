@@ -81,6 +81,10 @@ class FirstHand:
         line = second.update(frame.grey(), frame.time_s, colour, background=behind).finger_line
         if line is None:
             return None
+        if not self._search.has_come_whole(frame, line):
+            # It may be what covers the hand that is followed already, in part.
+            self._second = None
+            return None
         if self._earliest is not None and self._is_same(line):
             # Both follow one hand: what was learned where it stood from the start is it.
             self._search.forget(self._earliest)

@@ -340,17 +340,18 @@ impl Fitter {
         equations: &Equations<'_, D>,
         prior: Option<&Prior<D>>,
     ) -> FitReport<D> {
-        self.solve_with_scale(equations, prior, self.options.min_scale_px)
+        self.solve_with_scale(equations, prior, (self.options.min_scale_px, f64::INFINITY))
     }
 
-    /// [`solve`](Self::solve) with another least scale of the residual offsets \[px\], not
-    /// negative: while a contour is still far from its edges, the few that tell how far must not
-    /// pass for gross errors.
+    /// [`solve`](Self::solve) with the scale of the residual offsets kept between two \[px\], none
+    /// negative; the least counts where it is above the largest. While a contour is still far from
+    /// its edges, the few that tell how far must not pass for gross errors; and where its edges are
+    /// known to lie close, gross errors must not pass for a contour that fits badly.
     pub fn solve_with_scale<const D: usize>(
         &mut self,
         equations: &Equations<'_, D>,
         prior: Option<&Prior<D>>,
-        min_scale_px: f64,
+        (min_scale_px, max_scale_px): (f64, f64),
     ) -> FitReport<D> {
         let least_misfit_px2 = self.options.min_scale_px * self.options.min_scale_px;
         self.misfit_px2 = least_misfit_px2;
@@ -397,7 +398,7 @@ impl Fitter {
             let scale_px = self.residual_scale();
             let widened = if iteration == 1 { FIRST_CUTOFF_FACTOR } else { 1.0 };
             self.misfit_px2 = misfit(equations, scale_px).max(least_misfit_px2);
-            self.weigh(equations, widened * scale_px.max(min_scale_px));
+            self.weigh(equations, widened * scale_px.min(max_scale_px).max(min_scale_px));
         }
     }
 

@@ -29,7 +29,7 @@
 //! **Bent.** No straight line is the axis of a bent finger. Of a fit that is accepted by its edges
 //! the two halves of the finger are looked at once more, each for itself ([`crate::refine::Bend`]);
 //! where they differ by more than 20° in the image, the fit is a [`Refusal::Misfit`]. The
-//! hand stays in sight without a line, and has one again in the first frame that shows the finger
+//! hand stays in sight without a line, and has one again in a frame or two that show the finger
 //! straight. A view sees only what of a bend lies across its line of sight. The paper's model is
 //! not looked at so.
 //!
@@ -41,6 +41,7 @@ mod looks;
 mod mould;
 mod neighbours;
 mod options;
+mod pace;
 mod scene;
 mod seek;
 mod verdict;
@@ -71,6 +72,7 @@ use nalgebra::{Matrix2, Matrix3, Point2, Rotation2, SMatrix, SVector, Vector2, V
 pub use options::{
     AcceptOptions, AcquireOptions, DynamicsOptions, Model, TrackOptions, TrackerOptions,
 };
+use pace::Pace;
 use scene::Scene;
 use seek::{Judged, Seek};
 use std::f64::consts::TAU;
@@ -127,13 +129,24 @@ impl FingerLine {
         Self { axis: *axis, half_length_px, covariance: *covariance, source: LineSource::Contour }
     }
 
+    /// How far another axis is from this one, in offset and angle.
+    fn apart(&self, other: &Axis) -> Vector2<f64> {
+        let turn = other.angle_rad - self.axis.angle_rad;
+        let turn = turn - (turn / TAU).round() * TAU;
+        Vector2::new(self.axis.normal().dot(&(other.anchor - self.axis.anchor)), turn)
+    }
+
+    /// Whether two lines of one finger lie farther apart than their covariances say.
+    fn contradicts(&self, other: &Self) -> bool {
+        let apart = self.apart(&other.axis);
+        let inverse = (self.covariance + other.covariance).try_inverse();
+        inverse.is_none_or(|inverse| apart.dot(&(inverse * apart)) > CONTRADICTION)
+    }
+
     /// The same line, when another look at the finger has its axis elsewhere: which of them is wrong
     /// is not known, and it may be wrong by as much as they differ.
     fn doubted(self, other: &Axis) -> Self {
-        let turn = other.angle_rad - self.axis.angle_rad;
-        let turn = turn - (turn / TAU).round() * TAU;
-        let aside_px = self.axis.normal().dot(&(other.anchor - self.axis.anchor));
-        let apart = Vector2::new(aside_px, turn);
+        let apart = self.apart(other);
         Self { covariance: self.covariance + apart * apart.transpose(), ..self }
     }
 
@@ -280,6 +293,7 @@ pub struct ContourTracker {
     refiner: Refiner,
     /// How a tracked hand moves.
     dynamics: Option<Dynamics<3>>,
+    pace: Pace,
     last_time_s: Option<f64>,
     /// The light in which the hand's looks are known.
     exposure: Exposure,
@@ -312,6 +326,11 @@ struct Hand {
     posture: Posture,
     bent_frames: usize,
     straight_frames: usize,
+    /// Root mean square of its edges' residual offsets as it is seen usually \[px\]; infinite as
+    /// long as that is not known.
+    usual_px: f64,
+    /// Frames since nearly all of its contour was last explained.
+    partly_frames: usize,
 }
 
 /// What the contour in the image is made from.
@@ -363,6 +382,7 @@ struct Look {
     scale: Scale,
     window: Option<Window>,
     rest_px: f64,
+    own_only: bool,
 }
 
 impl Look {
@@ -373,6 +393,7 @@ impl Look {
             scale: Scale::Fine,
             window: None,
             rest_px: CONVERGED_PX,
+            own_only: false,
         }
     }
 }
@@ -446,9 +467,21 @@ impl Hand {
         look: Look,
         polarity: Polarity,
     ) -> Attempt<'a> {
-        let Look { half_length_px, scale, lead, window, rest_px } = look;
+        let Look { half_length_px, scale, lead, window, rest_px, own_only } = look;
         let sight = self.sight(frame, lead, polarity);
-        Attempt { samples, sight, scale, half_length_px, window, rest_px }
+        let most_scale_px = if own_only { self.most_scale_px() } else { f64::INFINITY };
+        Attempt { samples, sight, scale, half_length_px, window, rest_px, own_only, most_scale_px }
+    }
+
+    /// Notes whether a fit that counts explains nearly all of its contour.
+    fn count_partly(&mut self, found: &Found) {
+        let is_whole = found.explained() >= SURE;
+        self.partly_frames = if is_whole { 0 } else { self.partly_frames.saturating_add(1) };
+    }
+
+    /// What its edges scatter at most about a fit in its place \[px\].
+    fn most_scale_px(&self) -> f64 {
+        (USUAL_TIMES * self.usual_px).max(USUAL_LEAST_PX)
     }
 
     /// How to look for it in a frame.
@@ -473,6 +506,28 @@ struct Found<T = Shape> {
     shape: T,
     fit: Option<Fit>,
     iterations: usize,
+}
+
+/// How a hand is settled on: from which shape, at which scale, in which window.
+type Path = (Shape, Scale, Option<Window>);
+
+/// One of the places where the hand may be.
+struct Way {
+    found: Found,
+    path: Path,
+    /// The part of the finger's contour whose edge is explained and looks like the hand inside.
+    own: f64,
+    /// What its motion costs; ∞ if no hand can have become or moved to it.
+    cost: f64,
+}
+
+impl Way {
+    /// How well it explains the contour, less what its motion costs. Edges that do not look like the
+    /// hand inside may be those of what covers it.
+    fn worth(&self) -> f64 {
+        let others = (self.found.explained() - self.own).max(0.0);
+        self.own + OTHERS_SAY * others - self.cost
+    }
 }
 
 impl Found {
@@ -528,6 +583,11 @@ const THUMB_SEEN: f64 = 0.4;
 /// No finger line depends on where exactly the thumb is: it is at rest when no sample moves further
 /// than this \[px\].
 const THUMB_RESTS_PX: f64 = 0.1;
+/// Where covers may give a hand edges that it does not have, the residual offsets' scale is at most so
+/// many times the usual one and need not be below this \[px\]; the usual one follows slowly.
+const USUAL_TIMES: f64 = 2.0;
+const USUAL_LEAST_PX: f64 = 0.2;
+const USUAL_RATE: f64 = 0.1;
 /// While the thumb is fitted, the finger stays within this of where it is \[px, rad, 1\].
 const PINNED_SIGMA: f64 = 1e-4;
 
@@ -548,6 +608,8 @@ const CAP: f64 = 0.7;
 /// What a fit's covariance does not know of: how far the template slides on a hand that is not
 /// quite like it, standard deviations of (c_u, c_v, θ) \[px, px, rad\].
 const MISFIT_SIGMAS: [f64; 3] = [0.5, 0.5, 0.01];
+/// Two lines of one finger are less than this apart in 99 of 100 cases, as a normalised square.
+const CONTRADICTION: f64 = 9.21;
 /// A hand that moves as foretold stays below what counts as a surprise with this probability.
 const SURPRISE: f64 = 0.9999;
 /// Once the votes have been sought, their changes are looked for this part of the way, for the hand
@@ -564,6 +626,8 @@ const FREE_PX: f64 = 3.0;
 const FREE_SHARE: f64 = 0.5;
 const FREE_CONTRAST: f64 = 0.2;
 
+/// What has not been seen whole for so many frames may be no hand that is covered in part, but none.
+const MOST_COVERED_FRAMES: usize = 90;
 /// A hand whose finger is bent in more frames in a row than this is lost.
 const MOST_BENT_FRAMES: usize = 30;
 
@@ -576,6 +640,15 @@ const FOLLOWED_HALF_WIDTH_PX: f64 = 13.0;
 const LOST_REACH: f64 = 2.0;
 /// A fit that explains this part of the contour needs no second look from afar.
 const SURE: f64 = 0.85;
+/// A contour of which less than this looks like the hand may be seen in another light.
+const UNLIKE: f64 = 0.3;
+/// What an edge counts that does not look like the hand inside, beside one that does: in a new light
+/// none does.
+const OTHERS_SAY: f64 = 0.1;
+/// It is that where the fit leaves it within so many of the largest scales that its edges usually have.
+const OWN_SCALES: f64 = 2.5;
+/// Nor does one whose motion costs no more than this.
+const UNSURPRISING: f64 = 0.1;
 /// Once votes have led the contour to the hand, its edges are looked for this far \[px\].
 const NEAR_PX: f64 = 10.0;
 
@@ -614,6 +687,8 @@ impl ContourTracker {
             posture: Posture::Straight,
             bent_frames: 0,
             straight_frames: 0,
+            usual_px: f64::INFINITY,
+            partly_frames: MOST_COVERED_FRAMES,
         };
         let large = (ribbon[3] / ACQUIRED_HALF_WIDTH_PX).max(1.0);
         let options = TrackerOptions { acquire: options.acquire.enlarged(large), ..options };
@@ -625,6 +700,7 @@ impl ContourTracker {
             phase: Phase::Acquiring { settled: 0 },
             refiner: Refiner::new(RefineOptions::default())?,
             dynamics: None,
+            pace: Pace::unknown(),
             last_time_s: None,
             exposure: Exposure::new(),
             template,
@@ -759,13 +835,13 @@ impl ContourTracker {
         let settling = std::mem::replace(&mut self.hand.kind, kind);
         let reach_px = LOST_REACH * self.largeness() * self.options.track.half_length_px;
         let accept = self.options.acquire.accept;
-        let found = self.find(frame, shape, reach_px, &accept, None)?;
+        let found = self.find(frame, shape, reach_px, None)?;
         if self.known(&accept, None).judge(&found).is_ok() {
             let bend = self.bend(frame, &found)?;
             let posture = self.hand.posture.after(bend.as_ref(), &found);
             if posture != Posture::Bent {
                 self.hand.shape = found.shape;
-                self.start(time_s, &found.shape, posture)?;
+                self.start(time_s, &found, posture)?;
                 return self.tracked(frame, time_s, &found, &accept);
             }
         }
@@ -808,7 +884,7 @@ impl ContourTracker {
                 let posture = Posture::Straight.after(bend.as_ref(), &acquired);
                 if posture != Posture::Bent {
                     let accept = self.options.track.accept;
-                    self.start(time_s, &acquired.shape, posture)?;
+                    self.start(time_s, &acquired, posture)?;
                     return self.tracked(frame, time_s, &acquired, &accept);
                 }
                 refusal = Some(Refusal::Misfit);
@@ -955,13 +1031,17 @@ impl ContourTracker {
     }
 
     /// A hand that was found is followed from here.
-    fn start(&mut self, time_s: f64, shape: &Shape, posture: Posture) -> Result<()> {
+    fn start(&mut self, time_s: f64, found: &Found, posture: Posture) -> Result<()> {
         let large = self.largeness();
         self.gate = self.options.gate(large)?;
         let options = &self.options.track.dynamics;
         let (components, gap_s) = (options.components(large), options.longest_gap_s);
-        let at = shape.placement();
+        let at = found.shape.placement();
         self.dynamics = Some(Dynamics::start(components, gap_s, time_s, &at, &misfit())?);
+        self.pace = Pace::unknown();
+        self.hand.usual_px = found.fit.map_or(f64::INFINITY, |fit| fit.residual_rms_px);
+        self.hand.partly_frames = MOST_COVERED_FRAMES;
+        self.hand.count_partly(found);
         self.hand.thumb_missed = 0;
         self.hand.posture = posture;
         (self.hand.bent_frames, self.hand.straight_frames) = (0, 0);
@@ -979,7 +1059,13 @@ impl ContourTracker {
         let Some(dynamics) = self.dynamics else { return Ok(None) };
         Ok(match dynamics.predict(time_s)? {
             Prediction::Expected(expected) => {
-                let window = Window { expected, gate: self.gate };
+                let window = Window {
+                    expected,
+                    gate: self.gate,
+                    near_px: self.largeness() * NEAR_PX,
+                    own_only: false,
+                    lead: Lead::HandEdges,
+                };
                 Some(Foretold { dynamics, time_s, window })
             }
             Prediction::Lost { .. } => None,
@@ -998,7 +1084,7 @@ impl ContourTracker {
         let went_px = (expected - from.placement()).xy().norm();
         let reach_px = self.largeness() * half_length_px * (1.0 + missed as f64) + went_px;
         let predicted = from.placed(&expected);
-        let found = self.find(frame, predicted, reach_px, &accept, Some(&foretold))?;
+        let found = self.find(frame, predicted, reach_px, Some(&foretold))?;
         let followed = foretold.followed(&found)?;
         let innovation = followed.as_ref().and_then(|(_, innovation)| innovation.as_ref());
         let known = self.known(&accept, innovation);
@@ -1018,7 +1104,11 @@ impl ContourTracker {
                 self.hand.straight_frames += 1;
                 self.hand.grow();
                 self.hand.count_thumb(&found, lose_after_frames);
-                self.learn_looks(frame)?;
+                self.hand.count_partly(&found);
+                self.take_over_looks(frame, &found)?;
+                self.pace.follow(innovation);
+                let residual_px = found.fit.map_or(self.hand.usual_px, |fit| fit.residual_rms_px);
+                self.hand.usual_px += USUAL_RATE * (residual_px - self.hand.usual_px);
                 self.phase = Phase::Tracking { missed: 0 };
                 self.tracked(frame, time_s, &found, &accept)?
             };
@@ -1043,6 +1133,8 @@ impl ContourTracker {
     /// not for longer than it has been straight, for what is bent may be no finger at all.
     fn keep_in_sight(&mut self, time_s: f64, found: &Found, accept: &AcceptOptions) -> Track {
         self.hand.bent_frames += 1;
+        // The template slides as the finger bends, and back again.
+        self.pace = Pace::unknown();
         let patience = self.hand.straight_frames.min(MOST_BENT_FRAMES);
         let is_over = self.hand.bent_frames > patience;
         self.phase = if is_over {
@@ -1059,58 +1151,104 @@ impl ContourTracker {
         Known { accept: *accept, acquired: &self.hand.acquired, motion }
     }
 
-    /// How well a fit explains the contour, 0–1; 0 if no hand can have become or moved to it.
-    fn worth(
-        &self,
-        found: &Found,
-        accept: &AcceptOptions,
-        foretold: Option<&Foretold>,
-    ) -> Result<f64> {
-        let followed = foretold.map(|f| f.followed(found)).transpose()?.flatten();
-        let innovation = followed.as_ref().and_then(|(_, innovation)| innovation.as_ref());
-        let possible = self.known(accept, innovation).is_possible(&found.shape);
-        Ok(if possible.is_ok() { found.explained() } else { 0.0 })
-    }
-
     /// The hand about a predicted shape. Its edges are usually near and sharp; when they explain
-    /// the contour badly, or by a motion that surprises, the votes lead there from afar, and a
-    /// larger kernel sees edges that motion has smeared. What explains the contour best counts, of
-    /// all that a hand can have become and moved to.
+    /// the contour badly, or by a motion that surprises, it may have gone on as it did and be covered
+    /// in part, or have gone elsewhere: the votes lead there from afar, and a larger kernel sees edges
+    /// that motion has smeared. What explains the contour best by edges that look like the hand counts,
+    /// less what its motion costs. Where nothing looks like the hand and all its edges are in their
+    /// place, the light has changed.
     fn find(
         &mut self,
         frame: &Scene<'_>,
         predicted: Shape,
         reach_px: f64,
-        accept: &AcceptOptions,
         foretold: Option<&Foretold>,
     ) -> Result<Found> {
         let reach_px = reach_px.min(MAX_HALF_LENGTH_PX as f64);
-        let near = self.settle(frame, predicted, Scale::Fine, foretold.map(|f| f.window))?;
-        if near.explained() >= SURE && !self.surprises(&near, foretold)? {
-            return Ok(near);
+        let window = foretold.map(|f| f.window);
+        let near = self.settle(frame, predicted, Scale::Fine, window)?;
+        let near = self.weighed(frame, near, (predicted, Scale::Fine, window), foretold)?;
+        if near.found.explained() >= SURE && near.cost <= UNSURPRISING {
+            return Ok(near.found);
         }
+        let steady = match foretold {
+            Some(f) if self.hand.partly_frames < MOST_COVERED_FRAMES => {
+                let narrow = Some(self.pace.steady(&f.window));
+                Some(self.way(frame, (predicted, Scale::Fine, narrow), foretold)?)
+            }
+            _ => None,
+        };
         let approached = self.approach(frame, predicted, reach_px)?;
-        let smeared = self.settle(frame, approached, Scale::Coarse, None)?;
-        let sharp = self.settle(frame, smeared.shape, Scale::Fine, None)?;
-        let [near_worth, smeared_worth, sharp_worth] = [
-            self.worth(&near, accept, foretold)?,
-            self.worth(&smeared, accept, foretold)?,
-            self.worth(&sharp, accept, foretold)?,
-        ];
-        if sharp_worth >= near_worth.max(smeared_worth) {
-            return Ok(sharp);
+        let smeared = self.way(frame, (approached, Scale::Coarse, None), foretold)?;
+        let sharp = self.way(frame, (smeared.found.shape, Scale::Fine, None), foretold)?;
+        // Of equals the last one, whose search need not be done again.
+        let (mut best, mut is_last) = (sharp, true);
+        let mut impossible: Option<Way> = None;
+        for way in [Some(smeared), steady, Some(near)].into_iter().flatten() {
+            let mut other = way;
+            if other.worth() > best.worth() {
+                std::mem::swap(&mut best, &mut other);
+                is_last = false;
+            }
+            let explained = impossible.as_ref().map_or(SURE, |way| way.found.explained());
+            if other.cost.is_infinite() && other.found.explained() >= explained {
+                impossible = Some(other);
+            }
         }
-        if smeared_worth >= near_worth {
-            return self.settle(frame, smeared.shape, Scale::Coarse, None);
+        if let (Some(foretold), true) = (foretold, best.worth() < UNLIKE) {
+            let window = self.pace.steady(&foretold.window);
+            let narrow = Some(Window { lead: Lead::AnyEdge, ..window });
+            let relit = self.way(frame, (predicted, Scale::Fine, narrow), Some(foretold))?;
+            if relit.found.explained() >= SURE && relit.cost <= UNSURPRISING {
+                return Ok(relit.found);
+            }
+            is_last = false;
         }
-        self.settle(frame, near.shape, Scale::Fine, None)
+        // What no hand can have become or moved to is told as such, where no hand is left.
+        if let Some(way) = impossible
+            && best.found.explained() < self.options.track.accept.min_inliers
+        {
+            (best, is_last) = (way, false);
+        }
+        if is_last {
+            return Ok(best.found);
+        }
+        // Once more, so that the last search is that of the best.
+        let (from, scale, window) = best.path;
+        self.settle(frame, from, scale, window)
     }
 
-    /// Whether a hand that moves as it did would hardly be where it was found.
-    fn surprises(&self, found: &Found, foretold: Option<&Foretold>) -> Result<bool> {
-        let Some(foretold) = foretold else { return Ok(false) };
-        let followed = foretold.followed(found)?.and_then(|(_, innovation)| innovation);
-        Ok(followed.is_none_or(|innovation| innovation.normalised_square() > self.surprise))
+    /// A way to settle, tried.
+    fn way(&mut self, frame: &Scene<'_>, path: Path, foretold: Option<&Foretold>) -> Result<Way> {
+        let (from, scale, window) = path;
+        let found = self.settle(frame, from, scale, window)?;
+        self.weighed(frame, found, path, foretold)
+    }
+
+    /// What was found in the last search, and what tells for and against it.
+    fn weighed(
+        &mut self,
+        frame: &Scene<'_>,
+        found: Found,
+        path: Path,
+        foretold: Option<&Foretold>,
+    ) -> Result<Way> {
+        let followed = foretold.map(|f| f.followed(&found)).transpose()?.flatten();
+        let innovation = followed.as_ref().and_then(|(_, innovation)| innovation.as_ref());
+        let possible = self.known(&self.options.track.accept, innovation).is_possible(&found.shape);
+        let cost = match possible {
+            Ok(()) => innovation.map_or(0.0, |i| self.pace.cost(i)),
+            Err(_) => f64::INFINITY,
+        };
+        let samples = self.hand.fingers(&self.samples);
+        let sight = self.hand.sight(frame, Lead::HandEdges, self.options.polarity);
+        let own = self.convergence.own_share(
+            frame,
+            &sight,
+            samples,
+            OWN_SCALES * self.hand.most_scale_px(),
+        )?;
+        Ok(Way { found, path, own, cost })
     }
 
     /// From afar: by the votes of pixels, if they are known, to about the right place; then the
@@ -1167,9 +1305,12 @@ impl ContourTracker {
         scale: Scale,
         window: Option<Window>,
     ) -> Result<Found> {
-        let look = Look { scale, ..Look::edges(self.largeness() * NEAR_PX) };
+        let near_px = window.map_or(self.largeness() * NEAR_PX, |w| w.near_px);
+        let own_only = window.is_some_and(|w| w.own_only);
+        let lead = window.map_or(Lead::HandEdges, |w| w.lead);
+        let look = Look { lead, scale, own_only, ..Look::edges(near_px) };
         let first = match window {
-            Some(Window { gate, .. }) => Look { scale, window, ..Look::edges(gate.longest_px()) },
+            Some(Window { gate, .. }) => Look { window, half_length_px: gate.longest_px(), ..look },
             None => look,
         };
         let before_others = Look { rest_px: TAKEN_OVER_PX, ..first };
@@ -1180,8 +1321,14 @@ impl ContourTracker {
             }
             Shape::Planar(map) => self.planar::<Rigid, 3>(frame, map, first)?.into(),
             Shape::Ribbon(x) => {
-                let turned = self.run_ribbon::<3>(frame, &x, Limb::Finger, before_others, None)?;
-                let held = self.held::<5>(&x, 1.0);
+                let belief = window.and_then(|w| w.belief());
+                let turned =
+                    self.run_ribbon::<3>(frame, &x, Limb::Finger, before_others, belief.as_ref())?;
+                let mut held = self.held::<5>(&x, 1.0);
+                if let Some(Prior { mean, information }) = belief {
+                    held.mean.fixed_rows_mut::<3>(0).copy_from(&mean);
+                    held.information.fixed_view_mut::<3, 3>(0, 0).copy_from(&information);
+                }
                 let finger =
                     self.run_ribbon::<5>(frame, &turned.x, Limb::Finger, look, Some(&held))?;
                 match &finger.fit {
@@ -1326,6 +1473,20 @@ impl ContourTracker {
         prior
     }
 
+    /// Takes over what a fit that counts shows of the hand. Where its looks did not lead to it, the
+    /// light has changed: it looks as it looks now.
+    fn take_over_looks(&mut self, frame: &Scene<'_>, found: &Found) -> Result<()> {
+        let is_relit = self.hand.votes_in(frame) && found.fit.is_some_and(|fit| !fit.by_looks);
+        if is_relit {
+            self.hand.looks = None;
+        }
+        self.learn_looks(frame)?;
+        if let Some(looks) = self.hand.looks.as_mut().filter(|_| is_relit) {
+            looks.anchor();
+        }
+        Ok(())
+    }
+
     /// Takes over what the last accepted fit saw on either side of the contour.
     fn learn_looks(&mut self, frame: &Scene<'_>) -> Result<()> {
         let coloured = frame.colour().is_some();
@@ -1357,7 +1518,14 @@ impl ContourTracker {
         // Where the pixels agree with a finger only so far, the contour knows other things than two
         // bare flanks tell: the hand's colours, and its width.
         let contour = found.fit.map(|f| FingerLine::of_contour(&f.axis, &f.line_covariance));
+        let beside_cover = found.fit.is_some_and(|fit| fit.own_only);
         let finger_line = match (refined, contour) {
+            // What covers a hand has pixels of its own.
+            (Some(refined), Some(contour))
+                if beside_cover && contour.contradicts(&FingerLine::of_pixels(&refined)) =>
+            {
+                Some(contour)
+            }
             (Some(refined), _) if refined.source == Source::Photometric => {
                 Some(FingerLine::of_pixels(&refined))
             }

@@ -1124,7 +1124,14 @@ fn a_finger_that_bends_is_a_misfit_until_it_is_straight_again() {
                 continue;
             }
             assert_eq!(track.status, Status::Tracking, "{case}");
-            if bend_rad.abs() < 0.21 {
+            // One that was bent may take a frame to be known again.
+            let before_rad = (step_deg * f64::from(steps[k - 1])).to_radians();
+            let is_straight = if refusals.is_empty() {
+                bend_rad.abs() < 0.18
+            } else {
+                bend_rad.abs().max(before_rad.abs()) < 0.1
+            };
+            if is_straight {
                 assert!(track.finger_line.is_some() && told.refusal.is_none(), "{case}");
             }
             if bend_rad.abs() > 0.42 {
@@ -1176,4 +1183,76 @@ fn what_stays_bent_for_longer_than_it_was_straight_is_lost() {
     let bent = (0..40).take_while(|_| show(0.5).status == Status::Tracking).count();
     assert!((straight - 1..=straight).contains(&bent), "{straight} frames, then {bent}");
     assert!(show(0.0).finger_line.is_some());
+}
+
+/// Something round that lies over the hand.
+struct Disc {
+    centre: Point2<f64>,
+    radius_px: f64,
+}
+
+impl Shape for Disc {
+    fn depth(&self, at: Point2<f64>) -> (f64, Vector2<f64>) {
+        let away = at - self.centre;
+        let distance = away.norm();
+        (self.radius_px - distance, away / distance.max(f64::MIN_POSITIVE))
+    }
+}
+
+#[test]
+fn discs_that_lie_over_a_still_hand_from_one_frame_to_the_next_do_not_turn_it() {
+    let hand = held_up(Thumb::None);
+    let (along, across) =
+        (hand.direction(), Vector2::new(-hand.angle_rad.sin(), hand.angle_rad.cos()));
+    let disc = |behind: f64, aside: f64, radius: f64| Disc {
+        centre: hand.tip_px + (along * -behind + across * aside) * hand.half_width_px,
+        radius_px: radius * hand.half_width_px,
+    };
+    // Over the tip and over either flank, brighter and darker than the finger.
+    let layouts = [
+        [(disc(0.5, 0.3, 1.3), 225.0), (disc(4.5, -1.0, 1.0), 110.0)],
+        [(disc(0.8, -0.9, 1.4), 110.0), (disc(3.5, 1.2, 1.1), 30.0)],
+        [(disc(1.2, 1.0, 1.5), 225.0), (disc(5.5, 1.0, 1.2), 225.0)],
+    ];
+    for (which, discs) in layouts.iter().enumerate() {
+        let mut tracker = tracker(Model::Ribbon, Thumb::None);
+        let mut noise = Noise::new(0x6469_7363);
+        let mut time_s = acquire(&mut tracker, &hand, &mut noise);
+        let mut told = 0;
+        for k in 0..22 {
+            let mut canvas = Canvas::new(WIDTH, HEIGHT, BACKGROUND).paint(&hand, HAND);
+            if k >= 10 {
+                for (disc, grey) in discs {
+                    canvas = canvas.paint(disc, *grey);
+                }
+            }
+            let picture = canvas.blur(BLUR_PX).take(NOISE, &mut noise);
+            let line = update(&mut tracker, &picture, time_s).finger_line;
+            time_s += FRAME_S;
+            let Some(line) = line.filter(|_| k >= 10) else { continue };
+            told += 1;
+            let turned = turn(hand.angle_rad, line.axis.angle_rad);
+            assert!(turned.abs() < 0.02, "layout {which}, frame {k}: {turned}");
+        }
+        assert!(told >= 10, "layout {which}: {told}");
+    }
+}
+
+#[test]
+fn a_light_that_falls_at_once_does_not_hide_the_hand() {
+    for thumb in THUMBS {
+        let mut tracker = tracker(Model::Ribbon, thumb);
+        let mut noise = Noise::new(0x6c69_6768);
+        let mut time_s = acquire(&mut tracker, &swaying(thumb, 0), &mut noise);
+        for k in 1..24 {
+            let hand = swaying(thumb, k);
+            let light = if k < 12 { 1.0 } else { 0.6 };
+            let canvas = Canvas::new(WIDTH, HEIGHT, light * BACKGROUND).paint(&hand, light * HAND);
+            let picture = canvas.blur(BLUR_PX).take(NOISE, &mut noise);
+            let line = update(&mut tracker, &picture, time_s).finger_line;
+            time_s += FRAME_S;
+            let error = LineError::of(&line.unwrap(), &hand);
+            assert!(error.tip_px < 1.0 && error.angle_rad.abs() < 0.02, "{thumb:?} {k}: {error:?}");
+        }
+    }
 }

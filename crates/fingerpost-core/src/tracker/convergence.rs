@@ -1,18 +1,19 @@
 //! Gauss–Newton in one shape space: measure, linearise, solve, move, until nothing moves.
 
-use super::looks::{Looks, Sight, Silhouette};
+use super::looks::{Lead, Looks, Sight, Silhouette};
 use super::neighbours::alike;
 use super::options::{AcceptOptions, TrackerOptions};
 use super::scene::Scene;
 use super::{MAX_DOF, SearchedLine, ShapeEstimate};
 use crate::Result;
+use crate::appearance::Appearance;
 use crate::background::Background;
 use crate::discriminant::{DiscriminantImage, Mixture, region_about};
 use crate::dynamics::{Expectation, Gate};
 use crate::fit::{EquationBuffer, Equations, FitReport, Fitter, Outcome, Prior};
 use crate::frame::Frame;
 use crate::refine::Finger;
-use crate::search::{Cue, EdgeMeasurement, EdgeSearch, Miss, Scale, SearchLine};
+use crate::search::{Cue, Edge, EdgeMeasurement, EdgeSearch, Miss, Polarity, Scale, SearchLine};
 use crate::shape_space::{Axis, PlacedSample, Pose, ShapeSpace};
 use crate::simd::Isa;
 use crate::template::{Part, TemplateSample};
@@ -53,6 +54,10 @@ pub(super) struct Attempt<'a> {
     pub window: Option<Window>,
     /// It has come to rest when no sample moves further than this \[px\].
     pub rest_px: f64,
+    /// Whether edges count alone that look like the hand inside.
+    pub own_only: bool,
+    /// The residual offsets' scale near the hand's edges is at most this \[px\].
+    pub most_scale_px: f64,
 }
 
 /// Where a hand that moved on is expected, and how far from there its edges are looked for.
@@ -61,9 +66,22 @@ pub(super) struct Window {
     /// (c_u, c_v, θ).
     pub expected: Expectation<3>,
     pub gate: Gate,
+    /// How far they are looked for once the hand is placed \[px\].
+    pub near_px: f64,
+    /// Whether what does not look like the hand inside of an edge is taken for what covers it.
+    pub own_only: bool,
+    /// By what it is looked for there.
+    pub lead: Lead,
 }
 
 impl Window {
+    /// What a hand that goes on as it did is believed to do; nothing is of any other.
+    pub fn belief(&self) -> Option<Prior<3>> {
+        let Expectation { vector, covariance } = self.expected;
+        let information = covariance.try_inverse().filter(|_| self.own_only)?;
+        Some(Prior { mean: vector, information })
+    }
+
     /// How far to look along the normal of a sample: it moves with the hand, and a little besides.
     fn length(&self, placed: &PlacedSample) -> f64 {
         let PlacedSample { position, normal } = placed;
@@ -106,6 +124,10 @@ pub(super) struct Fit {
     pub support: Support,
     pub residual_rms_px: f64,
     pub rank: usize,
+    /// Whether edges counted alone that look like the hand inside.
+    pub own_only: bool,
+    /// Whether its looks told which edges are the hand's.
+    pub by_looks: bool,
 }
 
 /// What became of the samples of a search.
@@ -240,12 +262,31 @@ impl Convergence {
             .filter_map(|((&i, line), found)| found.as_ref().ok().map(|edge| (i, line, edge)))
             .zip(self.fitter.weights())
             .filter(|&((i, ..), &weight)| i < samples && weight > 0.5)
-            .map(|((_, line, edge), _)| {
-                let PlacedSample { position, normal } = line.sample;
-                PlacedSample { position: position + normal * edge.offset_px, normal }
-            });
+            .map(|((_, line, edge), _)| at_edge(line, edge));
         self.agreeing.extend(agreeing);
+        self.leave_out_covered(looks, frame)?;
         looks.learn(frame, &mut self.image, &self.agreeing, finger, keep)
+    }
+
+    /// Of the agreeing edges, forgets those that do not look like the hand inside, as long as most do:
+    /// they are those of what covers it. In another light none looks like it did.
+    fn leave_out_covered(&mut self, looks: &Looks, frame: &Scene<'_>) -> Result<()> {
+        let Some(sight) = looks.sight(frame, Lead::HandEdges, Polarity::Unknown) else {
+            return Ok(());
+        };
+        let Some(known) = sight.cue.appearance() else { return Ok(()) };
+        let shown = match sight.mixture {
+            Some(mixture) => {
+                let edges = self.agreeing.iter().map(|edge| (edge.position, KERNEL_REACH_PX));
+                self.image.of(frame, mixture, region_about(edges))?
+            }
+            None => **frame,
+        };
+        let own = |edge: &PlacedSample| is_own(&shown, known, edge);
+        if 2 * self.agreeing.iter().filter(|edge| own(edge)).count() >= self.agreeing.len() {
+            self.agreeing.retain(own);
+        }
+        Ok(())
     }
 
     /// From where along the finger a flank was visible in the last search, in units of the template.
@@ -304,12 +345,10 @@ impl Convergence {
             let samples = self.visible.iter().map(|&i| &attempt.samples[i]);
             let measured = samples.zip(&self.lines).zip(&self.measurements);
             let equations = linearise(space, &pose, measured, &mut self.equations)?;
-            let min_scale_px = self
-                .fitter
-                .options()
-                .min_scale_px
-                .max((half_length_px - MIN_HALF_LENGTH_PX) * FAR_SCALE);
-            let fit = self.fitter.solve_with_scale(&equations, prior.as_ref(), min_scale_px);
+            let far_px = (half_length_px - MIN_HALF_LENGTH_PX).max(0.0) * FAR_SCALE;
+            let least_px = self.fitter.options().min_scale_px.max(far_px);
+            let scales_px = (least_px, attempt.most_scale_px);
+            let fit = self.fitter.solve_with_scale(&equations, prior.as_ref(), scales_px);
             if fit.outcome != Outcome::Determined {
                 return Ok(Converged { fit: None, ..at });
             }
@@ -317,7 +356,10 @@ impl Convergence {
             self.mark_agreeing();
             at.x += fit.step;
             let support = self.support(attempt.samples);
-            at.fit = Some(self.summarise(space, &at.x, &fit, support));
+            let own_only = attempt.own_only;
+            let by_looks = attempt.sight.cue.appearance().is_some();
+            at.fit =
+                Some(Fit { own_only, by_looks, ..self.summarise(space, &at.x, &fit, support) });
             if moved_px < attempt.rest_px {
                 break;
             }
@@ -389,6 +431,13 @@ impl Convergence {
         };
         let Attempt { sight, scale, .. } = attempt;
         self.search.search(&shown, sight.cue, *scale, &self.lines, &mut self.measurements)?;
+        if let (true, Some(looks)) = (attempt.own_only, sight.cue.appearance()) {
+            for (line, found) in self.lines.iter().zip(&mut self.measurements) {
+                if found.is_ok_and(|edge| !is_own(&shown, looks, &at_edge(line, &edge))) {
+                    *found = Err(Miss::NoContrast);
+                }
+            }
+        }
         let Some(background) = frame.background().filter(|_| !matches!(sight.cue, Cue::Votes(_)))
         else {
             return Ok(());
@@ -421,6 +470,41 @@ impl Convergence {
             }
         }
         Ok(())
+    }
+
+    /// The part of the visible contour of the first `samples` whose edges the last fit explains to
+    /// within so much, and which look like the hand inside, 0–1.
+    pub fn own_share(
+        &mut self,
+        frame: &Scene<'_>,
+        sight: &Sight<'_>,
+        samples: usize,
+        within_px: f64,
+    ) -> Result<f64> {
+        let within_px = within_px.min(SUPPORT_PX);
+        let shown = match sight.mixture {
+            Some(mixture) => self.image.of(frame, mixture, region(&self.lines))?,
+            None => **frame,
+        };
+        let mut residuals = self.fitter.residuals().iter();
+        let (mut own, mut visible) = (0_usize, 0_usize);
+        for ((&i, line), found) in self.visible.iter().zip(&self.lines).zip(&self.measurements) {
+            let near = match found {
+                Ok(edge) if residuals.next().is_some_and(|r| r.abs() < within_px) => Some(edge),
+                _ => None,
+            };
+            if i < samples {
+                visible += 1;
+                let looks_own = |edge: &Edge| {
+                    sight
+                        .cue
+                        .appearance()
+                        .is_none_or(|looks| is_own(&shown, looks, &at_edge(line, edge)))
+                };
+                own += usize::from(near.is_some_and(looks_own));
+            }
+        }
+        Ok(own as f64 / visible.max(1) as f64)
     }
 
     /// Notes whose edges agree with the last solution.
@@ -471,6 +555,8 @@ impl Convergence {
             support,
             residual_rms_px: fit.residual_rms_px,
             rank: fit.rank,
+            own_only: false,
+            by_looks: false,
         }
     }
 }
@@ -481,6 +567,24 @@ const HARDLY: f64 = 0.3;
 /// The hand's own edge is looked for so far from where it begins to differ from the background
 /// \[px\].
 const BEGINS_WITHIN_PX: f64 = 4.0;
+
+/// What is inside of an edge is the hand if its pixels vote for that by this much on average.
+const OWN_VOTE: f32 = 0.5;
+
+/// Whether what is inside of an edge looks like the hand.
+fn is_own(frame: &Frame<'_>, looks: &Appearance, edge: &PlacedSample) -> bool {
+    let vote = |inside_px: f64| {
+        let place = edge.position - edge.normal * inside_px;
+        looks.vote(frame, place.x, place.y)
+    };
+    INSIDE_PX.map(vote).iter().sum::<f32>() >= OWN_VOTE * INSIDE_PX.len() as f32
+}
+
+/// A sample of the contour moved to its edge.
+fn at_edge(line: &SearchLine, edge: &Edge) -> PlacedSample {
+    let PlacedSample { position, normal } = line.sample;
+    PlacedSample { position: position + normal * edge.offset_px, normal }
+}
 
 /// How likely a place on a search line is foreground.
 fn foreground(

@@ -269,6 +269,8 @@ impl Mould<'_> {
             half_length_px,
             window: None,
             rest_px: CONVERGED_PX,
+            own_only: false,
+            most_scale_px: f64::INFINITY,
         };
         let space = Ribbon::<D>::about(x, &self.measure.with_thumb(has_thumb))?;
         let prior = (D > 3).then(|| self.belief::<D>(believed));
@@ -340,6 +342,8 @@ impl Mould<'_> {
             half_length_px: reach_px,
             window: None,
             rest_px: CONVERGED_PX,
+            own_only: false,
+            most_scale_px: f64::INFINITY,
         };
         let offsets = convergence.offsets(frame, &space, x, &attempt)?;
         Ok(offsets.map(|d| (1000.0 * (1.0 - (d / reach_px).abs()).max(0.0)) as u64).sum())

@@ -45,6 +45,8 @@ const IMPOSSIBLE_TURN: f64 = 6.0;
 /// this part of either flank is seen.
 const FORETOLD_SHARE: f64 = 0.66;
 const CONTRADICTED: f64 = 0.08;
+/// The same where all that counts looks like the hand: what covers a hand has edges inside of it.
+const CONTRADICTED_BY_COVER: f64 = 0.2;
 const FLANK_SEEN: f64 = 0.25;
 
 /// A finger whose halves differ by more than this is bent \[rad\]: a line fitted to both would be
@@ -144,7 +146,8 @@ impl Known<'_> {
             (fit.seen.hits - fit.seen.inliers) as f64 / fit.seen.visible.max(1) as f64;
         let flanks = [Part::LeftFlank, Part::RightFlank].map(|part| fit.support.of(part));
         let surprise = self.motion.map_or(1.0, |m| m.surprise.min(1.0));
-        let share = if contradicted <= CONTRADICTED && flanks.iter().all(|&f| f >= FLANK_SEEN) {
+        let most = if fit.own_only { CONTRADICTED_BY_COVER } else { CONTRADICTED };
+        let share = if contradicted <= most && flanks.iter().all(|&f| f >= FLANK_SEEN) {
             FORETOLD_SHARE + (1.0 - FORETOLD_SHARE) * surprise
         } else {
             1.0

@@ -1,0 +1,60 @@
+//! How a hand has moved lately, beside what a hand may do at any time.
+//!
+//! The filter's process noise allows for a hand that starts, stops or turns round in any frame, so
+//! that it is not lost when it does. To a hand at rest that leaves room for every edge nearby: a jump
+//! costs it nothing. What it did in the last frames tells how likely a jump is. It may start to move
+//! all the same, so that what is unlikely costs with the logarithm alone (Student's t, whose scale
+//! the last innovations give).
+
+use super::convergence::{MIN_HALF_LENGTH_PX, Window};
+use crate::dynamics::{Expectation, Innovation};
+
+/// Innovations of so many frames tell how a hand moves.
+const FRAMES: f64 = 5.0;
+/// However still it keeps, its innovation is expected to be this part of what the process noise
+/// says, in squares.
+const STILLEST: f64 = 0.01;
+/// Place and angle.
+const COMPONENTS: f64 = 3.0;
+/// What an e-fold of surprise costs, in parts of the contour explained.
+const SURPRISE_SAY: f64 = 0.05;
+
+/// The mean square of the last innovations, in units of their covariance: 1 for a hand that moves as
+/// its process noise says, less for one that keeps still or moves steadily.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Pace {
+    mean_square: f64,
+    frames: f64,
+}
+
+impl Pace {
+    /// Of a hand that has not been followed yet.
+    pub fn unknown() -> Self {
+        Self { mean_square: 1.0, frames: 1.0 }
+    }
+
+    /// Takes over the innovation of a frame, as a normalised square.
+    pub fn follow(&mut self, normalised_square: Option<f64>) {
+        let Some(square) = normalised_square else { return };
+        self.frames = (self.frames + 1.0).min(FRAMES);
+        self.mean_square += (square / COMPONENTS - self.mean_square) / self.frames;
+    }
+
+    /// What is expected of the next innovation's mean square.
+    fn expected(self) -> f64 {
+        self.mean_square.clamp(STILLEST, 1.0)
+    }
+
+    /// Where a hand is that goes on as it did.
+    pub fn steady(self, window: &Window) -> Window {
+        let Expectation { vector, covariance } = window.expected;
+        let expected = Expectation { vector, covariance: covariance * self.expected() };
+        Window { expected, near_px: MIN_HALF_LENGTH_PX, own_only: true, ..*window }
+    }
+
+    /// What an innovation costs, in parts of the contour explained.
+    pub fn cost(self, innovation: &Innovation<3>) -> f64 {
+        let square = innovation.normalised_square() / (COMPONENTS * self.expected());
+        SURPRISE_SAY * square.ln_1p()
+    }
+}
