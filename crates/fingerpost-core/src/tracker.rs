@@ -473,6 +473,11 @@ impl Hand {
         Attempt { samples, sight, scale, half_length_px, window, rest_px, own_only, most_scale_px }
     }
 
+    /// Whether it was seen whole of late: what never was may be none, and moves as it likes.
+    fn is_known_whole(&self) -> bool {
+        self.partly_frames < MOST_COVERED_FRAMES
+    }
+
     /// Notes whether a fit that counts explains nearly all of its contour.
     fn count_partly(&mut self, found: &Found) {
         let is_whole = found.explained() >= SURE;
@@ -519,6 +524,8 @@ struct Way {
     own: f64,
     /// What its motion costs; ∞ if no hand can have become or moved to it.
     cost: f64,
+    /// Whether a hand that moves as it did would hardly be there.
+    surprises: bool,
 }
 
 impl Way {
@@ -1168,11 +1175,11 @@ impl ContourTracker {
         let window = foretold.map(|f| f.window);
         let near = self.settle(frame, predicted, Scale::Fine, window)?;
         let near = self.weighed(frame, near, (predicted, Scale::Fine, window), foretold)?;
-        if near.found.explained() >= SURE && near.cost <= UNSURPRISING {
+        if near.found.explained() >= SURE && !near.surprises {
             return Ok(near.found);
         }
         let steady = match foretold {
-            Some(f) if self.hand.partly_frames < MOST_COVERED_FRAMES => {
+            Some(f) if self.hand.is_known_whole() => {
                 let narrow = Some(self.pace.steady(&f.window));
                 Some(self.way(frame, (predicted, Scale::Fine, narrow), foretold)?)
             }
@@ -1199,7 +1206,7 @@ impl ContourTracker {
             let window = self.pace.steady(&foretold.window);
             let narrow = Some(Window { lead: Lead::AnyEdge, ..window });
             let relit = self.way(frame, (predicted, Scale::Fine, narrow), Some(foretold))?;
-            if relit.found.explained() >= SURE && relit.cost <= UNSURPRISING {
+            if relit.found.explained() >= SURE && !relit.surprises {
                 return Ok(relit.found);
             }
             is_last = false;
@@ -1236,10 +1243,13 @@ impl ContourTracker {
         let followed = foretold.map(|f| f.followed(&found)).transpose()?.flatten();
         let innovation = followed.as_ref().and_then(|(_, innovation)| innovation.as_ref());
         let possible = self.known(&self.options.track.accept, innovation).is_possible(&found.shape);
-        let cost = match possible {
-            Ok(()) => innovation.map_or(0.0, |i| self.pace.cost(i)),
-            Err(_) => f64::INFINITY,
+        let cost = match (possible, innovation) {
+            (Err(_), _) => f64::INFINITY,
+            (Ok(()), Some(i)) if self.hand.is_known_whole() => self.pace.cost(i),
+            _ => 0.0,
         };
+        let surprises = cost > UNSURPRISING
+            || innovation.is_some_and(|i| i.normalised_square() > self.surprise);
         let samples = self.hand.fingers(&self.samples);
         let sight = self.hand.sight(frame, Lead::HandEdges, self.options.polarity);
         let own = self.convergence.own_share(
@@ -1248,7 +1258,7 @@ impl ContourTracker {
             samples,
             OWN_SCALES * self.hand.most_scale_px(),
         )?;
-        Ok(Way { found, path, own, cost })
+        Ok(Way { found, path, own, cost, surprises })
     }
 
     /// From afar: by the votes of pixels, if they are known, to about the right place; then the
