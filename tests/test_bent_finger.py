@@ -1,18 +1,12 @@
-"""A finger that bends is reported, not fitted: on simulated hands, and on photographs of one.
+"""A finger that bends is reported, not fitted.
 
-The photographs are images 547–568 of the TI1K data set (github.com/MahmudulAlam/TI1K-Dataset, MIT
-licence) with the silhouettes' medial lines in `axis.csv`: the finger is straight in the middle and
-bends at either end. They are not part of the project; FINGERPOST_TI1K names their folder.
+`benches/photographs.py` shows it of a real one.
 """
 
-import csv
 import math
-import os
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 
@@ -128,39 +122,3 @@ def test_a_bend_along_the_line_of_sight_does_not_show():
         for at in (POSE, pose)
     ]
     assert min(shown) < math.radians(15) < math.radians(25) < max(shown)
-
-
-FOLDER = Path(os.environ.get("FINGERPOST_TI1K", "ti1k"))
-
-
-@pytest.mark.skipif(not (FOLDER / "axis.csv").exists(), reason="needs the photographs of TI1K")
-@pytest.mark.parametrize("half_widths", [5.5, 6.5, 7.4])
-@pytest.mark.parametrize(
-    ("thumb", "numbers"),
-    [("none", range(553, 569)), ("right", range(553, 569)), ("none", range(556, 546, -1))],
-)
-def test_photographs_of_a_finger_that_bends(half_widths, thumb, numbers):
-    with (FOLDER / "axis.csv").open() as rows:
-        axes = {int(row["frame"][-8:-4]): row for row in csv.DictReader(rows)}
-    images = {k: cv2.imread(str(FOLDER / axes[k]["frame"])) for k in numbers}
-    first = {name: float(axes[numbers[0]][name]) for name in axes[numbers[0]] if name != "frame"}
-    start = StartPose(
-        (first["apex_x"], first["apex_y"]),
-        math.radians(first["angle_deg"]),
-        half_widths * first["width_px"] / 2,
-    )
-    tracker = ContourTracker(Template.pistol(thumb), start)
-    errors = []
-    for index, k in enumerate([numbers[0]] * 8 + list(numbers)):
-        grey = cv2.cvtColor(images[k], cv2.COLOR_BGR2GRAY)
-        track = tracker.update(grey, index / 10, images[k])
-        if index < 8:
-            continue
-        if 550 <= k <= 560:
-            assert track.finger_line is not None, (k, track.diagnostics)
-            silhouette_rad = math.radians(float(axes[k]["angle_deg"]))
-            errors.append(turn(silhouette_rad, track.finger_line.angle_rad))
-        if k < 548 or k > 564:
-            assert track.finger_line is None, (k, track.diagnostics)
-            assert track.diagnostics.refusal == "misfit", (k, track.diagnostics)
-    assert np.median(np.abs(errors)) < math.radians(3.0)
