@@ -524,6 +524,12 @@ struct Way {
     own: f64,
     /// What its motion costs; ∞ if no hand can have become or moved to it.
     cost: f64,
+}
+
+/// How a hand has moved to a place.
+struct Moved {
+    /// As [`Way::cost`].
+    cost: f64,
     /// Whether a hand that moves as it did would hardly be there.
     surprises: bool,
 }
@@ -1174,10 +1180,10 @@ impl ContourTracker {
         let reach_px = reach_px.min(MAX_HALF_LENGTH_PX as f64);
         let window = foretold.map(|f| f.window);
         let near = self.settle(frame, predicted, Scale::Fine, window)?;
-        let near = self.weighed(frame, near, (predicted, Scale::Fine, window), foretold)?;
-        if near.found.explained() >= SURE && !near.surprises {
-            return Ok(near.found);
+        if self.is_plain(&near, foretold)? {
+            return Ok(near);
         }
+        let near = self.weighed(frame, near, (predicted, Scale::Fine, window), foretold)?;
         let steady = match foretold {
             Some(f) if self.hand.is_known_whole() => {
                 let narrow = Some(self.pace.steady(&f.window));
@@ -1206,7 +1212,7 @@ impl ContourTracker {
             let window = self.pace.steady(&foretold.window);
             let narrow = Some(Window { lead: Lead::AnyEdge, ..window });
             let relit = self.way(frame, (predicted, Scale::Fine, narrow), Some(foretold))?;
-            if relit.found.explained() >= SURE && !relit.surprises {
+            if self.is_plain(&relit.found, Some(foretold))? {
                 return Ok(relit.found);
             }
             is_last = false;
@@ -1240,7 +1246,23 @@ impl ContourTracker {
         path: Path,
         foretold: Option<&Foretold>,
     ) -> Result<Way> {
-        let followed = foretold.map(|f| f.followed(&found)).transpose()?.flatten();
+        let cost = self.motion(&found, foretold)?.cost;
+        let samples = self.hand.fingers(&self.samples);
+        let sight = self.hand.sight(frame, Lead::HandEdges, self.options.polarity);
+        let within_px = OWN_SCALES * self.hand.most_scale_px();
+        let own = self.convergence.own_share(frame, &sight, samples, within_px)?;
+        Ok(Way { found, path, own, cost })
+    }
+
+    /// Whether a fit leaves nothing to ask: nearly all of the contour is explained, where a hand would
+    /// be that goes on as it did.
+    fn is_plain(&self, found: &Found, foretold: Option<&Foretold>) -> Result<bool> {
+        Ok(found.explained() >= SURE && !self.motion(found, foretold)?.surprises)
+    }
+
+    /// What the way to a fit costs, and whether it surprises.
+    fn motion(&self, found: &Found, foretold: Option<&Foretold>) -> Result<Moved> {
+        let followed = foretold.map(|f| f.followed(found)).transpose()?.flatten();
         let innovation = followed.as_ref().and_then(|(_, innovation)| innovation.as_ref());
         let possible = self.known(&self.options.track.accept, innovation).is_possible(&found.shape);
         let cost = match (possible, innovation) {
@@ -1250,15 +1272,7 @@ impl ContourTracker {
         };
         let surprises = cost > UNSURPRISING
             || innovation.is_some_and(|i| i.normalised_square() > self.surprise);
-        let samples = self.hand.fingers(&self.samples);
-        let sight = self.hand.sight(frame, Lead::HandEdges, self.options.polarity);
-        let own = self.convergence.own_share(
-            frame,
-            &sight,
-            samples,
-            OWN_SCALES * self.hand.most_scale_px(),
-        )?;
-        Ok(Way { found, path, own, cost, surprises })
+        Ok(Moved { cost, surprises })
     }
 
     /// From afar: by the votes of pixels, if they are known, to about the right place; then the
