@@ -118,6 +118,11 @@ class FirstHand:
         """Take the search's word for it that the view follows a hand."""
         self.is_proven = True
 
+    @property
+    def waits_beside(self) -> bool:
+        """Whether something has come to the template beside what is followed: perhaps the hand."""
+        return self._second is not None
+
     def recognise(self) -> None:
         """Take another view's word for it that what is followed is a hand, not the table."""
         self.is_proven = True

@@ -375,7 +375,7 @@ class HandView:
         What lies on the table is known for it before long.
         """
         first = self._first_hand
-        if first is None or first.is_proven or self._is_table:
+        if first is None or first.is_proven or first.waits_beside or self._is_table:
             return
         if any(other.has_newcomer and shared.can_be_one(self, other) for other in others):
             first.recognise()

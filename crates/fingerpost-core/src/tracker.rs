@@ -645,8 +645,7 @@ const MOST_COVERED_FRAMES: usize = 90;
 const MOST_BENT_FRAMES: usize = 30;
 
 /// Half the width of the largest finger for which lengths and speeds in pixels are meant as they
-/// are \[px\], while it is waited for and while it is followed; those of a larger one grow with it.
-const ACQUIRED_HALF_WIDTH_PX: f64 = 10.0;
+/// are while it is followed \[px\]; those of a larger one grow with it.
 const FOLLOWED_HALF_WIDTH_PX: f64 = 13.0;
 
 /// A lost hand is looked for this much further than a tracked one.
@@ -703,8 +702,6 @@ impl ContourTracker {
             usual_px: f64::INFINITY,
             partly_frames: MOST_COVERED_FRAMES,
         };
-        let large = (ribbon[3] / ACQUIRED_HALF_WIDTH_PX).max(1.0);
-        let options = TrackerOptions { acquire: options.acquire.enlarged(large), ..options };
         Ok(Self {
             convergence: Convergence::new(&options)?,
             seek: Seek::with_capacity(samples.len()),
@@ -962,7 +959,7 @@ impl ContourTracker {
         };
         let moulded = match self.hand.shape {
             _ if self.template.proportions().is_none() => {
-                let half_length_px = self.options.acquire.half_length_px;
+                let half_length_px = self.options.acquire.reach_px(self.waiting.ribbon[3]);
                 return self.affine(frame, self.waiting.map, half_length_px);
             }
             Shape::Ribbon(x) if settled > 0 => {
@@ -1020,7 +1017,7 @@ impl ContourTracker {
             let (Shape::Ribbon(x), true) = (self.hand.shape, self.hand.is_mixed()) else {
                 return Ok(());
             };
-            let half_length_px = self.options.acquire.half_length_px;
+            let half_length_px = self.options.acquire.reach_px(self.waiting.ribbon[3]);
             let look = Look { lead: Lead::AnyEdge, ..Look::edges(half_length_px) };
             let turned = self.run_ribbon::<3>(frame, &x, Limb::Finger, look, None)?;
             self.hand.acquired = x;

@@ -133,7 +133,7 @@ impl Mould<'_> {
         from: &RibbonVector,
         kind: Kind,
     ) -> Result<Moulded> {
-        let reach_px = (self.options.acquire.half_length_px / 2.0).max(1.0);
+        let reach_px = (self.options.acquire.reach_px(self.waiting[3]) / 2.0).max(1.0);
         let moulded = self.refit_within(convergence, frame, from, kind, reach_px)?;
         let near_px = (NEAR_WIDTHS * from[3]).max(MIN_HALF_LENGTH_PX).min(reach_px);
         let least = self.options.acquire.accept.min_inliers;
@@ -230,7 +230,7 @@ impl Mould<'_> {
         from: &RibbonVector,
         polarity: Polarity,
     ) -> Result<Converged<RIBBON_DOF>> {
-        let half_px = self.options.acquire.half_length_px;
+        let half_px = self.options.acquire.reach_px(self.waiting[3]);
         let moved = self.bands::<2>(convergence, frame, from, from, half_px, polarity)?;
         let turned = self.bands::<3>(convergence, frame, &moved.x, from, half_px, polarity)?;
         self.bands::<5>(convergence, frame, &turned.x, from, half_px, polarity)

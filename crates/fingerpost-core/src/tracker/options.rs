@@ -41,11 +41,15 @@ pub struct AcquireOptions {
     pub max_scale: f64,
 }
 
+/// Half the width of the largest finger for which lengths in pixels are meant as they are while it is
+/// waited for \[px\]; those of a larger one grow with it.
+const LARGEST_HALF_WIDTH_PX: f64 = 10.0;
+
 impl AcquireOptions {
-    /// For a hand so many times as large as usual.
-    pub(super) fn enlarged(self, large: f64) -> Self {
-        let half_length_px = (large * self.half_length_px).min(MAX_HALF_LENGTH_PX as f64);
-        Self { half_length_px, ..self }
+    /// How far a waiting finger of this half-width looks for edges \[px\].
+    pub(super) fn reach_px(&self, half_width_px: f64) -> f64 {
+        let large = (half_width_px / LARGEST_HALF_WIDTH_PX).max(1.0);
+        (large * self.half_length_px).min(MAX_HALF_LENGTH_PX as f64)
     }
 }
 
