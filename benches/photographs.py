@@ -40,6 +40,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n", maxsplit=1)[0])
     parser.add_argument("folder", type=Path)
     folder = parser.parse_args().folder
+    if not (folder / "axis.csv").is_file():
+        parser.error(f"{folder} has no axis.csv; the folder of the photographs is right")
     with (folder / "axis.csv").open() as rows:
         axes = {int(row["frame"][-8:-4]): row for row in csv.DictReader(rows)}
     for thumb, numbers, half_widths in RUNS:

@@ -15,10 +15,9 @@ from fingerpost.pointing import PointingOptions, Status
 from fingerpost.simulate import Background, DevicePose, Sensor, SimulatedRig, Trajectory
 
 # Targets whose waiting templates mostly take something on the cluttered table for a hand first.
-TARGETS = 5
-# A fifth of a per cent of the plane is what many targets reach on average; these few, one of which
-# is seen under a small angle, less than twice that.
-KNOWN_RMS_MM = 1.5
+TARGETS = 10
+# A fifth of a per cent of the plane is what many targets reach on average.
+KNOWN_RMS_MM = 1.2
 TABLE_FRAMES = 30
 FPS = 30.0
 # 5 % of the plane.

@@ -221,6 +221,20 @@ impl DiscriminantImage {
         self.made = None;
     }
 
+    /// The frame as a mixture shows it, in a region at least, or as it is where there is none; see
+    /// [`of`](Self::of).
+    ///
+    /// # Errors
+    /// As those of [`of`](Self::of).
+    pub(crate) fn shown<'a>(
+        &'a mut self,
+        frame: &Frame<'a>,
+        mixture: Option<&Mixture>,
+        region: impl FnOnce() -> [f64; 4],
+    ) -> Result<Frame<'a>> {
+        mixture.map_or(Ok(*frame), |mixture| self.of(frame, mixture, region()))
+    }
+
     /// The frame with the discriminant in place of its grey image, in a region at least: columns
     /// and rows \[px\], from and to. Outside it, pixels are of any value.
     ///

@@ -121,6 +121,8 @@ const COMMON: f64 = 0.5;
 /// Two honest looks differ by more than this, in the square of the differences' covariance, in one
 /// case of ten: χ² of offset and angle.
 const BY_CHANCE: f64 = 4.605;
+/// And by more than this in one case of a hundred: then one of them is of something else.
+const CONTRADICTION: f64 = 9.21;
 
 impl FingerLine {
     /// The axis of a fitted template, which is told at its middle.
@@ -136,8 +138,23 @@ impl FingerLine {
         Vector2::new(self.axis.normal().dot(&(other.anchor - self.axis.anchor)), turn)
     }
 
+    /// The same line, told so much farther along.
+    fn told_along(self, by_px: f64) -> Self {
+        let anchor = self.axis.anchor + self.axis.direction() * by_px;
+        // Offset there: that here + by_px · angle.
+        let there = Matrix2::new(1.0, by_px, 0.0, 1.0);
+        let covariance = there * self.covariance * there.transpose();
+        Self { axis: Axis { anchor, ..self.axis }, covariance, ..self }
+    }
+
+    /// The same line, told beside the anchor of another.
+    fn told_beside(self, other: &Self) -> Self {
+        self.told_along((other.axis.anchor - self.axis.anchor).dot(&self.axis.direction()))
+    }
+
     /// Whether two lines of one finger lie farther apart than their covariances say.
     fn contradicts(&self, other: &Self) -> bool {
+        let other = other.told_beside(self);
         let apart = self.apart(&other.axis);
         let inverse = (self.covariance + other.covariance).try_inverse();
         inverse.is_none_or(|inverse| apart.dot(&(inverse * apart)) > CONTRADICTION)
@@ -156,13 +173,9 @@ impl FingerLine {
     /// much.
     fn joined(self, other: &Self) -> Self {
         let Self { axis, covariance, .. } = self;
-        let along_px = (axis.anchor - other.axis.anchor).dot(&other.axis.direction());
-        let at_anchor = Matrix2::new(1.0, along_px, 0.0, 1.0);
-        let others = at_anchor * other.covariance * at_anchor.transpose();
-        let turn = other.axis.angle_rad - axis.angle_rad;
-        let beside = other.axis.anchor + other.axis.direction() * along_px - axis.anchor;
-        let apart = Vector2::new(axis.normal().dot(&beside), turn - (turn / TAU).round() * TAU);
-        let Some(weight) = (covariance + others).try_inverse() else { return self };
+        let other = other.told_beside(&self);
+        let apart = self.apart(&other.axis);
+        let Some(weight) = (covariance + other.covariance).try_inverse() else { return self };
         let gain = covariance * weight;
         let step = gain * apart;
         let contradiction = apart.dot(&(weight * apart)) / BY_CHANCE;
@@ -170,7 +183,7 @@ impl FingerLine {
         let tip_px = (axis.tip - axis.anchor).dot(&axis.direction());
         Self {
             axis: Axis::of_finger(anchor, axis.angle_rad + step.y, tip_px),
-            covariance: (1.0 + COMMON) * contradiction.max(1.0) * gain * others,
+            covariance: (1.0 + COMMON) * contradiction.max(1.0) * gain * other.covariance,
             source: LineSource::Both,
             ..self
         }
@@ -178,15 +191,10 @@ impl FingerLine {
 
     /// A refined line, told at the middle of the stretch that it stands for.
     fn of_pixels(refined: &Refined) -> Self {
-        let Refined { axis, stretch, covariance, .. } = refined;
-        let shift_px = 0.5 * (stretch.from_px + stretch.to_px);
-        let shift = Matrix2::new(1.0, shift_px, 0.0, 1.0);
-        Self {
-            axis: Axis { anchor: axis.anchor + axis.direction() * shift_px, ..*axis },
-            half_length_px: 0.5 * stretch.length_px(),
-            covariance: shift * covariance * shift.transpose(),
-            source: LineSource::Pixels,
-        }
+        let Refined { axis, stretch, covariance, .. } = *refined;
+        let half_length_px = 0.5 * stretch.length_px();
+        let line = Self { axis, half_length_px, covariance, source: LineSource::Pixels };
+        line.told_along(0.5 * (stretch.from_px + stretch.to_px))
     }
 }
 
@@ -621,8 +629,6 @@ const CAP: f64 = 0.7;
 /// What a fit's covariance does not know of: how far the template slides on a hand that is not
 /// quite like it, standard deviations of (c_u, c_v, θ) \[px, px, rad\].
 const MISFIT_SIGMAS: [f64; 3] = [0.5, 0.5, 0.01];
-/// Two lines of one finger are less than this apart in 99 of 100 cases, as a normalised square.
-const CONTRADICTION: f64 = 9.21;
 /// A hand that moves as foretold stays below what counts as a surprise with this probability.
 const SURPRISE: f64 = 0.9999;
 /// Once the votes have been sought, their changes are looked for this part of the way, for the hand
@@ -652,15 +658,15 @@ const FOLLOWED_HALF_WIDTH_PX: f64 = 13.0;
 const LOST_REACH: f64 = 2.0;
 /// A fit that explains this part of the contour needs no second look from afar.
 const SURE: f64 = 0.85;
+/// Nor does one whose motion costs no more than this.
+const UNSURPRISING: f64 = 0.1;
 /// A contour of which less than this looks like the hand may be seen in another light.
 const UNLIKE: f64 = 0.3;
 /// What an edge counts that does not look like the hand inside, beside one that does: in a new light
 /// none does.
 const OTHERS_SAY: f64 = 0.1;
-/// It is that where the fit leaves it within so many of the largest scales that its edges usually have.
+/// An edge is the hand's own only within so many of the largest scales of its residual offsets.
 const OWN_SCALES: f64 = 2.5;
-/// Nor does one whose motion costs no more than this.
-const UNSURPRISING: f64 = 0.1;
 /// Once votes have led the contour to the hand, its edges are looked for this far \[px\].
 const NEAR_PX: f64 = 10.0;
 

@@ -275,13 +275,8 @@ impl Convergence {
             return Ok(());
         };
         let Some(known) = sight.cue.appearance() else { return Ok(()) };
-        let shown = match sight.mixture {
-            Some(mixture) => {
-                let edges = self.agreeing.iter().map(|edge| (edge.position, KERNEL_REACH_PX));
-                self.image.of(frame, mixture, region_about(edges))?
-            }
-            None => **frame,
-        };
+        let edges = self.agreeing.iter().map(|edge| (edge.position, KERNEL_REACH_PX));
+        let shown = self.image.shown(frame, sight.mixture, || region_about(edges))?;
         let own = |edge: &PlacedSample| is_own(&shown, known, edge);
         if 2 * self.agreeing.iter().filter(|edge| own(edge)).count() >= self.agreeing.len() {
             self.agreeing.retain(own);
@@ -302,11 +297,10 @@ impl Convergence {
         mixture: Option<&Mixture>,
         finger: &Finger,
     ) -> Result<Frame<'a>> {
-        let Some(mixture) = mixture else { return Ok(*frame) };
         let (axis, reach) = (finger.axis, 2.0 * finger.half_width_px + KERNEL_REACH_PX);
         let from = finger.flanks[0].from_px.min(finger.flanks[1].from_px);
         let ends = [axis.tip, axis.anchor + axis.direction() * from];
-        self.image.of(frame, mixture, region_about(ends.iter().map(|end| (*end, reach))))
+        self.image.shown(frame, mixture, || region_about(ends.iter().map(|end| (*end, reach))))
     }
 
     /// The frame about some pixels, as a mixture shows it.
@@ -317,12 +311,7 @@ impl Convergence {
         pixels: impl Iterator<Item = Point2<f64>>,
         reach_px: f64,
     ) -> Result<Frame<'a>> {
-        match mixture {
-            Some(mixture) => {
-                self.image.of(frame, mixture, region_about(pixels.map(|p| (p, reach_px))))
-            }
-            None => Ok(*frame),
-        }
+        self.image.shown(frame, mixture, || region_about(pixels.map(|p| (p, reach_px))))
     }
 
     /// From `x`, where the image takes it in this space. `believed` is a prior on the shape vector
@@ -425,10 +414,7 @@ impl Convergence {
         }
         self.agrees.clear();
         self.agrees.resize(self.lines.len(), false);
-        let shown = match attempt.sight.mixture {
-            Some(mixture) => self.image.of(frame, mixture, region(&self.lines))?,
-            None => **frame,
-        };
+        let shown = self.image.shown(frame, attempt.sight.mixture, || region(&self.lines))?;
         let Attempt { sight, scale, .. } = attempt;
         self.search.search(&shown, sight.cue, *scale, &self.lines, &mut self.measurements)?;
         if let (true, Some(looks)) = (attempt.own_only, sight.cue.appearance()) {
@@ -482,10 +468,7 @@ impl Convergence {
         within_px: f64,
     ) -> Result<f64> {
         let within_px = within_px.min(SUPPORT_PX);
-        let shown = match sight.mixture {
-            Some(mixture) => self.image.of(frame, mixture, region(&self.lines))?,
-            None => **frame,
-        };
+        let shown = self.image.shown(frame, sight.mixture, || region(&self.lines))?;
         let mut residuals = self.fitter.residuals().iter();
         let (mut own, mut visible) = (0_usize, 0_usize);
         for ((&i, line), found) in self.visible.iter().zip(&self.lines).zip(&self.measurements) {
