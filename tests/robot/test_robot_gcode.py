@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from robot_rig import TIME_SCALE, Tape, assert_in_time, best_of_three
+from robot_rig import TIME_SCALE, RunningTime, Tape, assert_in_time, best_of_three
 
 from fingerpost.errors import InvalidInputError
 from fingerpost.robot.emulator.faults import Fault
 from fingerpost.robot.emulator.gcode import HOME_MM, MarlinController, UarmController
-from fingerpost.robot.emulator.ports import ArmTime, Emulator, PtyPort
+from fingerpost.robot.emulator.ports import Emulator, PtyPort
 from fingerpost.robot.errors import (
     CommandRefusedError,
     ConnectionLostError,
@@ -60,7 +60,7 @@ class Rig:
 @contextmanager
 def gcode_rig(name, *, home=True, **options):
     dialect, make = ARMS[name]
-    clock, tape, controller = ArmTime(TIME_SCALE), Tape(), make()
+    clock, tape, controller = RunningTime(TIME_SCALE), Tape(), make()
     options = GcodeOptions(
         **{
             "reply_s": 0.3 * TIME_SCALE,
@@ -72,7 +72,7 @@ def gcode_rig(name, *, home=True, **options):
             **options,
         }
     )
-    with Emulator(controller, PtyPort(), clock=clock, slow_s=0.1 * TIME_SCALE) as emulator:
+    with Emulator(controller, PtyPort(), clock=clock, slow_s=0.05 * TIME_SCALE) as emulator:
         robot = GcodeArm(
             emulator.address, dialect, options, tap=tape, clock=clock, sleep=clock.sleep
         )
