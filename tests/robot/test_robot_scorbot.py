@@ -476,7 +476,7 @@ def test_closing_stops_the_arm():
 def test_a_pose_can_be_read_while_another_thread_waits_for_arrival():
     with scorbot_rig() as rig:
         mover = threading.Thread(
-            target=rig.robot.move_to, args=(over_table(0.4, 0.2),), kwargs={"speed_m_s": 0.1}
+            target=rig.robot.move_to, args=(over_table(0.4, 0.2),), kwargs={"speed_m_s": 0.01}
         )
         mover.start()
         wait_until(rig.is_moving)
