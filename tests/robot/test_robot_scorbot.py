@@ -551,9 +551,11 @@ class Rfc2217Server:
 
 @pytest.mark.filterwarnings("ignore:set(Daemon|Name):DeprecationWarning")  # pyserial
 def test_a_serial_server_by_rfc_2217():
-    with scorbot_rig(connect=False) as rig, Rfc2217Server(rig.emulator.address) as server:
+    scale = 0.2 * TIME_SCALE  # two more threads pass every byte on
+    rig_options = {"connect": False, "time_scale": scale}
+    with scorbot_rig(**rig_options) as rig, Rfc2217Server(rig.emulator.address) as server:
         clock = rig.clock
-        options = fast_options(reply_s=1.0 * TIME_SCALE, quiet_s=0.06 * TIME_SCALE)
+        options = fast_options(reply_s=1.0 * scale, quiet_s=0.06 * scale)
         with Scorbot(server.url, options, clock=clock, sleep=clock.sleep) as robot:
             robot.home()
             robot.move_to(over_table(0.4, 0.1))
