@@ -15,7 +15,6 @@ import os
 # Decoding on one thread, as everything else: this must stand in the environment before OpenCV is.
 os.environ["OPENCV_FFMPEG_CAPTURE_OPTIONS"] = "threads;1"
 
-import dataclasses
 import statistics
 import tempfile
 import time
@@ -30,11 +29,12 @@ import numpy as np
 from fingerpost import pipeline
 from fingerpost._core import ContourTracker, StartPose, Template, update_views
 from fingerpost.capture import Frame, open_source, read_views
-from fingerpost.config import Plane, Rig, Start, View
+from fingerpost.config import Rig
 from fingerpost.finding import HandSearch
 from fingerpost.pipeline import Observation, Pointer, Step
 from fingerpost.pointing import FingerLine
 from fingerpost.recording.picture import draw_view
+from fingerpost.rehearsal import described
 from fingerpost.simulate import (
     Background,
     Hand,
@@ -132,22 +132,10 @@ def simulated(cameras: int) -> tuple[SimulatedRig, Trajectory]:
     )
 
 
-def described(rig: SimulatedRig, motion: Trajectory, sources: Sequence[str | int]) -> Rig:
-    """Describe the rig as a rig file would."""
-    truth = rig.truth(motion, time_s=ARRIVES_S)
-    views = []
-    for seen, points, source in zip(truth.views, rig.reference_points_px, sources, strict=True):
-        start = seen.finger.start()
-        views.append(
-            View(
-                name=f"view {len(views)}",
-                source=source,
-                reference_points_px=tuple(map(tuple, points.tolist())),
-                start=Start(**dataclasses.asdict(start)),
-            )
-        )
-    plane = Plane(unit="mm", points=tuple(map(tuple, rig.plane_points.tolist())))
-    return Rig(plane=plane, views=tuple(views))
+def waiting_rig(rig: SimulatedRig, motion: Trajectory, sources: Sequence[str | int]) -> Rig:
+    """Describe the rig as it is when the hand arrives."""
+    fingers = [view.finger for view in rig.truth(motion, time_s=ARRIVES_S).views]
+    return described(rig, starts=[finger.start() for finger in fingers], sources=sources)
 
 
 def written(folder: Path, rig: SimulatedRig, motion: Trajectory) -> list[str]:
@@ -185,7 +173,7 @@ def follow(pointer: Pointer, frames: Sequence[Frame]) -> tuple[Step, bool]:
 def end_to_end(folder: Path) -> Stopwatch:
     """Time the life of every frame of a pair."""
     scene, motion = simulated(2)
-    rig = described(scene, motion, written(folder, scene, motion))
+    rig = waiting_rig(scene, motion, written(folder, scene, motion))
     clock = Stopwatch()
     time_stages(clock)
     pointer, unrefined = Pointer(rig), Pointer(rig, tracker_options={"refine": False})
@@ -248,7 +236,7 @@ def print_views() -> None:
     print(f"\n{'views in one call [us]':<40} {'looking for a hand':>20} {'following it':>20}")
     for cameras in VIEWS:
         scene, motion = simulated(cameras)
-        rig = described(scene, motion, range(cameras))
+        rig = waiting_rig(scene, motion, range(cameras))
         together = [
             [
                 Frame(k, k / FPS, image)

@@ -25,11 +25,12 @@ from functools import partial
 import numpy as np
 
 from fingerpost.capture import Frame
-from fingerpost.config import Plane, Rig, Start, View
+from fingerpost.config import Rig
 from fingerpost.experiment import ExperimentOptions, run_experiment
 from fingerpost.experiment.trial import squared_in_sigmas
 from fingerpost.pipeline import Pointer, Step
 from fingerpost.pointing import BARE_HAND, Fix, PointingOptions, Status
+from fingerpost.rehearsal import described
 from fingerpost.simulate import (
     Background,
     DevicePose,
@@ -241,26 +242,12 @@ def configured(play: Play, rng: np.random.Generator) -> Rig:
     shown = next(
         t for t in truths if all(v.finger is not None and v.finger.in_view for v in t.views)
     )
-    views = []
-    for view, exact in zip(shown.views, play.rig.reference_points_px, strict=True):
+    points_px, starts = [], []
+    for view, exact_px in zip(shown.views, play.rig.reference_points_px, strict=True):
         assert view.finger is not None
-        start = view.finger.start(StartError(offset_px=5.0, angle_deg=5.0), rng)
-        points = exact + rng.normal(0, REFERENCE_NOISE_PX, exact.shape)
-        views.append(
-            View(
-                name=view.name,
-                source="simulated",
-                reference_points_px=tuple((float(u), float(v)) for u, v in points),
-                start=Start(
-                    tip_px=start.tip_px,
-                    angle_deg=start.angle_deg,
-                    length_px=start.length_px,
-                    thumb=start.thumb,
-                ),
-            )
-        )
-    plane = tuple((float(x), float(y)) for x, y in play.rig.plane_points)
-    return Rig(plane=Plane(unit="mm", points=plane), views=tuple(views))
+        starts.append(view.finger.start(StartError(offset_px=5.0, angle_deg=5.0), rng))
+        points_px.append(exact_px + rng.normal(0, REFERENCE_NOISE_PX, exact_px.shape))
+    return described(play.rig, reference_points_px=points_px, starts=starts)
 
 
 class Hands:

@@ -41,6 +41,7 @@ PYTHON_GROUPS = {
     "advise": "application",
     "demo": "application",
     "doctor": "application",
+    "rehearsal": "application",
     "workers": "application",
     "cli": "cli",
     "__main__": "cli",

@@ -12,10 +12,11 @@ from click.testing import CliRunner
 
 from fingerpost.capture import Frame
 from fingerpost.cli import main
-from fingerpost.config import FixedReference, LensParameters, Plane, Rig, Start, View
+from fingerpost.config import FixedReference, LensParameters, Plane, Rig
 from fingerpost.doctor import Check, Severity, examine
 from fingerpost.doctor.pictures import read_pictures, region_between
 from fingerpost.errors import InvalidInputError
+from fingerpost.rehearsal import described
 from fingerpost.simulate import (
     Background,
     DevicePose,
@@ -60,24 +61,9 @@ def recording(
         pictured = simulated.render(motion, rng=rng, device=rod)
         for i, image in enumerate(pictured.images):
             frames[i].append(Frame(k, k / fps[i] + i * late_s, image))
-    views = []
-    for i, camera in enumerate(simulated.cameras):
-        start = truth.views[i].finger.start()
-        views.append(
-            View(
-                name=camera.name,
-                source=f"{camera.name}.mp4",
-                reference_points_px=tuple(map(tuple, simulated.reference_points_px[i].tolist())),
-                start=Start(
-                    tip_px=start.tip_px,
-                    angle_deg=start.angle_deg,
-                    length_px=start.length_px,
-                    thumb=start.thumb,
-                ),
-            )
-        )
-    plane = Plane(unit="mm", points=tuple(map(tuple, simulated.plane_points.tolist())))
-    return Rig(plane=plane, views=tuple(views)), frames
+    starts = [view.finger.start() for view in truth.views]
+    sources = [f"{camera.name}.mp4" for camera in simulated.cameras]
+    return described(simulated, starts=starts, sources=sources), frames
 
 
 def with_view(rig, index, **changes):

@@ -14,11 +14,12 @@ import fingerpost as fp
 from fingerpost._core import Background as LearnedBackground
 from fingerpost._core import HandFinder
 from fingerpost.capture import Frame, open_source, read_views
-from fingerpost.config import Plane, Rig, View
+from fingerpost.config import Rig
 from fingerpost.errors import InvalidInputError
 from fingerpost.finding import HandSearch, Sighting, Viewpoint, are_two, flatness, pair_scores
 from fingerpost.pipeline import Pointer
 from fingerpost.pointing import PlaneView, Status
+from fingerpost.rehearsal import described
 from fingerpost.simulate import (
     Background,
     Camera,
@@ -66,19 +67,9 @@ def visit() -> Trajectory:
     )
 
 
-def blind_rig(rig: SimulatedRig) -> Rig:
-    """The simulated rig as a rig file without start poses would have it."""
-    views = tuple(
-        View(name=str(k), source=k, reference_points_px=tuple(map(tuple, points.tolist())))
-        for k, points in enumerate(rig.reference_points_px)
-    )
-    plane = Plane(unit="mm", points=tuple(map(tuple, rig.plane_points.tolist())))
-    return Rig(plane=plane, views=views)
-
-
 def played(rig: SimulatedRig, motion: Trajectory, frames: int) -> tuple[list, list]:
     """Steps of a pointer without start poses, and what was true."""
-    pointer, rng = Pointer(blind_rig(rig)), np.random.default_rng(SEED)
+    pointer, rng = Pointer(described(rig)), np.random.default_rng(SEED)
     told, truth = [], []
     for k in range(frames):
         shot = rig.render(motion, time_s=k / FPS, rng=rng)
@@ -171,7 +162,7 @@ def test_what_stands_on_the_table_starts_nothing():
         for place, azimuth in (((120.0, 130.0), 40.0), ((280.0, 240.0), -70.0))
     ]
     scene = SCENES["plain"]
-    pointer = Pointer(blind_rig(scene))
+    pointer = Pointer(described(scene))
     for k in range(25):
         shot = scene.render(None, rng=rng, others=[(rod, pose) for pose in poses])
         frames = [Frame(k, k / FPS, image) for image in shot.images]

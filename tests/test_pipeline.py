@@ -16,6 +16,7 @@ from fingerpost.config import Rig
 from fingerpost.errors import InvalidInputError
 from fingerpost.pipeline import Observation, Pointer, steps
 from fingerpost.pointing import PointingOptions, Status
+from fingerpost.rehearsal import described
 from fingerpost.simulate import (
     DevicePose,
     Placement,
@@ -106,28 +107,8 @@ def test_a_third_view_that_is_lost_costs_nothing():
 
 def as_configured(rig: SimulatedRig, motion: Trajectory) -> Rig:
     """The simulated rig as a rig file would have it."""
-    from fingerpost.config import Plane, Start, View
-
-    truth = rig.truth(motion, time_s=0.0)
-    views = []
-    for k, (view, points) in enumerate(zip(truth.views, rig.reference_points_px, strict=True)):
-        assert view.finger is not None
-        start = view.finger.start()
-        views.append(
-            View(
-                name=str(k),
-                source=k,
-                reference_points_px=tuple(map(tuple, points.tolist())),
-                start=Start(
-                    tip_px=tuple(start.tip_px),
-                    angle_deg=start.angle_deg,
-                    length_px=start.length_px,
-                    thumb=start.thumb,
-                ),
-            )
-        )
-    plane = Plane(unit="mm", points=tuple(map(tuple, rig.plane_points.tolist())))
-    return Rig(plane=plane, views=tuple(views))
+    fingers = [view.finger for view in rig.truth(motion, time_s=0.0).views]
+    return described(rig, starts=[finger.start() for finger in fingers])
 
 
 def test_views_that_are_captured_at_different_times_are_brought_to_one():

@@ -8,10 +8,11 @@ import pytest
 from numpy.typing import NDArray
 
 from fingerpost.capture import Frame
-from fingerpost.config import Plane, Rig, Start, View
+from fingerpost.config import Rig
 from fingerpost.experiment import ExperimentOptions, run_experiment
 from fingerpost.pipeline import Pointer
 from fingerpost.pointing import PointingOptions, Status
+from fingerpost.rehearsal import described
 from fingerpost.simulate import Background, DevicePose, Sensor, SimulatedRig, Trajectory
 
 # Targets whose waiting templates mostly take something on the cluttered table for a hand first.
@@ -60,26 +61,8 @@ def test_what_covers_a_hand_in_part_is_no_other_hand():
 
 def waiting_rig(rig: SimulatedRig, pose: DevicePose) -> Rig:
     """A rig whose templates wait exactly where a hand is in this pose."""
-    views = []
-    shown = rig.truth(pose).views
-    for view, points in zip(shown, rig.reference_points_px, strict=True):
-        assert view.finger is not None
-        start = view.finger.start()
-        views.append(
-            View(
-                name=view.name,
-                source="simulated",
-                reference_points_px=tuple((float(u), float(v)) for u, v in points),
-                start=Start(
-                    tip_px=start.tip_px,
-                    angle_deg=start.angle_deg,
-                    length_px=start.length_px,
-                    thumb=start.thumb,
-                ),
-            )
-        )
-    plane = tuple((float(x), float(y)) for x, y in rig.plane_points)
-    return Rig(plane=Plane(unit="mm", points=plane), views=tuple(views))
+    fingers = [view.finger for view in rig.truth(pose).views]
+    return described(rig, starts=[finger.start() for finger in fingers])
 
 
 class Session:

@@ -20,11 +20,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fingerpost.capture import Frame, open_source, read_views
-from fingerpost.config import Plane, Rig, Start, View
+from fingerpost.config import Rig
 from fingerpost.errors import InvalidInputError
 from fingerpost.pipeline import DEFAULT_REFERENCE_SIGMA_PX, Pointer, Step, steps
 from fingerpost.recording import VideoWriter, write_picture, write_points, write_tracks
 from fingerpost.recording.picture import Composition
+from fingerpost.rehearsal import described
 from fingerpost.simulate import (
     Background,
     FrameTruth,
@@ -256,23 +257,11 @@ def _simulation(seed: int) -> _Footage:
 
 def _rig_of(simulated: SimulatedRig, waiting: FrameTruth, rng: np.random.Generator) -> Rig:
     """Say what a person would write into the rig file: none of it is quite exact."""
-    fingers = [view.finger for view in waiting.views if view.finger is not None]
-    views = []
-    for camera, finger, exact_px in zip(
-        simulated.cameras, fingers, simulated.reference_points_px, strict=True
-    ):
-        start = finger.start(_START_ERROR, rng)
-        measured_px = rng.normal(exact_px, _SIMULATED_REFERENCE_SIGMA_PX)
-        views.append(
-            View(
-                name=camera.name,
-                source=camera.name,  # nothing opens it
-                reference_points_px=_pairs(measured_px),
-                start=Start(**dataclasses.asdict(start)),
-            )
-        )
-    plane = Plane(unit="mm", points=_pairs(simulated.plane_points))
-    return Rig(plane=plane, views=tuple(views))
+    points_px, starts = [], []
+    for view, exact_px in zip(waiting.views, simulated.reference_points_px, strict=True):
+        starts.append(None if view.finger is None else view.finger.start(_START_ERROR, rng))
+        points_px.append(rng.normal(exact_px, _SIMULATED_REFERENCE_SIGMA_PX))
+    return described(simulated, reference_points_px=points_px, starts=starts)
 
 
 def _rendered(
@@ -296,10 +285,6 @@ def _rendered(
 
 def _shows_finger(truth: FrameTruth) -> bool:
     return all(view.finger is not None and view.finger.in_view for view in truth.views)
-
-
-def _pairs(points: NDArray[np.float64]) -> tuple[tuple[float, float], ...]:
-    return tuple((float(x), float(y)) for x, y in points)
 
 
 # --- what comes of it -------------------------------------------------------------------------

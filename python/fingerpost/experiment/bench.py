@@ -7,12 +7,13 @@ from numpy.typing import NDArray
 
 from fingerpost._core import ContourTracker, StartPose, Template
 from fingerpost.capture import Frame
-from fingerpost.config import LensParameters, Plane, Rig, Start, View
+from fingerpost.config import LensParameters, Rig
 from fingerpost.experiment.bound import LineBound, edge_information, line_bound, point_bound
 from fingerpost.experiment.options import ExperimentOptions
 from fingerpost.experiment.trial import LineTrial, Trial, line_error, trial_of
 from fingerpost.pipeline import Observation, Pointer, steps
 from fingerpost.pointing import FingerLine, PlaneView, Status
+from fingerpost.rehearsal import described
 from fingerpost.simulate import (
     Camera,
     DevicePose,
@@ -133,33 +134,17 @@ class Bench:
     def _as_configured(self, fingers: Sequence[FingerTruth], rng: np.random.Generator) -> Rig:
         """Rig file that a user would have written: nearly right."""
         options = self._options
-        views = []
-        for camera, exact_px, lens, finger in zip(
-            self._rig.cameras, self._rig.reference_points_px, self._lenses, fingers, strict=True
-        ):
-            points_px = exact_px + rng.normal(0.0, options.reference_noise_px, exact_px.shape)
+        points_px, starts = [], []
+        for exact_px, finger in zip(self._rig.reference_points_px, fingers, strict=True):
+            points_px.append(exact_px + rng.normal(0.0, options.reference_noise_px, exact_px.shape))
             error = StartError(
                 offset_px=rng.uniform(*options.start_offset_px),
                 angle_deg=rng.uniform(*options.start_angle_deg),
                 scale=rng.uniform(*options.start_scale),
             )
-            start = finger.start(error, rng)
-            views.append(
-                View(
-                    name=camera.name,
-                    source="simulated",
-                    reference_points_px=_pairs(points_px),
-                    lens_parameters=lens,
-                    start=Start(
-                        tip_px=start.tip_px,
-                        angle_deg=start.angle_deg,
-                        length_px=start.length_px,
-                        thumb=start.thumb,
-                    ),
-                )
-            )
-        return Rig(
-            plane=Plane(unit="mm", points=_pairs(self._rig.plane_points)), views=tuple(views)
+            starts.append(finger.start(error, rng))
+        return described(
+            self._rig, reference_points_px=points_px, starts=starts, lenses=self._lenses
         )
 
     def _frames(
@@ -220,7 +205,3 @@ def _lens(camera: Camera) -> LensParameters | None:
         return None
     cx, cy = camera.principal_point_px.tolist()
     return LensParameters(fx=camera.f_px, fy=camera.f_px, cx=cx, cy=cy, k1=camera.k1)
-
-
-def _pairs(points: Array) -> tuple[tuple[float, float], ...]:
-    return tuple((float(x), float(y)) for x, y in points)
