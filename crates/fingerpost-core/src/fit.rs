@@ -134,6 +134,7 @@ impl<const D: usize> Equations<'_, D> {
     ///
     /// # Errors
     /// When a number is not finite or the variance not positive; nothing is added then.
+    #[inline]
     pub fn push(&mut self, row: &SVector<f64, D>, offset_px: f64, variance_px2: f64) -> Result<()> {
         if !((offset_px + row.sum()).is_finite() && variance_px2 > 0.0 && variance_px2.is_finite())
         {
@@ -142,18 +143,24 @@ impl<const D: usize> Equations<'_, D> {
             Error::within("variance [px²]", variance_px2, "positive", |v| v > 0.0)?;
         }
         let buffer = &mut *self.0;
-        let (group, lane) = (buffer.count / LANES, buffer.count % LANES);
+        let lane = buffer.count % LANES;
         if lane == 0 {
-            buffer.rows.resize((group + 1) * D, [0.0; LANES]);
+            buffer.rows.extend_from_slice(&[[0.0; LANES]; D]);
             buffer.offsets_px.push([0.0; LANES]);
             buffer.variances_px2.push([1.0; LANES]);
         }
-        for (lanes, value) in buffer.rows[group * D..].iter_mut().zip(row) {
-            lanes[lane] = *value;
+        if let (Some(rows), Some(offsets_px), Some(variances_px2)) = (
+            buffer.rows.last_chunk_mut::<D>(),
+            buffer.offsets_px.last_mut(),
+            buffer.variances_px2.last_mut(),
+        ) {
+            for i in 0..D {
+                rows[i][lane] = row[i];
+            }
+            offsets_px[lane] = offset_px;
+            variances_px2[lane] = variance_px2;
+            buffer.count += 1;
         }
-        buffer.offsets_px[group][lane] = offset_px;
-        buffer.variances_px2[group][lane] = variance_px2;
-        buffer.count += 1;
         Ok(())
     }
 

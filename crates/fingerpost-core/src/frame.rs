@@ -2,6 +2,7 @@
 
 use crate::image::GrayView;
 use crate::{Error, Result};
+use nalgebra::{Point2, Vector2};
 
 /// A borrowed view of interleaved 8-bit colours, three channels in any order that does not change
 /// from frame to frame. Never copies.
@@ -108,11 +109,40 @@ pub(crate) struct SidedPixel {
 }
 
 impl SidedPixel {
+    /// Its middle; one left of the frame, or above it, wraps round to what no frame has.
+    pub fn middle(&self) -> Point2<f64> {
+        Point2::new(f64::from(self.x as i32), f64::from(self.y as i32))
+    }
+
     /// The pixel nearest to a place; none outside of all frames.
     #[inline]
     pub fn at(u: f64, v: f64, is_hand: bool) -> Option<Self> {
         // Through i32, which a float becomes in fewer instructions.
         let whole = |x: f64| (x + 0.5) as i32 as u32;
         (u > -0.5 && v > -0.5).then(|| Self { x: whole(u), y: whole(v), is_hand })
+    }
+
+    /// The pixels nearest to places 1 px apart on a ray, from so far from its beginning on; outside of
+    /// all frames they have coordinates that no frame has.
+    #[inline]
+    pub fn along(
+        from: Point2<f64>,
+        direction: Vector2<f64>,
+        first_px: f64,
+        last_px: f64,
+        is_hand: bool,
+    ) -> impl ExactSizeIterator<Item = Self> {
+        // Fixed point, 32.32: what is negative has the largest whole part when it is read unsigned.
+        const ONE: f64 = (1_u64 << 32) as f64;
+        let fixed = |x: f64| (x * ONE) as i64;
+        let first = from + direction * first_px;
+        let [mut x, mut y] = [first.x, first.y].map(|x| fixed(x + 0.5));
+        let (dx, dy) = (fixed(direction.x), fixed(direction.y));
+        let count = (last_px - first_px + 1.0).max(0.0) as u16;
+        (0..count).map(move |_| {
+            let pixel = Self { x: (x >> 32) as u32, y: (y >> 32) as u32, is_hand };
+            (x, y) = (x.wrapping_add(dx), y.wrapping_add(dy));
+            pixel
+        })
     }
 }

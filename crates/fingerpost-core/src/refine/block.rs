@@ -10,14 +10,18 @@
 //!
 //! the deviations are eliminated, H − C Y⁻¹ Cᵀ and g − C Y⁻¹ h remain for the step δ of what all
 //! blocks share: this maximises the likelihood with the deviations integrated out.
+//!
+//! Blocks stand side by side ([`pixels`](super::pixels)): every number here has one lane for each.
 
 #![expect(
     clippy::inline_always,
     reason = "what is inlined into a function with wider instructions is compiled for them"
 )]
 
-use super::gram::Gram;
+use super::gram::{Equations, Gram};
+use super::pixels::{Doubles, Group, LANES, total};
 use super::profile::{COLUMNS, EDGE, INSIDE, OUTSIDE, RIGHT};
+use crate::simd::each;
 
 /// What deviates: the features it acts through.
 pub(super) const EFFECTS: [usize; 3] = [INSIDE, OUTSIDE, EDGE];
@@ -36,32 +40,33 @@ const CHANCE: f64 = 1.5;
 /// ρ = ½ from one to the next.
 const RUN: f64 = 4.0;
 
-/// One block's deviations, and its equations when it was last looked at.
+/// Of a symmetric 3 × 3 matrix: the upper triangle, row by row.
+type Symmetric = [Doubles; 6];
+
+/// The deviations of a group's blocks, and how they hang on what all blocks share.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Deviation {
+pub(super) struct Deviations {
     /// y: inside and background level \[grey levels\], edge outward \[px\].
-    pub effects: [f64; 3],
-    /// How much the block counts, 0–1.
-    pub say: f64,
+    pub effects: [Doubles; 3],
+    /// How much each block counts, 0–1; a lane without a block does not.
+    pub say: Doubles,
     /// χ² of its pixels per pixel.
-    pub chi_squared: f64,
+    pub chi_squared: Doubles,
     /// Variance of its edge from what the background does about it \[px²\].
-    pub restless_px2: f64,
-    /// Its sums over pixels; in their equations the deviations are eliminated.
-    pub gram: Gram,
+    pub restless_px2: Doubles,
     /// How many deviations were fitted, in effect.
-    pub freed: f64,
+    pub freed: Doubles,
     /// Y⁻¹.
-    inverse: [[f64; 3]; 3],
+    inverse: Symmetric,
     /// Cᵀ, and h beside it.
-    coupling: [[f64; COLUMNS]; 3],
+    coupling: [[Doubles; COLUMNS]; 3],
 }
 
 /// Evidence of how much a kind of deviation varies.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Evidence {
-    excess: [f64; 3],
-    information: [f64; 3],
+    excess: [Doubles; 3],
+    information: [Doubles; 3],
     /// The edge of the last block: the root of what it tells, as far as it counts, and the edge.
     last: Option<[f64; 2]>,
     /// Of neighbours: products of their edges, what these tell, and how many they are.
@@ -70,120 +75,164 @@ pub(super) struct Evidence {
     pairs: f64,
 }
 
-impl Deviation {
-    pub fn none() -> Self {
+impl Deviations {
+    /// None yet of a group's blocks.
+    pub fn none(group: &Group) -> Self {
         Self {
-            effects: [0.0; 3],
-            say: 1.0,
-            chi_squared: 1.0,
-            restless_px2: 0.0,
-            gram: Gram::default(),
-            freed: 0.0,
-            inverse: [[0.0; 3]; 3],
-            coupling: [[0.0; _]; 3],
+            effects: [[0.0; LANES]; 3],
+            say: group.is_block,
+            chi_squared: [1.0; LANES],
+            restless_px2: [0.0; LANES],
+            freed: [0.0; LANES],
+            inverse: [[0.0; LANES]; 6],
+            coupling: [[[0.0; LANES]; COLUMNS]; 3],
         }
     }
 
-    /// Eliminates the deviations, whose variances are given, from the block's equations; `noise2`
+    /// Trusts the blocks by how their pixels scatter: those with more than `most_chi_squared` less.
+    #[inline(always)]
+    pub fn trust(&mut self, group: &Group, most_chi_squared: f64) {
+        self.say = each(|i| {
+            let say = most_chi_squared / self.chi_squared[i];
+            (say * say).min(1.0) * group.is_block[i]
+        });
+    }
+
+    /// Eliminates the deviations, whose variances are given, from the blocks' equations; `noise2`
     /// is the variance of a pixel.
     #[inline(always)]
-    pub fn eliminate(&mut self, variances: &[f64; 3], noise2: f64, evidence: &mut Evidence) {
-        let equations = &mut self.gram.equations;
-        let (mut regular, mut lambda) = ([[0.0; 3]; 3], [0.0; 3]);
+    pub fn eliminate(
+        &mut self,
+        gram: &mut Gram,
+        group: &Group,
+        variances: &[Doubles; 3],
+        noise2: f64,
+        evidence: &mut Evidence,
+    ) {
+        let equations = &mut gram.equations;
+        let (mut own, mut lambda) = ([[0.0; LANES]; 3], [[0.0; LANES]; 3]);
         for k in 0..3 {
-            for i in 0..3 {
-                regular[k][i] = equations[EFFECTS[k]][EFFECTS[i]];
+            own[k] = equations[EFFECTS[k]][EFFECTS[k]];
+            lambda[k] = each(|i| {
+                let told = noise2 / own[k][i].max(LEAST_INFORMATION);
+                noise2 / variances[k][i].max(LEAST_VARIANCE * told)
+            });
+        }
+        let regular = |k: usize| -> Doubles { each(|i| own[k][i] + lambda[k][i]) };
+        let cross = |k: usize, l: usize| *entry(equations, EFFECTS[k], EFFECTS[l]);
+        self.inverse =
+            inverse(&[regular(0), cross(0, 1), cross(0, 2), regular(1), cross(1, 2), regular(2)]);
+        for k in 0..3 {
+            for c in 0..COLUMNS {
+                self.coupling[k][c] = *entry(equations, EFFECTS[k], c);
             }
-            let told = noise2 / regular[k][k].max(LEAST_INFORMATION);
-            lambda[k] = noise2 / variances[k].max(LEAST_VARIANCE * told);
-            regular[k][k] += lambda[k];
+            let right = self.coupling[k][RIGHT];
+            self.coupling[k][RIGHT] = each(|i| right[i] - lambda[k][i] * self.effects[k][i]);
         }
-        // Λ is positive, so there always is one.
-        self.inverse = inverse(&regular).unwrap_or([[0.0; 3]; 3]);
-        for (k, coupling) in self.coupling.iter_mut().enumerate() {
-            *coupling = equations[EFFECTS[k]];
-            coupling[RIGHT] -= lambda[k] * self.effects[k];
-        }
-        let step = apply(&self.inverse, &self.coupling.map(|c| c[RIGHT]));
+        let [inside, outside, edge] = &self.coupling;
+        let step = apply(&self.inverse, [&inside[RIGHT], &outside[RIGHT], &edge[RIGHT]]);
         let mut expected = self.effects;
         for k in 0..3 {
-            expected[k] += step[k];
+            expected[k] = each(|i| expected[k][i] + step[k][i]);
         }
-        evidence.add(self.say, &expected, &self.inverse, &lambda, noise2);
+        let own_inverse = [self.inverse[0], self.inverse[3], self.inverse[5]];
+        evidence.add(group, &self.say, &expected, &own_inverse, &lambda, noise2);
 
-        let [inside, outside, edge] = &self.coupling;
-        for i in 0..COLUMNS {
-            let [a, b, c] = apply(&self.inverse, &[inside[i], outside[i], edge[i]]);
-            for j in 0..COLUMNS {
-                equations[i][j] -= a * inside[j] + b * outside[j] + c * edge[j];
+        for row in 0..COLUMNS {
+            let [a, b, c] = apply(&self.inverse, [&inside[row], &outside[row], &edge[row]]);
+            for column in row..COLUMNS {
+                let (before, f, g, h) =
+                    (equations[row][column], &inside[column], &outside[column], &edge[column]);
+                equations[row][column] =
+                    each(|i| before[i] - (a[i] * f[i] + b[i] * g[i] + c[i] * h[i]));
             }
         }
-        self.freed = 0.0;
-        for k in 0..3 {
-            self.freed += (regular[k][k] - lambda[k]) * self.inverse[k][k];
-        }
+        self.freed = each(|i| {
+            own[0][i] * own_inverse[0][i]
+                + own[1][i] * own_inverse[1][i]
+                + own[2][i] * own_inverse[2][i]
+        });
     }
 
     /// Takes the deviations to where they belong after the shared step was taken to the part `part`
     /// of its length and changed the features by those columns of `changes`.
-    pub fn follow(&mut self, changes: &[f64; COLUMNS], part: f64) {
-        let mut changes = *changes;
-        changes[RIGHT] = -part;
-        let mut right = [0.0; 3];
+    pub fn follow(&mut self, changes: &[Doubles; COLUMNS], part: f64) {
+        let mut right = [[0.0; LANES]; 3];
         for (right, coupling) in right.iter_mut().zip(&self.coupling) {
-            for (coupling, change) in coupling.iter().zip(&changes) {
-                *right -= coupling * change;
+            *right = each(|i| part * coupling[RIGHT][i]);
+            for (c, (coupling, change)) in coupling.iter().zip(changes).enumerate() {
+                if c != RIGHT {
+                    *right = each(|i| right[i] - coupling[i] * change[i]);
+                }
             }
         }
-        let step = apply(&self.inverse, &right);
+        let step = apply(&self.inverse, [&right[0], &right[1], &right[2]]);
         for (effect, step) in self.effects.iter_mut().zip(step) {
-            *effect += step;
+            *effect = each(|i| effect[i] + step[i]);
         }
     }
+}
+
+/// An entry of the equations.
+#[inline(always)]
+fn entry(equations: &Equations, a: usize, b: usize) -> &Doubles {
+    &equations[a.min(b)][a.max(b)]
 }
 
 /// The product of a symmetric matrix and a vector.
 #[inline(always)]
-fn apply(m: &[[f64; 3]; 3], v: &[f64; 3]) -> [f64; 3] {
-    let mut product = [0.0; 3];
-    for k in 0..3 {
-        product[k] = m[k][0] * v[0] + m[k][1] * v[1] + m[k][2] * v[2];
-    }
-    product
+fn apply([aa, ab, ac, bb, bc, cc]: &Symmetric, [a, b, c]: [&Doubles; 3]) -> [Doubles; 3] {
+    [
+        each(|i| aa[i] * a[i] + ab[i] * b[i] + ac[i] * c[i]),
+        each(|i| ab[i] * a[i] + bb[i] * b[i] + bc[i] * c[i]),
+        each(|i| ac[i] * a[i] + bc[i] * b[i] + cc[i] * c[i]),
+    ]
 }
 
-/// The inverse of a symmetric matrix.
+/// The inverse of a symmetric matrix, or zeros where there is none.
 #[inline(always)]
-fn inverse([[a, b, c], [_, d, e], [_, _, f]]: &[[f64; 3]; 3]) -> Option<[[f64; 3]; 3]> {
-    let (aa, ab, ac) = (d * f - e * e, c * e - b * f, b * e - c * d);
-    let determinant = a * aa + b * ab + c * ac;
-    let one = 1.0 / determinant;
-    let (bb, bc, cc) = (a * f - c * c, b * c - a * e, a * d - b * b);
-    let inverse = [[aa, ab, ac], [ab, bb, bc], [ac, bc, cc]].map(|row| row.map(|m| m * one));
-    one.is_finite().then_some(inverse)
+fn inverse([a, b, c, d, e, f]: &Symmetric) -> Symmetric {
+    let aa: Doubles = each(|i| d[i] * f[i] - e[i] * e[i]);
+    let ab: Doubles = each(|i| c[i] * e[i] - b[i] * f[i]);
+    let ac: Doubles = each(|i| b[i] * e[i] - c[i] * d[i]);
+    let bb: Doubles = each(|i| a[i] * f[i] - c[i] * c[i]);
+    let bc: Doubles = each(|i| b[i] * c[i] - a[i] * e[i]);
+    let cc: Doubles = each(|i| a[i] * d[i] - b[i] * b[i]);
+    let one: Doubles = each(|i| {
+        let one = 1.0 / (a[i] * aa[i] + b[i] * ab[i] + c[i] * ac[i]);
+        if one.abs() < f64::INFINITY { one } else { 0.0 }
+    });
+    [aa, ab, ac, bb, bc, cc].map(|minor| each(|i| minor[i] * one[i]))
 }
 
 impl Evidence {
-    /// Adds what a block tells, by moments: of a deviation of variance τ² the block's own estimate
-    /// y, given the other deviations, has the variance τ² + σ² / h.
+    /// Adds what blocks tell, by moments: of a deviation of variance τ² a block's own estimate y,
+    /// given the other deviations, has the variance τ² + σ² / h.
     #[inline(always)]
     fn add(
         &mut self,
-        say: f64,
-        expected: &[f64; 3],
-        inverse: &[[f64; 3]; 3],
-        lambda: &[f64; 3],
+        group: &Group,
+        say: &Doubles,
+        expected: &[Doubles; 3],
+        inverse: &[Doubles; 3],
+        lambda: &[Doubles; 3],
         noise2: f64,
     ) {
         for k in 0..3 {
-            let all = 1.0 / inverse[k][k].max(f64::MIN_POSITIVE);
-            let own = (all - lambda[k]).max(LEAST_INFORMATION);
+            let all: Doubles = each(|i| 1.0 / inverse[k][i].max(f64::MIN_POSITIVE));
+            let own: Doubles = each(|i| (all[i] - lambda[k][i]).max(LEAST_INFORMATION));
             // What was expected is drawn to zero by Λ.
-            let free = expected[k] * all / own;
-            self.excess[k] += say * (own * free * free - noise2);
-            self.information[k] += say * own;
+            let free: Doubles = each(|i| expected[k][i] * all[i] / own[i]);
+            let (excess, information) = (self.excess[k], self.information[k]);
+            self.excess[k] = each(|i| excess[i] + say[i] * (own[i] * free[i] * free[i] - noise2));
+            self.information[k] = each(|i| information[i] + say[i] * own[i]);
             if k == EDGE_EFFECT {
-                self.pair(own.sqrt(), free, say);
+                let root: Doubles = each(|i| own[i].sqrt());
+                for i in 0..LANES {
+                    if group.is_block[i] > 0.0 {
+                        self.pair(root[i], free[i], say[i]);
+                    }
+                }
             }
         }
     }
@@ -215,7 +264,8 @@ impl Evidence {
         for (variance, (excess, information)) in
             variances.iter_mut().zip(self.excess.iter().zip(&self.information))
         {
-            if *information > 0.0 {
+            let (excess, information) = (total(excess), total(information));
+            if information > 0.0 {
                 *variance = (excess / information).max(0.0);
             }
         }

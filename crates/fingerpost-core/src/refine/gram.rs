@@ -1,4 +1,4 @@
-//! Weighted moments of a block's residuals and features: all that the fit needs of its pixels.
+//! Weighted moments of the residuals and features of blocks: all that the fit needs of their pixels.
 
 #![expect(
     clippy::inline_always,
@@ -6,8 +6,9 @@
 )]
 
 use super::blur::BlurTable;
-use super::pixels::{Chunk, LANES, Lanes};
+use super::pixels::{Chunk, Doubles, LANES, Lanes};
 use super::profile::{COLUMNS, OUTSIDE, Prediction, Profile, RIGHT, RoundEnd};
+use crate::simd::each;
 
 /// How a pixel's residual is weighed: Tukey's biweight.
 #[derive(Debug, Clone, Copy)]
@@ -19,53 +20,30 @@ pub(super) struct Weighing {
 }
 
 /// Features and residuals of some pixels, each times the root of its pixel's weight.
-type Weighted = [Lanes; COLUMNS];
-/// Equations of the features; the right sides stand in their column.
-pub(super) type Equations = [[f64; COLUMNS]; COLUMNS];
+pub(super) type Weighed = [Lanes; COLUMNS];
+/// Equations of the features, in their upper triangle; the right sides stand in their column.
+pub(super) type Equations = [[Doubles; COLUMNS]; COLUMNS];
 
-/// Sums over the pixels of one block.
+/// Sums over the pixels of blocks.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Gram {
     /// Σ w f fᵀ, and Σ w f r.
     pub equations: Equations,
+    /// How many pixels.
+    pub pixels: Doubles,
     /// Σ w, Σ w² r² and Σ ψ′, which make the covariance of a robust fit.
-    pub weight: f64,
-    pub psi_squared: f64,
-    pub psi_slope: f64,
+    pub weight: Doubles,
+    pub psi_squared: Doubles,
+    pub psi_slope: Doubles,
     /// Σ min(r², cutoff² σ²), in σ².
-    pub chi_squared: f64,
+    pub chi_squared: Doubles,
     /// Pixels of no weight.
-    pub rejected: f64,
-}
-
-/// What is between the pixels of a block and their sums.
-#[derive(Debug, Clone)]
-pub(super) struct Workspace {
-    weighted: Vec<Weighted>,
-    /// Sums lane by lane: the upper triangle of the equations, row by row.
-    lanes: Vec<Lanes>,
-    totals: Vec<f32>,
-}
-
-/// Entries of the upper triangle.
-const ENTRIES: usize = COLUMNS * (COLUMNS + 1) / 2;
-
-impl Workspace {
-    /// Enough for blocks of so many chunks.
-    pub fn with_capacity(chunks: usize) -> Self {
-        let weighted = Vec::with_capacity(chunks);
-        Self { weighted, lanes: vec![[0.0; LANES]; ENTRIES], totals: vec![0.0; ENTRIES] }
-    }
-
-    /// Makes room for blocks of so many chunks.
-    pub fn fit(&mut self, chunks: usize) {
-        self.weighted.resize(chunks, Weighted::default());
-    }
+    pub rejected: Doubles,
 }
 
 impl Gram {
-    /// The sums of a block whose pixels should look like `profile`, near a round end or clear of it;
-    /// `space` has room for all its chunks.
+    /// The sums of blocks whose pixels should look like `profile`, near a round end or clear of it;
+    /// `space` has room for all their chunks.
     #[inline(always)]
     pub fn take(
         &mut self,
@@ -74,62 +52,52 @@ impl Gram {
         end: Option<RoundEnd>,
         table: BlurTable,
         weighing: &Weighing,
-        space: &mut Workspace,
+        space: &mut [Weighed],
     ) {
-        let Workspace { weighted, lanes, totals } = space;
         let mut tally = PixelTally::new(weighing);
+        let shading = profile.shading();
         if let Some(end) = end {
-            for (weighted, chunk) in weighted.iter_mut().zip(chunks) {
-                *weighted = tally.weigh(chunk, &profile.round(table, chunk, end));
+            for (weighed, chunk) in space.iter_mut().zip(chunks) {
+                *weighed = tally.weigh(chunk, &profile.round(&shading, table, chunk, end));
             }
         } else {
-            for (weighted, chunk) in weighted.iter_mut().zip(chunks) {
-                *weighted = tally.weigh(chunk, &profile.straight(table, chunk));
+            for (weighed, chunk) in space.iter_mut().zip(chunks) {
+                *weighed = tally.weigh(chunk, &profile.straight(&shading, table, chunk));
             }
         }
-        let weighted = weighted.get(..chunks.len()).unwrap_or_default();
-        // Their lengths are told at run time, so that no compiler takes the lanes apart in order to
-        // add them sooner.
-        let mut rest = lanes.as_mut_slice();
-        rest = row::<0>(weighted, rest);
-        rest = row::<1>(weighted, rest);
-        rest = row::<2>(weighted, rest);
-        rest = row::<3>(weighted, rest);
-        rest = row::<4>(weighted, rest);
-        rest = row::<5>(weighted, rest);
-        rest = row::<6>(weighted, rest);
-        row::<7>(weighted, rest);
-        for (total, lanes) in totals.iter_mut().zip(&*lanes) {
-            *total = sum(lanes);
-        }
-        let mut totals = totals.iter();
-        for a in 0..COLUMNS {
-            for (b, total) in (a..COLUMNS).zip(&mut totals) {
-                let value = f64::from(*total);
-                (self.equations[a][b], self.equations[b][a]) = (value, value);
-            }
-        }
+        let weighed = space.get(..chunks.len()).unwrap_or_default();
+        // The sums of one row fit the registers, those of all do not.
+        row::<0>(weighed, &mut self.equations);
+        row::<1>(weighed, &mut self.equations);
+        row::<2>(weighed, &mut self.equations);
+        row::<3>(weighed, &mut self.equations);
+        row::<4>(weighed, &mut self.equations);
+        row::<5>(weighed, &mut self.equations);
+        row::<6>(weighed, &mut self.equations);
+        row::<7>(weighed, &mut self.equations);
         tally.tell(self);
     }
 }
 
-/// Row `A` of the equations lane by lane, from its diagonal on, to the beginning of `lanes`; returns
-/// the rest of them.
+/// Row `A` of the equations, from its diagonal on.
 #[inline(always)]
-fn row<'a, const A: usize>(weighted: &[Weighted], lanes: &'a mut [Lanes]) -> &'a mut [Lanes] {
+fn row<const A: usize>(weighed: &[Weighed], equations: &mut Equations) {
     let mut sums = [[0.0; LANES]; COLUMNS];
-    for columns in weighted {
+    for columns in weighed {
         for b in A..COLUMNS {
             for i in 0..LANES {
                 sums[b][i] += columns[A][i] * columns[b][i];
             }
         }
     }
-    let (row, rest) = lanes.split_at_mut(lanes.len().min(COLUMNS - A));
-    for (lanes, sums) in row.iter_mut().zip(&sums[A..]) {
-        *lanes = *sums;
+    for b in A..COLUMNS {
+        equations[A][b] = doubles(&sums[b]);
     }
-    rest
+}
+
+#[inline(always)]
+fn doubles(lanes: &Lanes) -> Doubles {
+    each(|i| f64::from(lanes[i]))
 }
 
 /// The other sums, lane by lane.
@@ -165,7 +133,7 @@ impl PixelTally {
 
     /// Weighs the pixels of a chunk, and counts them.
     #[inline(always)]
-    fn weigh(&mut self, chunk: &Chunk, predicted: &Prediction) -> Weighted {
+    fn weigh(&mut self, chunk: &Chunk, predicted: &Prediction) -> Weighed {
         let mut columns = predicted.columns;
         let mut roots = [0.0; LANES];
         for i in 0..LANES {
@@ -197,21 +165,15 @@ impl PixelTally {
         columns
     }
 
-    /// The sums over all lanes.
+    /// The sums of every block.
     #[inline(always)]
     fn tell(&self, gram: &mut Gram) {
-        let total = |lanes: &Lanes| f64::from(sum(lanes));
-        gram.weight = total(&self.weight);
-        gram.psi_squared = total(&self.psi_squared);
-        gram.psi_slope = total(&self.psi_slope);
-        gram.chi_squared = total(&self.capped) * self.cutoff * self.cutoff;
-        gram.rejected = total(&self.pixels) - total(&self.kept);
+        let cutoff2 = self.cutoff * self.cutoff;
+        gram.pixels = doubles(&self.pixels);
+        gram.weight = doubles(&self.weight);
+        gram.psi_squared = doubles(&self.psi_squared);
+        gram.psi_slope = doubles(&self.psi_slope);
+        gram.chi_squared = each(|i| f64::from(self.capped[i]) * cutoff2);
+        gram.rejected = each(|i| f64::from(self.pixels[i] - self.kept[i]));
     }
-}
-
-#[inline(always)]
-fn sum(lanes: &Lanes) -> f32 {
-    let [a, b, c, d, e, f, g, h] = *lanes;
-    // Halves first: one addition of vectors each.
-    ((a + e) + (c + g)) + ((b + f) + (d + h))
 }

@@ -53,7 +53,8 @@ pub struct PhotometricOptions {
     /// Standard deviation of what light from the camera adds there, which falls off towards the
     /// limb as the root of the depth, in parts of the contrast, positive.
     pub limb: f64,
-    /// The line has settled when an iteration moves it less than this \[px\], positive.
+    /// The line has settled when an iteration moves it less than this \[px\], positive, or by next to
+    /// nothing in units of what it is uncertain by.
     pub tolerance_px: f64,
     /// At most this many iterations, 1–100.
     pub max_iterations: usize,

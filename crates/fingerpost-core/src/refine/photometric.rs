@@ -28,20 +28,21 @@
     reason = "what is inlined into a function with wider instructions is compiled for them"
 )]
 
-use super::block::{Deviation, EDGE_EFFECT, Evidence, INSIDE_EFFECT, OUTSIDE_EFFECT};
+use super::block::{Deviations, EDGE_EFFECT, Evidence, INSIDE_EFFECT, OUTSIDE_EFFECT};
 use super::blur::BlurTable;
-use super::gram::{Weighing, Workspace};
-use super::pixels::{Block, LANES, Strip, USUAL_BLOCKS, USUAL_CHUNKS};
+use super::gram::{Gram, Weighed, Weighing};
+use super::pixels::{Doubles, Group, LANES, Strip, USUAL_BLOCKS, USUAL_PIXELS, total};
 use super::profile::{CLEAR, RoundEnd};
 use super::sketch::{FlankLines, Sketch};
 use super::unknowns::{
-    self, BEND, BULGE, FlankEquations, FlankStep, Information, LEAST_CONTRAST_GREY, OFFSET, SLOPE,
-    UNKNOWNS, Unknowns, Vector,
+    self, BEND, BLUR_SIGMA_PX, BULGE, Factors, FlankEquations, FlankStep, Information,
+    LEAST_CONTRAST_GREY, OFFSET, SLOPE, UNKNOWNS, Unknowns, Vector,
 };
 use super::{KnownBackground, PhotometricOptions, PhotometricReport, Stretch};
 use crate::image::GrayView;
-use crate::simd::{Isa, Work};
+use crate::simd::{Isa, Work, each};
 use nalgebra::{Cholesky, Const, Matrix2, Matrix4, Vector2};
+use std::f64::consts::PI;
 
 /// The first iteration takes residuals of this part of the contrast for noise: it starts from the
 /// sketch, a part of a px off.
@@ -61,6 +62,10 @@ const UNTRIED_ITERATIONS: usize = 3;
 /// No iteration moves the flanks by more than this \[px\], or the blur by more than this part.
 const LONGEST_STEP_PX: f64 = 1.0;
 const LARGEST_BLUR_CHANGE: f64 = 0.3;
+/// A step is as small as its noise allows if it is no longer than a third of a standard deviation in
+/// all unknowns together: Gauss–Newton leaves a tenth of that. At half of one the line would be as
+/// good, but what deviates from block to block is not told apart from noise yet.
+const SMALL_STEP: f64 = 0.1;
 /// After the last iteration allowed, a motion of so many tolerances is still taken for settled.
 const NEARLY_SETTLED: f64 = 10.0;
 /// A background that is known and there leaves this part of the blocks of either flank: where it is
@@ -69,6 +74,9 @@ const LEAST_USABLE: f64 = 0.7;
 /// Levels to start from are those of the pixels so far inside and outside the sketch's edge \[px\].
 const CLEAR_INSIDE_PX: f32 = 2.0;
 const CLEAR_OUTSIDE_PX: f32 = 1.0;
+/// The blur to start from is that of the pixels so near to the edge, but no less than that \[px\].
+const NEAR_EDGE_PX: f32 = 2.5;
+const LEAST_BLUR_PX: f64 = 0.4;
 
 /// Fits lines to pixels; owns the buffers.
 #[derive(Debug, Clone)]
@@ -84,8 +92,13 @@ pub(super) struct Photometric {
 #[derive(Debug, Clone)]
 struct Flank {
     strip: Strip,
-    deviations: Vec<Deviation>,
-    workspace: Workspace,
+    /// Those of every group of blocks.
+    deviations: Vec<Deviations>,
+    /// What is between the pixels of a group and its equations.
+    weighed: Vec<Weighed>,
+    gram: Box<Gram>,
+    /// The deviations of the background's level, block by block.
+    levels: Vec<f64>,
     /// Variance of each deviation from block to block, in the square of its unit.
     variances: [f64; 3],
     /// What runs of blocks whose edges deviate alike add to the edge's \[px²\].
@@ -131,15 +144,16 @@ struct Tally {
 
 impl Tally {
     #[inline(always)]
-    fn add(&mut self, block: &Deviation, pixels: f64) {
-        let Deviation { gram, say, freed, .. } = block;
-        self.weight += say * gram.weight;
-        self.psi_squared += say * gram.psi_squared;
-        self.psi_slope += say * gram.psi_slope;
-        self.rejected += say * gram.rejected;
-        self.pixels += say * pixels;
-        self.freed += freed;
-        self.say += say;
+    fn add(&mut self, deviations: &Deviations, gram: &Gram) {
+        let Deviations { say, freed, .. } = deviations;
+        let said = |lanes: &Doubles| total(&each(|i| say[i] * lanes[i]));
+        self.weight += said(&gram.weight);
+        self.psi_squared += said(&gram.psi_squared);
+        self.psi_slope += said(&gram.psi_slope);
+        self.rejected += said(&gram.rejected);
+        self.pixels += said(&gram.pixels);
+        self.freed += total(freed);
+        self.say += total(say);
     }
 }
 
@@ -170,9 +184,9 @@ impl Photometric {
     ) -> Option<PhotometricFit> {
         for (index, flank) in self.flanks.iter_mut().enumerate() {
             flank.strip.gather(image, background, noise_grey, sketch, index, &self.options);
-            flank.workspace.fit(flank.strip.most_chunks());
+            flank.weighed.resize(flank.strip.most_pixels(), Weighed::default());
             flank.deviations.clear();
-            flank.deviations.resize(flank.strip.blocks.len(), Deviation::none());
+            flank.deviations.extend(flank.strip.groups.iter().map(Deviations::none));
             (flank.variances, flank.runs_px2) = ([0.0; 3], 0.0);
             let is_contradicted = background.is_some() && flank.strip.usable() < LEAST_USABLE;
             if flank.strip.blocks.len() < self.options.min_blocks || is_contradicted {
@@ -210,9 +224,12 @@ impl Photometric {
             let part = (LONGEST_STEP_PX / motion).min(blur).min(1.0);
             x.0 += step * part;
             self.follow(sketch, &step, part);
-            let settled = iteration > 2 && motion < self.options.tolerance_px;
+            // The square of the step in units of its covariance, of all unknowns together.
+            let chi_squared = step.dot(&normal.right) / (scale * scale);
+            let is_small = motion < self.options.tolerance_px || chi_squared < SMALL_STEP;
+            let settled = iteration > 2 && is_small;
             if settled || iteration >= self.options.max_iterations {
-                let settled = motion < NEARLY_SETTLED * self.options.tolerance_px;
+                let settled = settled || motion < NEARLY_SETTLED * self.options.tolerance_px;
                 let covariance = covariance(&factor, &normal.tally, freedom)?;
                 let ending =
                     Ending { residual_grey: scale, iterations: iteration, converged: settled };
@@ -234,14 +251,31 @@ impl Photometric {
         for (levels, flank) in levels.iter_mut().zip(&self.flanks) {
             for (level, inside) in levels.iter_mut().zip([true, false]) {
                 self.sorted.clear();
-                let means = flank.strip.blocks.iter().filter_map(|block| {
-                    mean_level(&flank.strip, block, sketch.half_width_at(block.p), inside)
-                });
-                self.sorted.extend(means);
+                for group in &flank.strip.groups {
+                    self.sorted.extend(mean_levels(&flank.strip, group, sketch, inside));
+                }
                 *level = median(&mut self.sorted)?;
             }
         }
-        Some(Unknowns::on(sketch, levels, self.options.blur_px))
+        let blur_px = self.shown_blur_px(sketch, &levels);
+        Some(Unknowns::on(sketch, levels, blur_px))
+    }
+
+    /// The blur that the pixels about the sketch's edge show, between levels given for either flank:
+    /// the middle one of the blocks \[px\]. Of a step, n = (I − b) / (a − b) has ∫ n (1 − n) dy = s / √π.
+    fn shown_blur_px(&mut self, sketch: &Sketch, levels: &[[f64; 2]; 2]) -> f64 {
+        self.sorted.clear();
+        for (flank, &[inside, outside]) in self.flanks.iter().zip(levels) {
+            for group in &flank.strip.groups {
+                let sums = sums_across_step(&flank.strip, group, sketch, inside, outside);
+                let blocks = sums.into_iter().zip(group.is_block).filter(|(_, is)| *is > 0.0);
+                self.sorted.extend(blocks.map(|(sum, _)| f64::from(sum)));
+            }
+        }
+        let expected = self.options.blur_px;
+        let shown = median(&mut self.sorted)
+            .map_or(expected, |sum| PI.sqrt() * sum / self.options.block_px);
+        shown.clamp((expected - BLUR_SIGMA_PX).max(LEAST_BLUR_PX), expected + BLUR_SIGMA_PX)
     }
 
     /// Linearises the model at `x` and eliminates the deviations of every block.
@@ -289,9 +323,9 @@ impl Photometric {
         let taken = step * part;
         for (index, flank) in self.flanks.iter_mut().enumerate() {
             let taken = FlankStep::of(&taken, index);
-            for (block, deviation) in flank.strip.blocks.iter().zip(&mut flank.deviations) {
-                let factors = unknowns::factors(block.p, sketch.half_length_px);
-                deviation.follow(&taken.changes(&factors), part);
+            for (group, deviations) in flank.strip.groups.iter().zip(&mut flank.deviations) {
+                let factors = Factors::at(&group.p, sketch.half_length_px);
+                deviations.follow(&taken.changes(&factors), part);
             }
         }
     }
@@ -300,7 +334,9 @@ impl Photometric {
     /// them may have something in them \[grey levels\].
     fn residual_scale(&mut self, scale: f64, freedom: f64) -> f64 {
         self.sorted.clear();
-        self.sorted.extend(self.flanks.iter().flat_map(|f| &f.deviations).map(|d| d.chi_squared));
+        for flank in &self.flanks {
+            self.sorted.extend(flank.of_blocks(|deviations| &deviations.chi_squared));
+        }
         let middle = median(&mut self.sorted).unwrap_or(1.0);
         scale * (middle * freedom / MEDIAN_OF_BLOCKS).sqrt()
     }
@@ -314,7 +350,7 @@ impl Photometric {
     ) -> PhotometricReport {
         let Ending { residual_grey, iterations, converged } = *ending;
         let pixels = self.pixels();
-        let blocks: usize = self.flanks.iter().map(|f| f.deviations.len()).sum();
+        let blocks: usize = self.flanks.iter().map(|f| f.strip.blocks.len()).sum();
         let sigma = |effect: usize| [0, 1].map(|f| self.flanks[f].variances[effect].sqrt());
         PhotometricReport {
             pixels,
@@ -357,35 +393,48 @@ impl Work for Linearising<'_> {
     #[inline(always)]
     fn run(self) {
         let Self { flank, index, sketch, x, end, clear_px, table, weighing, .. } = self;
-        let Flank { strip, deviations, workspace, variances, runs_px2 } = flank;
-        for (block, deviation) in strip.blocks.iter().zip(&mut *deviations) {
-            let profile = x.profile(sketch, index, block.p, &deviation.effects);
-            let end = end.filter(|_| block.p > clear_px);
-            let chunks = strip.chunks(block);
-            deviation.gram.take(chunks, &profile, end, table, &weighing, workspace);
-        }
+        let Flank { strip, deviations, weighed, gram, variances, runs_px2, .. } = flank;
         let noise2 = weighing.noise_grey * weighing.noise_grey;
-        for (block, deviation) in strip.blocks.iter().zip(deviations) {
-            deviation.chi_squared = deviation.gram.chi_squared / block.pixels as f64;
+        for (group, deviations) in strip.groups.iter().zip(deviations) {
+            let profile = x.profile(sketch, index, &group.p, &deviations.effects);
+            // The last block is the one nearest to the end.
+            let end = end.filter(|_| group.p[LANES - 1] > clear_px);
+            gram.take(strip.chunks(group), &profile, end, table, &weighing, weighed);
+            deviations.chi_squared = each(|i| gram.chi_squared[i] / gram.pixels[i].max(1.0));
             if self.reweighs {
-                let say = MOST_CHI_SQUARED / deviation.chi_squared;
-                deviation.say = (say * say).min(1.0);
+                deviations.trust(group, MOST_CHI_SQUARED);
             }
-            let mut variances = *variances;
-            variances[EDGE_EFFECT] += *runs_px2 + deviation.restless_px2;
-            deviation.eliminate(&variances, noise2, self.evidence);
-            let factors = unknowns::factors(block.p, sketch.half_length_px);
-            self.equations.add(deviation.say, &factors, &deviation.gram.equations);
-            self.tally.add(deviation, block.pixels as f64);
+            let mut variances = variances.map(|variance| [variance; LANES]);
+            let of_edge = variances[EDGE_EFFECT];
+            variances[EDGE_EFFECT] = each(|i| of_edge[i] + *runs_px2 + deviations.restless_px2[i]);
+            deviations.eliminate(gram, group, &variances, noise2, self.evidence);
+            let factors = Factors::at(&group.p, sketch.half_length_px);
+            self.equations.add(&deviations.say, &factors, &gram.equations);
+            self.tally.add(deviations, gram);
         }
     }
 }
 
 impl Flank {
     fn new() -> Self {
-        let deviations = Vec::with_capacity(USUAL_BLOCKS);
-        let workspace = Workspace::with_capacity(USUAL_CHUNKS);
-        Self { strip: Strip::new(), deviations, workspace, variances: [0.0; 3], runs_px2: 0.0 }
+        Self {
+            strip: Strip::new(),
+            deviations: Vec::with_capacity(USUAL_BLOCKS.div_ceil(LANES)),
+            weighed: Vec::with_capacity(USUAL_PIXELS),
+            gram: Box::default(),
+            levels: Vec::with_capacity(USUAL_BLOCKS),
+            variances: [0.0; 3],
+            runs_px2: 0.0,
+        }
+    }
+
+    /// A number of every block, in order along the finger.
+    fn of_blocks<'a>(
+        &'a self,
+        lanes: impl Fn(&'a Deviations) -> &'a Doubles + 'a,
+    ) -> impl Iterator<Item = f64> + 'a {
+        let all = self.deviations.iter().flat_map(lanes);
+        all.copied().skip(self.strip.first_slot())
     }
 
     /// Takes over the variances that the evidence speaks for; by half once there are some that owe
@@ -403,13 +452,14 @@ impl Flank {
     /// Works out how much the background's changes from block to block, and the finger's deviations,
     /// leave each edge in doubt.
     fn watch_levels(&mut self, restlessness_px: f64, contrast_grey: f64, scale: f64) {
-        for k in 0..self.deviations.len() {
-            let level = |k: usize| self.deviations.get(k).map(|d| d.effects[OUTSIDE_EFFECT]);
-            let Some(here) = level(k) else { continue };
+        let mut levels = std::mem::take(&mut self.levels);
+        levels.clear();
+        levels.extend(self.of_blocks(|deviations| &deviations.effects[OUTSIDE_EFFECT]));
+        for (k, &here) in levels.iter().enumerate() {
             let (mut sum, mut weight) = (0.0, 0.0);
             for (away, share) in [(1, 1.0), (2, 0.5)] {
                 for other in [k.checked_sub(away), Some(k + away)] {
-                    if let Some(there) = other.and_then(level) {
+                    if let Some(there) = other.and_then(|other| levels.get(other)) {
                         sum += share * (there - here).powi(2);
                         weight += share;
                     }
@@ -419,11 +469,14 @@ impl Flank {
             let behind = self.strip.blocks.get(k).map_or(0.0, |b| b.behind);
             let contrast2 = (contrast_grey - behind - here).powi(2).max(9.0 * scale * scale);
             let change2 = if weight > 0.0 { sum / weight } else { 0.0 };
-            if let Some(deviation) = self.deviations.get_mut(k) {
-                let change2 = change2 + deviation.effects[INSIDE_EFFECT].powi(2);
-                deviation.restless_px2 = restlessness_px.powi(2) * change2 / contrast2;
+            let slot = self.strip.first_slot() + k;
+            if let Some(deviations) = self.deviations.get_mut(slot / LANES) {
+                let lane = slot % LANES;
+                let change2 = change2 + deviations.effects[INSIDE_EFFECT][lane].powi(2);
+                deviations.restless_px2[lane] = restlessness_px.powi(2) * change2 / contrast2;
             }
         }
+        self.levels = levels;
     }
 }
 
@@ -483,22 +536,53 @@ fn stretch(line: &Vector2<f64>, h: f64) -> Stretch {
     Stretch { from_px: middle_px - half_px, to_px: middle_px + half_px }
 }
 
-/// Mean level of the block's pixels that are clear of the edge on one side of it.
-fn mean_level(strip: &Strip, block: &Block, half_width_px: f64, inside: bool) -> Option<f64> {
-    let (mut sum, mut count) = (0.0, 0.0);
-    for chunk in strip.chunks(block) {
+/// Mean levels of those blocks' pixels that are clear of the edge on one side of it, where there are
+/// any.
+fn mean_levels(
+    strip: &Strip,
+    group: &Group,
+    sketch: &Sketch,
+    inside: bool,
+) -> impl Iterator<Item = f64> {
+    let edge: [f32; LANES] = each(|i| sketch.half_width_at(group.p[i]) as f32);
+    let (mut sums, mut counts) = ([0.0_f32; LANES], [0.0_f32; LANES]);
+    for chunk in strip.chunks(group) {
         for i in 0..LANES {
-            let outside = chunk.v[i] - half_width_px as f32;
+            let outside = chunk.v[i] - edge[i];
             let behind = if inside { 0.0 } else { chunk.background[i] };
             let clear =
                 if inside { outside < -CLEAR_INSIDE_PX } else { outside > CLEAR_OUTSIDE_PX };
-            if clear {
-                sum += chunk.weight[i] * (chunk.grey[i] - behind);
-                count += chunk.weight[i];
-            }
+            let counted = if clear { chunk.weight[i] } else { 0.0 };
+            sums[i] += counted * (chunk.grey[i] - behind);
+            counts[i] += counted;
         }
     }
-    (count > 0.0).then(|| f64::from(sum / count))
+    let told = sums.into_iter().zip(counts).filter(|(_, count)| *count > 0.0);
+    told.map(|(sum, count)| f64::from(sum / count))
+}
+
+/// Σ n (1 − n) over those blocks' pixels near the edge, with n the part of the step from `outside` to
+/// `inside` that a pixel shows; what shows more than the step or less counts for nothing.
+fn sums_across_step(
+    strip: &Strip,
+    group: &Group,
+    sketch: &Sketch,
+    inside: f64,
+    outside: f64,
+) -> [f32; LANES] {
+    let edge: [f32; LANES] = each(|i| sketch.half_width_at(group.p[i]) as f32);
+    let (inside, outside) = (inside as f32, outside as f32);
+    let mut sums = [0.0; LANES];
+    for chunk in strip.chunks(group) {
+        for i in 0..LANES {
+            let outside = chunk.background[i] + outside;
+            let step2 = ((inside - outside) * (inside - outside)).max(1.0);
+            let parts = ((chunk.grey[i] - outside) * (inside - chunk.grey[i])).max(0.0) / step2;
+            let is_near = (chunk.v[i] - edge[i]).abs() < NEAR_EDGE_PX;
+            sums[i] += if is_near { chunk.weight[i] * parts } else { 0.0 };
+        }
+    }
+    sums
 }
 
 fn median(values: &mut [f64]) -> Option<f64> {

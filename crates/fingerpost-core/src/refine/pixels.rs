@@ -1,24 +1,41 @@
 //! The pixels near the flanks, sorted into blocks along the finger.
 //!
 //! Pixels that are clipped (0 or 255) say only that the light was at least or at most so much, and
-//! are left out. A block is a short slab of one flank; its pixels lie in chunks of [`LANES`] for
-//! the arithmetic on them, the last chunk padded with pixels of no weight.
+//! are left out. A block is a short slab of one flank. [`LANES`] blocks that follow each other are
+//! worked on side by side, one in every lane: sums over a block's pixels, and all that follows from
+//! them, never cross lanes. A block with fewer pixels than its neighbours is padded with pixels of no
+//! weight; the last group, about the round end, is always full, and the first one may have lanes
+//! without a block.
 //!
 //! A known background may lie in the shadow of the hand, or not be what is behind the finger now.
 //! Pixels further out than those that are fitted tell, block by block: their middle ratio to the
 //! background is the light that the shadow leaves, and where they do not agree with the background
 //! even then, the block is left out.
 
+#![expect(
+    clippy::inline_always,
+    reason = "what is inlined into a function with wider instructions is compiled for them"
+)]
+
 use super::sketch::{SIDES, Sketch};
 use super::{KnownBackground, PhotometricOptions, Stretch};
 use crate::image::GrayView;
 use nalgebra::Vector2;
 
-/// How many pixels are worked on at once.
+/// How many blocks are worked on at once.
 pub(super) const LANES: usize = 8;
 pub(super) type Lanes = [f32; LANES];
+/// What is made of sums over pixels, which single precision would spoil.
+pub(super) type Doubles = [f64; LANES];
 
-/// Some pixels of one block.
+/// The sum of all lanes.
+#[inline(always)]
+pub(super) fn total([a, b, c, d, e, f, g, h]: &Doubles) -> f64 {
+    // Halves first: one addition of vectors each.
+    ((a + e) + (c + g)) + ((b + f) + (d + h))
+}
+
+/// One pixel of every block of a group.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Chunk {
     /// Along the finger \[px\].
@@ -46,6 +63,17 @@ pub(super) struct Block {
     pub behind: f64,
     /// How the known background behind it is lit: 1, less in a shadow, 0 if it is not there.
     light: f32,
+    /// Its place among the lanes of all groups.
+    slot: usize,
+}
+
+/// Blocks side by side.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Group {
+    /// The middles of the slabs; that of a neighbour in a lane without a block.
+    pub p: Doubles,
+    /// 1, or 0 in a lane without a block.
+    pub is_block: Doubles,
     from_chunk: usize,
     to_chunk: usize,
 }
@@ -54,8 +82,11 @@ pub(super) struct Block {
 #[derive(Debug, Clone)]
 pub(super) struct Strip {
     pub blocks: Vec<Block>,
+    pub groups: Vec<Group>,
     chunks: Vec<Chunk>,
     seen: Vec<Seen>,
+    /// The next free chunk of every lane of every group.
+    filled: Vec<usize>,
     witnesses: Vec<Witness>,
     ratios: Vec<f32>,
     usable: f64,
@@ -79,6 +110,9 @@ struct Seen {
     y: u32,
     p: f32,
     v: f32,
+    grey: f32,
+    /// The known background, its derivatives and its variance, or zeros: as in [`Chunk`].
+    behind: [f32; 4],
 }
 
 /// A rectangle of the finger's frame: between bounds of p and of v = σ q.
@@ -87,10 +121,9 @@ struct Band {
     v: [f64; 2],
 }
 
-/// A strip of so many blocks, of 32 pixels each, fits without another allocation.
+/// A strip of so many blocks, of so many pixels each, fits without another allocation.
 pub(super) const USUAL_BLOCKS: usize = 128;
-/// Most blocks have no more than so many chunks.
-pub(super) const USUAL_CHUNKS: usize = 16;
+pub(super) const USUAL_PIXELS: usize = 32;
 
 /// Witnesses stand outside the edge from here to there, beyond its blur \[px\],
 const WITNESSES_PX: std::ops::RangeInclusive<i32> = 4..=8;
@@ -113,8 +146,10 @@ impl Strip {
     pub fn new() -> Self {
         Self {
             blocks: Vec::with_capacity(USUAL_BLOCKS),
-            chunks: Vec::with_capacity(4 * USUAL_BLOCKS),
-            seen: Vec::with_capacity(4 * LANES * USUAL_BLOCKS),
+            groups: Vec::with_capacity(USUAL_BLOCKS.div_ceil(LANES)),
+            chunks: Vec::with_capacity(USUAL_BLOCKS.div_ceil(LANES) * USUAL_PIXELS),
+            seen: Vec::with_capacity(USUAL_BLOCKS * USUAL_PIXELS),
+            filled: Vec::with_capacity(USUAL_BLOCKS + LANES),
             witnesses: Vec::with_capacity(WITNESSES_PX.count() * 4 * USUAL_BLOCKS),
             ratios: Vec::with_capacity(WITNESSES_PX.count() * 4 * USUAL_BLOCKS),
             usable: 0.0,
@@ -122,13 +157,18 @@ impl Strip {
     }
 
     #[inline]
-    pub fn chunks(&self, block: &Block) -> &[Chunk] {
-        self.chunks.get(block.from_chunk..block.to_chunk).unwrap_or_default()
+    pub fn chunks(&self, group: &Group) -> &[Chunk] {
+        self.chunks.get(group.from_chunk..group.to_chunk).unwrap_or_default()
     }
 
-    /// The most chunks that a block has.
-    pub fn most_chunks(&self) -> usize {
-        self.blocks.iter().map(|b| b.to_chunk - b.from_chunk).max().unwrap_or(0)
+    /// The most pixels that a block has.
+    pub fn most_pixels(&self) -> usize {
+        self.groups.iter().map(|g| g.to_chunk - g.from_chunk).max().unwrap_or(0)
+    }
+
+    /// The place of the first block among the lanes of all groups; the others follow it.
+    pub fn first_slot(&self) -> usize {
+        self.blocks.first().map_or(0, |b| b.slot)
     }
 
     /// The part of the blocks that the frame and what is known of the background leave, 0–1.
@@ -168,8 +208,10 @@ impl Strip {
         if let Some(known) = background {
             self.hear(image, known, sketch, flank);
             self.light(noise_grey as f32);
+            self.uncover(known, sketch.normal() * SIDES[flank]);
         }
-        self.fill(image, background, sketch.normal() * SIDES[flank]);
+        self.group();
+        self.fill();
     }
 
     /// Collects the witnesses of a flank.
@@ -226,8 +268,8 @@ impl Strip {
         }
     }
 
-    /// Finds the pixels of the strip: along the straight part up to the middle of the round end, and
-    /// about a part of that.
+    /// Finds the usable pixels of the strip: along the straight part up to the middle of the round
+    /// end, and about a part of that.
     fn see(
         &mut self,
         image: &GrayView<'_>,
@@ -237,94 +279,128 @@ impl Strip {
     ) {
         let Stretch { from_px, to_px } = sketch.flanks[flank];
         let (inner, outer) = (options.inner_px, options.outer_px);
-        let strip = -inner..=outer;
-        let seen = &mut self.seen;
+        let side = SIDES[flank];
+        let per_block = options.block_px.recip();
+        let Self { seen, blocks, .. } = self;
         seen.clear();
-        let mut scan = |band: &Band, outside: &dyn Fn(f64, f64) -> f64| {
-            band.scan(image, sketch, SIDES[flank], |x, y, p, v| {
-                if strip.contains(&outside(p, v)) {
-                    let block = ((p - from_px) / options.block_px) as usize;
-                    let (x, y, p, v) = (x as u32, y as u32, p as f32, v as f32);
-                    seen.push(Seen { block, x, y, p, v });
-                }
-            });
+        let mut last = None;
+        let mut see = |x: usize, y: usize, p: f64, v: f64, outside: f64| {
+            if outside < -inner || outside > outer {
+                return;
+            }
+            let block = ((p - from_px) * per_block) as usize;
+            last = last.max(Some(block));
+            if let Some(grey @ 1..=254) = image.pixel(x, y) {
+                let (x, y, p, v) = (x as u32, y as u32, p as f32, v as f32);
+                seen.push(Seen { block, x, y, p, v, grey: f32::from(grey), behind: [0.0; 4] });
+            }
         };
         let straight_to = sketch.round_end_px.map_or(to_px, |e| to_px.min(e));
         if straight_to > from_px {
             let [a, b] = [from_px, straight_to].map(|p| sketch.half_width_at(p));
             let v = [(a.min(b) - inner).max(0.0), a.max(b) + outer];
             let band = Band { p: [from_px, straight_to], v };
-            scan(&band, &|p, v| v - sketch.half_width_at(p));
+            band.scan(image, sketch, side, |x, y, p, v| {
+                see(x, y, p, v, v - sketch.half_width_at(p));
+            });
         }
         if let (Some(end), Some(radius)) = (sketch.round_end_px, sketch.end_radius_px()) {
             // The middle itself belongs to the straight part.
             let p = [from_px.max(end).next_up(), to_px.min(end + options.cap * radius)];
             if p[1] > p[0] {
                 let band = Band { p, v: [0.0, radius + outer] };
-                scan(&band, &|p, v| (p - end).hypot(v) - radius);
+                band.scan(image, sketch, side, |x, y, p, v| {
+                    see(x, y, p, v, ((p - end) * (p - end) + v * v).sqrt() - radius);
+                });
             }
+        }
+        blocks.clear();
+        blocks.resize(last.map_or(0, |last| last + 1), Block::default());
+    }
+
+    /// Tells the blocks where they are.
+    fn divide(&mut self, from_px: f64, block_px: f64) {
+        for (k, block) in self.blocks.iter_mut().enumerate() {
+            (block.p, block.light) = (from_px + (k as f64 + 0.5) * block_px, 1.0);
         }
     }
 
-    /// Makes room for what was seen, block by block.
-    fn divide(&mut self, from_px: f64, block_px: f64) {
-        let count = self.seen.iter().map(|s| s.block + 1).max().unwrap_or(0);
-        self.blocks.clear();
-        self.blocks.resize(count, Block::default());
-        for s in &self.seen {
-            self.blocks[s.block].pixels += 1;
+    /// Finds what is known to be behind the pixels, and forgets those behind which nothing is.
+    fn uncover(&mut self, known: &KnownBackground<'_>, outward: Vector2<f64>) {
+        let Self { blocks, seen, .. } = self;
+        seen.retain_mut(|s| {
+            let light = blocks[s.block].light;
+            let Some([level, slope, curvature, doubt]) =
+                known.local(s.x as usize, s.y as usize, outward).filter(|_| light > 0.0)
+            else {
+                return false;
+            };
+            s.behind = [light * level, light * slope, light * curvature, light * light * doubt];
+            true
+        });
+    }
+
+    /// Puts the blocks that have pixels side by side.
+    fn group(&mut self) {
+        let Self { blocks, groups, chunks, seen, usable, .. } = self;
+        for s in &*seen {
+            let block = &mut blocks[s.block];
+            block.pixels += 1;
+            block.behind += f64::from(s.behind[0]);
+        }
+        let possible = blocks.len();
+        let left = blocks.iter().filter(|b| b.pixels > 0).count();
+        *usable = left as f64 / possible.max(1) as f64;
+        let count = left.div_ceil(LANES);
+        let first = count * LANES - left;
+        let with_pixels = blocks.iter_mut().filter(|b| b.pixels > 0);
+        for (slot, block) in (first..).zip(with_pixels) {
+            block.slot = slot;
+            block.behind /= block.pixels as f64;
+        }
+        // What was seen says by now where it goes.
+        for s in &mut *seen {
+            s.block = blocks[s.block].slot;
+        }
+        blocks.retain(|b| b.pixels > 0);
+        groups.clear();
+        groups.resize(count, Group::default());
+        if let (Some(group), Some(block)) = (groups.first_mut(), blocks.first()) {
+            group.p = [block.p; LANES];
+        }
+        for block in &*blocks {
+            let (group, lane) = (&mut groups[block.slot / LANES], block.slot % LANES);
+            (group.p[lane], group.is_block[lane]) = (block.p, 1.0);
+            group.to_chunk = group.to_chunk.max(block.pixels);
         }
         let mut total = 0;
-        for (k, block) in self.blocks.iter_mut().enumerate() {
-            block.p = from_px + (k as f64 + 0.5) * block_px;
-            (block.from_chunk, block.to_chunk) = (total, total);
-            total += block.pixels.div_ceil(LANES);
-            (block.pixels, block.light) = (0, 1.0);
+        for group in groups {
+            (group.from_chunk, group.to_chunk) = (total, total + group.to_chunk);
+            total = group.to_chunk;
         }
-        self.chunks.clear();
-        self.chunks.resize(total, Chunk::default());
+        chunks.clear();
+        chunks.resize(total, Chunk::default());
     }
 
-    /// Puts the usable ones of the pixels seen into their blocks.
-    fn fill(
-        &mut self,
-        image: &GrayView<'_>,
-        background: Option<&KnownBackground<'_>>,
-        outward: Vector2<f64>,
-    ) {
-        for s in &self.seen {
-            let (x, y) = (s.x as usize, s.y as usize);
-            let Some(grey @ 1..=254) = image.pixel(x, y) else { continue };
-            let behind = match background {
-                Some(known) => known.local(x, y, outward),
-                None => Some([0.0; 4]),
-            };
-            let Some([level, slope, curvature, doubt]) = behind else { continue };
-            let block = &mut self.blocks[s.block];
-            let light = block.light;
-            if light == 0.0 {
-                continue;
-            }
-            let (chunk, lane) = (block.from_chunk + block.pixels / LANES, block.pixels % LANES);
-            block.pixels += 1;
-            block.to_chunk = chunk + 1;
-            let chunk = &mut self.chunks[chunk];
+    /// Puts the pixels into their blocks.
+    fn fill(&mut self) {
+        let Self { groups, chunks, seen, filled, .. } = self;
+        filled.clear();
+        filled.extend(groups.iter().flat_map(|group| [group.from_chunk; LANES]));
+        for s in seen {
+            let (next, lane) = (&mut filled[s.block], s.block % LANES);
+            let chunk = &mut chunks[*next];
+            *next += 1;
             chunk.p[lane] = s.p;
             chunk.v[lane] = s.v;
-            chunk.grey[lane] = f32::from(grey);
+            chunk.grey[lane] = s.grey;
             chunk.weight[lane] = 1.0;
-            chunk.background[lane] = light * level;
-            chunk.background_slope[lane] = light * slope;
-            chunk.background_curvature[lane] = light * curvature;
-            chunk.doubt[lane] = light * light * doubt;
-            block.behind += f64::from(light * level);
+            let [level, slope, curvature, doubt] = s.behind;
+            chunk.background[lane] = level;
+            chunk.background_slope[lane] = slope;
+            chunk.background_curvature[lane] = curvature;
+            chunk.doubt[lane] = doubt;
         }
-        for block in &mut self.blocks {
-            block.behind /= block.pixels.max(1) as f64;
-        }
-        let possible = self.blocks.len();
-        self.blocks.retain(|b| b.pixels > 0);
-        self.usable = self.blocks.len() as f64 / possible.max(1) as f64;
     }
 }
 

@@ -51,21 +51,31 @@ pub const RIGHT: usize = 6;
 /// By the middle of the round end \[grey levels / px\]; the last one, and nothing clear of the end.
 pub const END: usize = 7;
 
-/// What the pixels of one block depend on.
+/// What the pixels of some blocks depend on: what stands in lanes, block by block.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Profile {
     /// Edge at v = e₀ + e₁ p + e₂ p² \[px\].
-    pub edge: [f32; 3],
+    pub edge: Lanes,
+    pub edge_change: [f32; 2],
     /// Blur s \[px\], positive.
     pub blur: f32,
     /// a, a₁ and b, b₁ \[grey levels, per px\].
-    pub inside: [f32; 2],
-    pub outside: [f32; 2],
+    pub inside: Lanes,
+    pub inside_change: f32,
+    pub outside: Lanes,
+    pub outside_change: f32,
     /// c and l \[grey levels\].
     pub ramp: f32,
     pub limb: f32,
     /// W \[px\], positive.
-    pub half_width: f32,
+    pub half_width: Lanes,
+}
+
+/// What the shading of some blocks goes by: √(2 s / W) and 1 / W.
+#[derive(Debug, Clone, Copy)]
+pub struct Shading {
+    root: Lanes,
+    per_width: Lanes,
 }
 
 /// The round end of a finger.
@@ -83,7 +93,7 @@ pub const CLEAR: f64 = 4.5;
 const LEAST_RANGE: f32 = 0.1;
 
 /// What the model says of some pixels.
-#[derive(Debug, Clone, Copy, Default)]
+#[derive(Debug, Clone, Copy)]
 pub struct Prediction {
     pub grey: Lanes,
     /// Its derivatives, by column; that of the right side is left to be filled.
@@ -104,74 +114,95 @@ struct Distance {
 }
 
 impl Profile {
+    /// What is the same for all pixels of the blocks.
+    #[inline(always)]
+    pub fn shading(&self) -> Shading {
+        let (mut root, mut per_width) = ([0.0; LANES], [0.0; LANES]);
+        for i in 0..LANES {
+            root[i] = (2.0 * self.blur / self.half_width[i]).sqrt();
+            per_width[i] = 1.0 / self.half_width[i];
+        }
+        Shading { root, per_width }
+    }
+
     /// The distance from the straight flank.
     #[inline(always)]
     fn beyond_flank(&self, chunk: &Chunk) -> Lanes {
-        let [e0, e1, e2] = self.edge;
+        let [e1, e2] = self.edge_change;
         let mut y = [0.0; LANES];
         for i in 0..LANES {
             let p = chunk.p[i];
-            y[i] = chunk.v[i] - (e0 + p * (e1 + p * e2));
+            y[i] = chunk.v[i] - (self.edge[i] + p * (e1 + p * e2));
         }
         y
     }
 
     /// What pixels clear of the round end record.
     #[inline(always)]
-    pub fn straight(&self, table: BlurTable, chunk: &Chunk) -> Prediction {
+    pub fn straight(&self, shading: &Shading, table: BlurTable, chunk: &Chunk) -> Prediction {
         let y = self.beyond_flank(chunk);
         let s = self.blur;
-        let mut z = [0.0; LANES];
-        let (root, per_width, per_blur) =
-            ((2.0 * s / self.half_width).sqrt(), 1.0 / self.half_width, 1.0 / s);
+        let per_blur = 1.0 / s;
+        let none = [0.0; LANES];
+        let mut z = none;
         for i in 0..LANES {
             z[i] = -y[i] * per_blur;
         }
         let m = table.moments(&z);
-        let (ramp, limb) = (self.ramp * per_width, self.limb * root);
-        let mut at = Prediction::default();
+        let (mut grey, mut by_edge, mut by_blur) = (none, none, none);
+        let (mut by_outside, mut by_ramp, mut by_limb) = (none, none, none);
         for i in 0..LANES {
+            let (root, per_width) = (shading.root[i], shading.per_width[i]);
+            let (ramp, limb) = (self.ramp * per_width, self.limb * root);
             let (share, density, p) = (m.step[i], m.step_slope[i], chunk.p[i]);
             let (slope, curvature) = (chunk.background_slope[i], chunk.background_curvature[i]);
-            let outside = chunk.background[i] + self.outside[0] + self.outside[1] * p;
-            let step = self.inside[0] + self.inside[1] * p - outside;
+            let outside = chunk.background[i] + self.outside[i] + self.outside_change * p;
+            let step = self.inside[i] + self.inside_change * p - outside;
             let rise = s * density - y[i] * share;
             let behind = slope * s + 0.5 * curvature * s * s * z[i];
             let by_z = limb * m.root_slope[i]
                 + density
                     * (step - slope * s * z[i] + 0.5 * curvature * s * s * (1.0 - z[i] * z[i]));
-            at.grey[i] = outside + step * share + density * behind + ramp * rise + limb * m.root[i];
-            at.columns[EDGE][i] = by_z * per_blur + ramp * share;
-            at.columns[BLUR][i] = (0.5 * limb * m.root[i] - by_z * z[i]) * per_blur
+            grey[i] = outside + step * share + density * behind + ramp * rise + limb * m.root[i];
+            by_edge[i] = by_z * per_blur + ramp * share;
+            by_blur[i] = (0.5 * limb * m.root[i] - by_z * z[i]) * per_blur
                 + density * (ramp + slope + curvature * s * z[i]);
-            at.columns[INSIDE][i] = share;
-            at.columns[OUTSIDE][i] = 1.0 - share;
-            at.columns[RAMP][i] = rise * per_width;
-            at.columns[LIMB][i] = m.root[i] * root;
+            by_outside[i] = 1.0 - share;
+            by_ramp[i] = rise * per_width;
+            by_limb[i] = m.root[i] * root;
         }
-        at
+        let columns = [by_edge, m.step, by_outside, by_blur, by_ramp, by_limb, none, none];
+        Prediction { grey, columns }
     }
 
     /// What pixels near the round end record.
     #[inline(always)]
-    pub fn round(&self, table: BlurTable, chunk: &Chunk, end: RoundEnd) -> Prediction {
+    pub fn round(
+        &self,
+        shading: &Shading,
+        table: BlurTable,
+        chunk: &Chunk,
+        end: RoundEnd,
+    ) -> Prediction {
         let from_flank = self.beyond_flank(chunk);
         let s = self.blur;
+        let per_blur = 1.0 / s;
         let d = end.distance(table, &from_flank, &chunk.p, s);
-        let mut z = [0.0; LANES];
-        let (root, per_width, per_blur) =
-            ((2.0 * s / self.half_width).sqrt(), 1.0 / self.half_width, 1.0 / s);
+        let none = [0.0; LANES];
+        let mut z = none;
         for i in 0..LANES {
             z[i] = -d.y[i] * per_blur;
         }
         let m = table.moments(&z);
-        let (ramp, limb) = (self.ramp * per_width, self.limb * root);
-        let mut at = Prediction::default();
+        let (mut grey, mut by_edge, mut by_blur, mut by_end) = (none, none, none, none);
+        let (mut by_outside, mut by_ramp, mut by_limb) = (none, none, none);
         for i in 0..LANES {
+            let (root, per_width) = (shading.root[i], shading.per_width[i]);
+            let (ramp, limb) = (self.ramp * per_width, self.limb * root);
             let (share, density, p) = (m.step[i], m.step_slope[i], chunk.p[i]);
             let (slope, curvature) = (chunk.background_slope[i], chunk.background_curvature[i]);
-            let outside = chunk.background[i] + self.outside[0] + self.outside[1] * p;
-            let step = self.inside[0] + self.inside[1] * p - outside;
+            let outside = chunk.background[i] + self.outside[i] + self.outside_change * p;
+            let step = self.inside[i] + self.inside_change * p - outside;
             // The ramp goes by the distance from the flank, which blur mixes along its own normal.
             let lean = s * d.by_flank[i];
             let rise = lean * density - from_flank[i] * share;
@@ -181,19 +212,18 @@ impl Profile {
                     * (step - slope * s * z[i] + 0.5 * curvature * s * s * (1.0 - z[i] * z[i])
                         - ramp * (from_flank[i] + lean * z[i]));
             let (by_y, by_lean) = (-by_z * per_blur, ramp * s * density);
-            at.grey[i] = outside + step * share + density * behind + ramp * rise + limb * m.root[i];
-            at.columns[EDGE][i] =
-                ramp * share - by_y * d.by_flank[i] - by_lean * d.by_flank_twice[i];
-            at.columns[BLUR][i] = 0.5 * limb * m.root[i] * per_blur
+            grey[i] = outside + step * share + density * behind + ramp * rise + limb * m.root[i];
+            by_edge[i] = ramp * share - by_y * d.by_flank[i] - by_lean * d.by_flank_twice[i];
+            by_blur[i] = 0.5 * limb * m.root[i] * per_blur
                 + by_y * (d.by_blur[i] + z[i])
                 + density * (ramp * d.by_flank[i] + slope + curvature * s * z[i]);
-            at.columns[END][i] = -(by_y * d.by_u[i] + by_lean * d.by_flank_and_u[i]);
-            at.columns[INSIDE][i] = share;
-            at.columns[OUTSIDE][i] = 1.0 - share;
-            at.columns[RAMP][i] = rise * per_width;
-            at.columns[LIMB][i] = m.root[i] * root;
+            by_end[i] = -(by_y * d.by_u[i] + by_lean * d.by_flank_and_u[i]);
+            by_outside[i] = 1.0 - share;
+            by_ramp[i] = rise * per_width;
+            by_limb[i] = m.root[i] * root;
         }
-        at
+        let columns = [by_edge, m.step, by_outside, by_blur, by_ramp, by_limb, none, by_end];
+        Prediction { grey, columns }
     }
 }
 
@@ -233,6 +263,7 @@ impl RoundEnd {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::array::from_fn;
 
     /// Step of the differences, and what they may be off by: rounding of grey levels to single
     /// precision over the step, and its fourth power.
@@ -254,24 +285,27 @@ mod tests {
 
     fn profile() -> Profile {
         Profile {
-            edge: [8.0, -0.01, 1e-4],
+            edge: from_fn(|i| 8.0 + 0.03 * i as f32),
+            edge_change: [-0.01, 1e-4],
             blur: 1.1,
-            inside: [150.0, 0.1],
-            outside: [3.0, -0.05],
+            inside: from_fn(|i| 150.0 - i as f32),
+            inside_change: 0.1,
+            outside: from_fn(|i| 3.0 + 0.5 * i as f32),
+            outside_change: -0.05,
             ramp: 25.0,
             limb: 40.0,
-            half_width: 8.2,
+            half_width: from_fn(|i| 8.2 + 0.02 * i as f32),
         }
     }
 
     fn nudge(profile: &Profile, mut end: RoundEnd, feature: usize, by: f32) -> (Profile, RoundEnd) {
         let mut profile = *profile;
         match feature {
-            EDGE => profile.edge[0] += by,
+            EDGE => profile.edge = profile.edge.map(|e| e + by),
             BLUR => profile.blur += by,
             END => end.middle += by,
-            INSIDE => profile.inside[0] += by,
-            OUTSIDE => profile.outside[0] += by,
+            INSIDE => profile.inside = profile.inside.map(|a| a + by),
+            OUTSIDE => profile.outside = profile.outside.map(|b| b + by),
             RAMP => profile.ramp += by,
             _ => profile.limb += by,
         }
@@ -307,7 +341,9 @@ mod tests {
     #[test]
     fn derivatives_along_the_straight_flank() {
         for p in [-30.0, 0.0, 12.0] {
-            check(p, |profile, _, chunk| profile.straight(BlurTable::new(), chunk));
+            check(p, |profile, _, chunk| {
+                profile.straight(&profile.shading(), BlurTable::new(), chunk)
+            });
         }
     }
 
@@ -315,7 +351,9 @@ mod tests {
     fn derivatives_about_the_round_end() {
         // Not astride its middle, where the second derivative of the outline jumps.
         for p in [18.0, 21.5, 25.2, 27.5] {
-            check(p, |profile, end, chunk| profile.round(BlurTable::new(), chunk, end));
+            check(p, |profile, end, chunk| {
+                profile.round(&profile.shading(), BlurTable::new(), chunk, end)
+            });
         }
     }
 
@@ -323,8 +361,9 @@ mod tests {
     fn far_from_the_round_end_the_flank_is_straight() {
         let (profile, end) = (profile(), RoundEnd { middle: 25.0, radius: 7.8 });
         let chunk = chunk(-10.0, 8.0, 3.0);
-        let straight = profile.straight(BlurTable::new(), &chunk);
-        let round = profile.round(BlurTable::new(), &chunk, end);
+        let shading = profile.shading();
+        let straight = profile.straight(&shading, BlurTable::new(), &chunk);
+        let round = profile.round(&shading, BlurTable::new(), &chunk, end);
         for i in 0..LANES {
             assert!((straight.grey[i] - round.grey[i]).abs() < 1e-3);
             assert!((straight.columns[EDGE][i] - round.columns[EDGE][i]).abs() < 1e-3);

@@ -7,8 +7,10 @@
 
 use super::PhotometricOptions;
 use super::gram::Equations;
-use super::profile::{self, COLUMNS, EDGE, INSIDE, OUTSIDE, Profile, RAMP};
+use super::pixels::{Doubles, LANES, total};
+use super::profile::{self, COLUMNS, EDGE, INSIDE, OUTSIDE, Profile, RAMP, RIGHT};
 use super::sketch::{FlankLines, SIDES, Sketch};
+use crate::simd::each;
 use nalgebra::{SMatrix, SVector};
 
 /// Unknowns of both flanks: the bisector's and the half-width's coefficients of 1, p and P₂, blur,
@@ -38,7 +40,7 @@ pub(super) type Information = SMatrix<f64, UNKNOWNS, UNKNOWNS>;
 const LINE_SIGMA_PX: f64 = 3.0;
 const WIDTH_SIGMA_PX: f64 = 2.0;
 const SLOPE_SIGMA: f64 = 0.1;
-const BLUR_SIGMA_PX: f64 = 1.0;
+pub(super) const BLUR_SIGMA_PX: f64 = 1.0;
 const END_SIGMA_PX: f64 = 1.0;
 /// A sphere off the optical axis is seen as an ellipse, longer by 1 / cos of the angle between them
 /// in the direction away from the axis. Unless that is along the finger or across it, the round end
@@ -84,14 +86,31 @@ fn seen_sign(seen: usize, flank: usize) -> f64 {
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Unknowns(pub Vector);
 
-/// How the slots change at one block: a slot's factor times its feature is its derivative.
-pub(super) type Factors = [f64; SLOTS];
+/// How the slots change at some blocks: a slot's factor, one of these or 1, times its feature is its
+/// derivative.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Factors {
+    p: Doubles,
+    bend: Doubles,
+    t: Doubles,
+}
 
-/// The factors of a block whose middle is at p, with half the length in use h.
-#[inline(always)]
-pub(super) fn factors(p: f64, h: f64) -> Factors {
-    let t = p / h;
-    [1.0, p, 1.5 * t * t - 0.5, 1.0, t, 1.0, t, 1.0, 1.0, 1.0, 1.0]
+impl Factors {
+    /// Of blocks whose middles are at p, with half the length in use h.
+    #[inline(always)]
+    pub fn at(p: &Doubles, h: f64) -> Self {
+        let per_length = 1.0 / h;
+        let t: Doubles = each(|i| p[i] * per_length);
+        Self { p: *p, bend: each(|i| 1.5 * t[i] * t[i] - 0.5), t }
+    }
+
+    /// Some number times the factors of all slots.
+    #[inline(always)]
+    fn times(&self, a: &Doubles) -> [Doubles; SLOTS] {
+        let by = |factor: &Doubles| -> Doubles { each(|i| a[i] * factor[i]) };
+        let t = by(&self.t);
+        [*a, by(&self.p), by(&self.bend), *a, t, *a, t, *a, *a, *a, *a]
+    }
 }
 
 impl Unknowns {
@@ -140,24 +159,34 @@ impl Unknowns {
         self.contrast_grey(flank) + self.0[own + 2] * depth + self.0[own + 3] * (2.0 * depth).sqrt()
     }
 
-    /// What a block of a flank looks like whose levels and edge deviate by `effects`: inside,
-    /// outside, edge.
+    /// What blocks of a flank look like whose middles are at p, and whose levels and edges deviate by
+    /// `effects`: inside, outside, edge.
     #[inline(always)]
-    pub fn profile(&self, sketch: &Sketch, flank: usize, p: f64, effects: &[f64; 3]) -> Profile {
+    pub fn profile(
+        &self,
+        sketch: &Sketch,
+        flank: usize,
+        p: &Doubles,
+        effects: &[Doubles; 3],
+    ) -> Profile {
         let x = &self.0;
         let h = sketch.half_length_px;
         let edge = |k: usize| SIDES[flank] * x[OFFSET + k] + x[HALF_WIDTH + k];
         let own = |k: usize| x[OWN + flank * OWN_COUNT + k];
         // e₀ + e₁ p + e₂ P₂, in powers of p.
         let [e0, e1, e2] = [edge(0), edge(1), edge(2)];
+        let (middle, inside, outside) = (e0 - 0.5 * e2, own(0), own(1));
         Profile {
-            edge: [e0 - 0.5 * e2 + effects[2], e1, 1.5 * e2 / (h * h)].map(|e| e as f32),
+            edge: each(|i| (middle + effects[2][i]) as f32),
+            edge_change: [e1, 1.5 * e2 / (h * h)].map(|e| e as f32),
             blur: x[BLUR] as f32,
-            inside: [own(0) + effects[0], x[INSIDE_CHANGE] / h].map(|a| a as f32),
-            outside: [own(1) + effects[1], x[OUTSIDE_CHANGE] / h].map(|b| b as f32),
+            inside: each(|i| (inside + effects[0][i]) as f32),
+            inside_change: (x[INSIDE_CHANGE] / h) as f32,
+            outside: each(|i| (outside + effects[1][i]) as f32),
+            outside_change: (x[OUTSIDE_CHANGE] / h) as f32,
             ramp: own(2) as f32,
             limb: own(3) as f32,
-            half_width: sketch.half_width_at(p) as f32,
+            half_width: each(|i| sketch.half_width_at(p[i]) as f32),
         }
     }
 
@@ -182,11 +211,21 @@ impl FlankStep {
         Self(slots)
     }
 
-    /// What it changes in a block's features, column by column.
-    pub fn changes(&self, factors: &Factors) -> [f64; COLUMNS] {
-        let [_, p, bend, _, t, ..] = *factors;
+    /// What it changes in the features of blocks, column by column.
+    pub fn changes(&self, factors: &Factors) -> [Doubles; COLUMNS] {
+        let Factors { p, bend, t } = factors;
         let [e0, e1, e2, a, a1, b, b1, blur, ramp, limb, end] = self.0;
-        [e0 + p * e1 + bend * e2, a + t * a1, b + t * b1, blur, ramp, limb, 0.0, end]
+        let all = |change: f64| [change; LANES];
+        [
+            each(|i| e0 + p[i] * e1 + bend[i] * e2),
+            each(|i| a + t[i] * a1),
+            each(|i| b + t[i] * b1),
+            all(blur),
+            all(ramp),
+            all(limb),
+            all(0.0),
+            all(end),
+        ]
     }
 }
 
@@ -211,36 +250,42 @@ pub(super) fn prior(
     sigma.map(|s| 1.0 / (s * s))
 }
 
-/// Normal equations of one flank, in its slots, and their right side.
+/// Normal equations of one flank, in the upper triangle of its slots, and their right side; lane by
+/// lane.
 #[derive(Debug, Clone, Copy, Default)]
-pub(super) struct FlankEquations([[f64; SLOTS + 1]; SLOTS]);
+pub(super) struct FlankEquations([[Doubles; SLOTS + 1]; SLOTS]);
 
 impl FlankEquations {
-    /// Adds a block's, which are those of its features.
+    /// Adds those of blocks, which are those of their features.
     #[inline(always)]
-    pub fn add(&mut self, say: f64, factors: &Factors, equations: &Equations) {
-        let [_, p, bend, _, t, ..] = *factors;
-        let rows = equations.map(|[edge, inside, outside, blur, ramp, limb, right, end]| {
-            let (a, b) = (inside, outside);
-            [edge, p * edge, bend * edge, a, t * a, b, t * b, blur, ramp, limb, end, right]
-        });
-        for i in 0..SLOTS {
-            let (factor, from) = (say * factors[i], &rows[SLOT_FEATURE[i]]);
-            for (sum, entry) in self.0[i].iter_mut().zip(from) {
-                *sum += factor * entry;
+    pub fn add(&mut self, say: &Doubles, factors: &Factors, equations: &Equations) {
+        let said = factors.times(say);
+        for (i, sums) in self.0.iter_mut().enumerate() {
+            let feature = SLOT_FEATURE[i];
+            for j in i..=SLOTS {
+                let other = if j == SLOTS { RIGHT } else { SLOT_FEATURE[j] };
+                let (a, b) = (&said[i], &equations[feature.min(other)][feature.max(other)]);
+                let sum = sums[j];
+                sums[j] = match j {
+                    1 => each(|l| sum[l] + a[l] * factors.p[l] * b[l]),
+                    2 => each(|l| sum[l] + a[l] * factors.bend[l] * b[l]),
+                    4 | 6 => each(|l| sum[l] + a[l] * factors.t[l] * b[l]),
+                    _ => each(|l| sum[l] + a[l] * b[l]),
+                };
             }
         }
     }
 
     /// Adds them to those of all unknowns.
     pub fn spread(&self, flank: usize, information: &mut Information, right: &mut Vector) {
+        let totals = self.0.map(|row| row.map(|lanes| total(&lanes)));
         for (a, &i) in SEEN_SLOT.iter().enumerate() {
             let (row, sign) = (seen_unknown(a, flank), seen_sign(a, flank));
-            right[row] += sign * self.0[i][SLOTS];
+            right[row] += sign * totals[i][SLOTS];
             // The lower half, which is all that is looked at.
             for (b, &j) in SEEN_SLOT.iter().enumerate().skip(a) {
                 information[(seen_unknown(b, flank), row)] +=
-                    sign * seen_sign(b, flank) * self.0[i][j];
+                    sign * seen_sign(b, flank) * totals[i.min(j)][i.max(j)];
             }
         }
     }

@@ -6,7 +6,7 @@ use crate::discriminant::{Discriminant, DiscriminantImage, Mixture, region_about
 use crate::frame::{Frame, SidedPixel};
 use crate::search::{Cue, Polarity};
 use crate::shape_space::PlacedSample;
-use nalgebra::{Point2, Vector2};
+use nalgebra::Vector2;
 
 /// The edge itself, this far to either side, is of neither colour; looks are learned up to that
 /// far from it \[px\].
@@ -119,9 +119,7 @@ impl Looks {
             let shown = image.of(
                 frame,
                 mixture,
-                region_about(
-                    self.pixels.iter().map(|p| (Point2::new(f64::from(p.x), f64::from(p.y)), 0.0)),
-                ),
+                region_about(self.pixels.iter().map(|p| (p.middle(), 0.0))),
             )?;
             self.mixed.fade(keep as f32);
             self.mixed.observe_all(&shown, &self.pixels);
@@ -163,18 +161,10 @@ impl Looks {
             // Ahead of a fingertip there is nothing of the hand, and it may go there next.
             let ahead_px = normal.dot(&finger.ahead).max(0.0) * AHEAD_WIDTHS * finger.half_width_px;
             let outer_px = (REACH_PX + ahead_px).min(MOST_REACH_PX);
-            let mut k = EDGE_PX;
-            while k <= outer_px {
-                if k <= depth_px {
-                    let at = position - normal * k;
-                    self.pixels.extend(SidedPixel::at(at.x, at.y, true));
-                }
-                if k >= 2.0 * EDGE_PX {
-                    let at = position + normal * k;
-                    self.pixels.extend(SidedPixel::at(at.x, at.y, false));
-                }
-                k += 1.0;
-            }
+            let inside = SidedPixel::along(*position, -normal, EDGE_PX, depth_px, true);
+            self.pixels.extend(inside);
+            let outside = SidedPixel::along(*position, *normal, 2.0 * EDGE_PX, outer_px, false);
+            self.pixels.extend(outside);
         }
     }
 }
