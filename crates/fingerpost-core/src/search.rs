@@ -234,15 +234,17 @@ impl EdgeSearch {
         let kernel = &kernels[scale as usize];
         let ballot = cue.appearance().map(|appearance| appearance.ballot(frame));
         let by_votes = matches!(cue, Cue::Votes(_));
-        let pass = Pass { kernel, options, isa: *isa, image, ballot, by_votes };
+        let variance_px2 = kernel.variance_at_one_grey * options.noise_grey.powi(2);
+        let pass = Pass { kernel, variance_px2, isa: *isa, image, ballot, by_votes };
         measurements.clear();
-        measurements.resize(lines.len(), Err(Miss::OutOfImage));
+        measurements.reserve(lines.len());
+        let reach = kernel.reach() as i32;
         let mut batch = Batch::default();
-        for (i, line) in lines.iter().enumerate() {
-            let wanted = whole_half_length(line)? + kernel.reach() as i32;
+        for line in lines {
+            let wanted = whole_half_length(line)? + reach;
             let key = (Span { from: -wanted, to: wanted }, line.polarity);
             if *isa == Isa::Scalar {
-                pass.measure(alone, &Batch::of_one(key, i, &line.sample), measurements);
+                pass.measure(alone, &Batch::of_one(key, &line.sample), measurements);
                 continue;
             }
             if batch.is_full() || (batch.key != key && !batch.is_empty()) {
@@ -250,18 +252,22 @@ impl EdgeSearch {
                 batch.count = 0;
             }
             batch.key = key;
-            batch.push(i, &line.sample);
+            batch.push(&line.sample);
         }
         pass.measure(together, &batch, measurements);
-        // What is still out of the image may be inside in part.
+        if !measurements.contains(&Err(Miss::OutOfImage)) {
+            return Ok(());
+        }
+        // What is out of the image may be inside in part.
         for (i, line) in lines.iter().enumerate() {
             if matches!(measurements[i], Err(Miss::OutOfImage)) {
-                let wanted = whole_half_length(line)? + kernel.reach() as i32;
+                let wanted = whole_half_length(line)? + reach;
                 if let Some(span) = visible_span(image, &line.sample, wanted)
-                    .filter(|visible| visible.holds_answers(kernel.reach() as i32))
+                    .filter(|visible| visible.holds_answers(reach))
                 {
-                    let key = (span, line.polarity);
-                    pass.measure(alone, &Batch::of_one(key, i, &line.sample), measurements);
+                    let batch = Batch::of_one((span, line.polarity), &line.sample);
+                    pass.search(alone, &batch);
+                    measurements[i] = pass.found(alone, 0, batch.key);
                 }
             }
         }
@@ -318,7 +324,6 @@ impl Span {
 #[derive(Debug, Clone, Copy)]
 struct Batch<const N: usize> {
     key: (Span, Polarity),
-    lines: [usize; N],
     starts: Starts<N>,
     count: usize,
 }
@@ -327,7 +332,6 @@ impl<const N: usize> Default for Batch<N> {
     fn default() -> Self {
         Self {
             key: (Span { from: 0, to: 0 }, Polarity::Unknown),
-            lines: [0; N],
             starts: Starts::default(),
             count: 0,
         }
@@ -335,9 +339,9 @@ impl<const N: usize> Default for Batch<N> {
 }
 
 impl Batch<1> {
-    fn of_one(key: (Span, Polarity), line: usize, sample: &PlacedSample) -> Self {
+    fn of_one(key: (Span, Polarity), sample: &PlacedSample) -> Self {
         let mut batch = Self { key, ..Self::default() };
-        batch.push(line, sample);
+        batch.push(sample);
         batch
     }
 }
@@ -352,9 +356,8 @@ impl<const N: usize> Batch<N> {
     }
 
     #[inline]
-    fn push(&mut self, line: usize, sample: &PlacedSample) {
+    fn push(&mut self, sample: &PlacedSample) {
         let PlacedSample { position, normal } = sample;
-        self.lines[self.count] = line;
         for (axis, (p, n)) in
             [(position.x, normal.x), (position.y, normal.y)].into_iter().enumerate()
         {
@@ -368,7 +371,8 @@ impl<const N: usize> Batch<N> {
 /// What all lines of one search share.
 struct Pass<'a> {
     kernel: &'a Kernel,
-    options: &'a SearchOptions,
+    /// Var(offset) of the module's head times the squared contrast.
+    variance_px2: f64,
     isa: Isa,
     image: &'a GrayView<'a>,
     ballot: Option<Ballot<'a>>,
@@ -376,26 +380,37 @@ struct Pass<'a> {
 }
 
 impl Pass<'_> {
-    /// Searches the lines of a batch, but for those that leave the image.
+    /// Searches the lines of a batch, if there are any, and adds what they find.
     fn measure<const N: usize>(
         &self,
         lanes: &mut Lanes<N>,
         batch: &Batch<N>,
-        measurements: &mut [EdgeMeasurement],
+        measurements: &mut Vec<EdgeMeasurement>,
     ) {
-        if batch.is_empty() {
-            return;
+        if !batch.is_empty() {
+            self.search(lanes, batch);
+            measurements.extend((0..batch.count).map(|j| self.found(lanes, j, batch.key)));
         }
-        let (span, polarity) = batch.key;
+    }
+
+    fn search<const N: usize>(&self, lanes: &mut Lanes<N>, batch: &Batch<N>) {
         self.isa.run(Search { pass: self, lanes, batch });
-        for (j, &line) in batch.lines[..batch.count].iter().enumerate() {
-            if lanes.is_inside(j) {
-                measurements[line] = if self.by_votes {
-                    self.change_of_votes(lanes, j, span)
-                } else {
-                    self.edge(lanes, j, span, polarity)
-                };
-            }
+    }
+
+    /// What the last search found on line `j`; nothing where the line leaves the image.
+    #[inline]
+    fn found<const N: usize>(
+        &self,
+        lanes: &Lanes<N>,
+        j: usize,
+        (span, polarity): (Span, Polarity),
+    ) -> EdgeMeasurement {
+        if !lanes.is_inside(j) {
+            Err(Miss::OutOfImage)
+        } else if self.by_votes {
+            self.change_of_votes(lanes, j, span)
+        } else {
+            self.edge(lanes, j, span, polarity)
         }
     }
 
@@ -413,7 +428,7 @@ impl Pass<'_> {
         Ok(Edge {
             offset_px: f64::from(span.from + (reach + at) as i32) + parabola_peak(answers),
             contrast_grey,
-            variance_px2: kernel.offset_variance(self.options.noise_grey, contrast_grey),
+            variance_px2: self.variance_px2 / (contrast_grey * contrast_grey),
             separation: self.ballot.map(|_| f64::from(lanes.separation(j, at, reach))),
         })
     }
@@ -499,12 +514,6 @@ impl Kernel {
     /// The contrast of a blurred step that answers with `answer`.
     fn contrast(&self, answer: i16) -> f64 {
         f64::from(answer) * self.contrast_per_answer
-    }
-
-    /// Var(offset) of the module's head.
-    fn offset_variance(&self, noise_grey: f64, contrast_grey: f64) -> f64 {
-        let ratio = noise_grey / contrast_grey;
-        self.variance_at_one_grey * ratio * ratio
     }
 }
 

@@ -31,7 +31,7 @@
 use super::block::{Deviations, EDGE_EFFECT, Evidence, INSIDE_EFFECT, OUTSIDE_EFFECT};
 use super::blur::BlurTable;
 use super::gram::{Gram, Weighed, Weighing};
-use super::pixels::{Doubles, Group, LANES, Strip, USUAL_BLOCKS, USUAL_PIXELS, total};
+use super::pixels::{Doubles, LANES, Lanes, Strip, USUAL_BLOCKS, USUAL_PIXELS, total};
 use super::profile::{CLEAR, RoundEnd};
 use super::sketch::{FlankLines, Sketch};
 use super::unknowns::{
@@ -249,11 +249,9 @@ impl Photometric {
     fn start(&mut self, sketch: &Sketch) -> Option<Unknowns> {
         let mut levels = [[0.0; 2]; 2];
         for (levels, flank) in levels.iter_mut().zip(&self.flanks) {
-            for (level, inside) in levels.iter_mut().zip([true, false]) {
-                self.sorted.clear();
-                for group in &flank.strip.groups {
-                    self.sorted.extend(mean_levels(&flank.strip, group, sketch, inside));
-                }
+            for (level, survey) in levels.iter_mut().zip([Survey::Inside, Survey::Outside]) {
+                let (strip, told) = (&flank.strip, &mut self.sorted);
+                self.isa.run(Surveying { strip, sketch, survey, told });
                 *level = median(&mut self.sorted)?;
             }
         }
@@ -261,20 +259,18 @@ impl Photometric {
         Some(Unknowns::on(sketch, levels, blur_px))
     }
 
-    /// The blur that the pixels about the sketch's edge show, between levels given for either flank:
-    /// the middle one of the blocks \[px\]. Of a step, n = (I − b) / (a − b) has ∫ n (1 − n) dy = s / √π.
+    /// The blur that the pixels about the sketch's edge show, between levels given for either flank,
+    /// by the middle one of its blocks \[px\]. Of a step, n = (I − b) / (a − b) has
+    /// ∫ n (1 − n) dy = s / √π.
     fn shown_blur_px(&mut self, sketch: &Sketch, levels: &[[f64; 2]; 2]) -> f64 {
-        self.sorted.clear();
-        for (flank, &[inside, outside]) in self.flanks.iter().zip(levels) {
-            for group in &flank.strip.groups {
-                let sums = sums_across_step(&flank.strip, group, sketch, inside, outside);
-                let blocks = sums.into_iter().zip(group.is_block).filter(|(_, is)| *is > 0.0);
-                self.sorted.extend(blocks.map(|(sum, _)| f64::from(sum)));
-            }
+        let mut sum = 0.0;
+        for (flank, levels) in self.flanks.iter().zip(levels) {
+            let survey = Survey::Step(levels.map(|level| level as f32));
+            let (strip, told) = (&flank.strip, &mut self.sorted);
+            self.isa.run(Surveying { strip, sketch, survey, told });
+            sum += 0.5 * median(&mut self.sorted).unwrap_or(0.0);
         }
-        let expected = self.options.blur_px;
-        let shown = median(&mut self.sorted)
-            .map_or(expected, |sum| PI.sqrt() * sum / self.options.block_px);
+        let (shown, expected) = (PI.sqrt() * sum / self.options.block_px, self.options.blur_px);
         shown.clamp((expected - BLUR_SIGMA_PX).max(LEAST_BLUR_PX), expected + BLUR_SIGMA_PX)
     }
 
@@ -536,53 +532,59 @@ fn stretch(line: &Vector2<f64>, h: f64) -> Stretch {
     Stretch { from_px: middle_px - half_px, to_px: middle_px + half_px }
 }
 
-/// Mean levels of those blocks' pixels that are clear of the edge on one side of it, where there are
-/// any.
-fn mean_levels(
-    strip: &Strip,
-    group: &Group,
-    sketch: &Sketch,
-    inside: bool,
-) -> impl Iterator<Item = f64> {
-    let edge: [f32; LANES] = each(|i| sketch.half_width_at(group.p[i]) as f32);
-    let (mut sums, mut counts) = ([0.0_f32; LANES], [0.0_f32; LANES]);
-    for chunk in strip.chunks(group) {
-        for i in 0..LANES {
-            let outside = chunk.v[i] - edge[i];
-            let behind = if inside { 0.0 } else { chunk.background[i] };
-            let clear =
-                if inside { outside < -CLEAR_INSIDE_PX } else { outside > CLEAR_OUTSIDE_PX };
-            let counted = if clear { chunk.weight[i] } else { 0.0 };
-            sums[i] += counted * (chunk.grey[i] - behind);
-            counts[i] += counted;
-        }
-    }
-    let told = sums.into_iter().zip(counts).filter(|(_, count)| *count > 0.0);
-    told.map(|(sum, count)| f64::from(sum / count))
+/// What a look at the blocks' pixels is to tell of each.
+#[derive(Debug, Clone, Copy)]
+enum Survey {
+    /// The mean level of the pixels that are clear of the edge on one side of it, if there are any.
+    Inside,
+    Outside,
+    /// Σ n (1 − n) over the pixels near the edge, with n the part of the step between an inside and an
+    /// outside level that a pixel shows; what shows more than the step, or less, counts for nothing.
+    Step([f32; 2]),
 }
 
-/// Σ n (1 − n) over those blocks' pixels near the edge, with n the part of the step from `outside` to
-/// `inside` that a pixel shows; what shows more than the step or less counts for nothing.
-fn sums_across_step(
-    strip: &Strip,
-    group: &Group,
-    sketch: &Sketch,
-    inside: f64,
-    outside: f64,
-) -> [f32; LANES] {
-    let edge: [f32; LANES] = each(|i| sketch.half_width_at(group.p[i]) as f32);
-    let (inside, outside) = (inside as f32, outside as f32);
-    let mut sums = [0.0; LANES];
-    for chunk in strip.chunks(group) {
-        for i in 0..LANES {
-            let outside = chunk.background[i] + outside;
-            let step2 = ((inside - outside) * (inside - outside)).max(1.0);
-            let parts = ((chunk.grey[i] - outside) * (inside - chunk.grey[i])).max(0.0) / step2;
-            let is_near = (chunk.v[i] - edge[i]).abs() < NEAR_EDGE_PX;
-            sums[i] += if is_near { chunk.weight[i] * parts } else { 0.0 };
+/// A look at all blocks of a flank.
+struct Surveying<'a> {
+    strip: &'a Strip,
+    sketch: &'a Sketch,
+    survey: Survey,
+    /// Refilled with what the blocks tell.
+    told: &'a mut Vec<f64>,
+}
+
+impl Work for Surveying<'_> {
+    #[inline(always)]
+    fn run(self) {
+        let Self { strip, sketch, survey, told } = self;
+        told.clear();
+        for group in &strip.groups {
+            let edge: Lanes = each(|i| sketch.half_width_at(group.p[i]) as f32);
+            let (mut sums, mut counts) = ([0.0_f32; LANES], [0.0_f32; LANES]);
+            for chunk in strip.chunks(group) {
+                for i in 0..LANES {
+                    let outside = chunk.v[i] - edge[i];
+                    let (grey, behind) = (chunk.grey[i], chunk.background[i]);
+                    let (value, counts_here) = match survey {
+                        Survey::Inside => (grey, outside < -CLEAR_INSIDE_PX),
+                        Survey::Outside => (grey - behind, outside > CLEAR_OUTSIDE_PX),
+                        Survey::Step([a, b]) => {
+                            let step = a - (behind + b);
+                            let parts = ((grey - (behind + b)) * (a - grey)).max(0.0);
+                            // Of no contrast there is no part.
+                            (parts / (step * step).max(1.0), outside.abs() < NEAR_EDGE_PX)
+                        }
+                    };
+                    let counted = if counts_here { chunk.weight[i] } else { 0.0 };
+                    sums[i] += counted * value;
+                    counts[i] += counted;
+                }
+            }
+            for (sum, count) in sums.into_iter().zip(counts).filter(|(_, count)| *count > 0.0) {
+                let is_mean = !matches!(survey, Survey::Step(_));
+                told.push(f64::from(if is_mean { sum / count } else { sum }));
+            }
         }
     }
-    sums
 }
 
 fn median(values: &mut [f64]) -> Option<f64> {

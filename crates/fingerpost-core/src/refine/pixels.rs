@@ -115,6 +115,16 @@ struct Seen {
     behind: [f32; 4],
 }
 
+/// A pixel of the image, and where it is in the finger's frame.
+#[derive(Debug, Clone, Copy)]
+struct Pixel {
+    x: u32,
+    y: u32,
+    grey: u8,
+    p: f64,
+    v: f64,
+}
+
 /// A rectangle of the finger's frame: between bounds of p and of v = σ q.
 struct Band {
     p: [f64; 2],
@@ -283,15 +293,15 @@ impl Strip {
         let per_block = options.block_px.recip();
         let Self { seen, blocks, .. } = self;
         seen.clear();
-        let mut last = None;
-        let mut see = |x: usize, y: usize, p: f64, v: f64, outside: f64| {
+        let mut blocks_seen = 0;
+        let mut see = |Pixel { x, y, grey, p, v }: Pixel, outside: f64| {
             if outside < -inner || outside > outer {
                 return;
             }
-            let block = ((p - from_px) * per_block) as usize;
-            last = last.max(Some(block));
-            if let Some(grey @ 1..=254) = image.pixel(x, y) {
-                let (x, y, p, v) = (x as u32, y as u32, p as f32, v as f32);
+            let block = ((p - from_px) * per_block) as u32;
+            blocks_seen = blocks_seen.max(block + 1);
+            if matches!(grey, 1..=254) {
+                let (block, p, v) = (block as usize, p as f32, v as f32);
                 seen.push(Seen { block, x, y, p, v, grey: f32::from(grey), behind: [0.0; 4] });
             }
         };
@@ -300,8 +310,8 @@ impl Strip {
             let [a, b] = [from_px, straight_to].map(|p| sketch.half_width_at(p));
             let v = [(a.min(b) - inner).max(0.0), a.max(b) + outer];
             let band = Band { p: [from_px, straight_to], v };
-            band.scan(image, sketch, side, |x, y, p, v| {
-                see(x, y, p, v, v - sketch.half_width_at(p));
+            band.scan(image, sketch, side, |pixel| {
+                see(pixel, pixel.v - sketch.half_width_at(pixel.p));
             });
         }
         if let (Some(end), Some(radius)) = (sketch.round_end_px, sketch.end_radius_px()) {
@@ -309,13 +319,14 @@ impl Strip {
             let p = [from_px.max(end).next_up(), to_px.min(end + options.cap * radius)];
             if p[1] > p[0] {
                 let band = Band { p, v: [0.0, radius + outer] };
-                band.scan(image, sketch, side, |x, y, p, v| {
-                    see(x, y, p, v, ((p - end) * (p - end) + v * v).sqrt() - radius);
+                band.scan(image, sketch, side, |pixel| {
+                    let (u, v) = (pixel.p - end, pixel.v);
+                    see(pixel, (u * u + v * v).sqrt() - radius);
                 });
             }
         }
         blocks.clear();
-        blocks.resize(last.map_or(0, |last| last + 1), Block::default());
+        blocks.resize(blocks_seen as usize, Block::default());
     }
 
     /// Tells the blocks where they are.
@@ -405,41 +416,45 @@ impl Strip {
 }
 
 impl Band {
-    /// Calls `at` with every pixel of the image in the band, and its p and v.
-    fn scan(
-        &self,
-        image: &GrayView<'_>,
-        sketch: &Sketch,
-        side: f64,
-        mut at: impl FnMut(usize, usize, f64, f64),
-    ) {
+    /// Calls `at` with every pixel of the image in the band.
+    fn scan(&self, image: &GrayView<'_>, sketch: &Sketch, side: f64, mut at: impl FnMut(Pixel)) {
         let (e, n, o) = (sketch.along, sketch.normal() * side, sketch.origin);
         let corner = |p: f64, v: f64| sketch.place(p, side * v).y;
         let [p, v] = [self.p, self.v];
         let ys = [corner(p[0], v[0]), corner(p[0], v[1]), corner(p[1], v[0]), corner(p[1], v[1])];
         let top = ys.iter().copied().fold(f64::INFINITY, f64::min).ceil().max(0.0);
         let bottom = ys.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-        let mut y = top;
-        while y <= bottom.min(image.height() as f64 - 1.0) {
+        let bottom = bottom.min(image.height() as f64 - 1.0);
+        if top > bottom {
+            return;
+        }
+        for y in top as u32..=bottom as u32 {
+            let Some(row) = image.row(y as usize) else { return };
+            let dv = f64::from(y) - o.y;
             // p and v grow linearly along a row: each bound is an interval of x.
             let (mut from, mut to) = (0.0, image.width() as f64 - 1.0);
             for (direction, [low, high]) in [(e, p), (n, v)] {
-                let at_zero = (y - o.y) * direction.y - o.x * direction.x;
-                let ends = [(low - at_zero) / direction.x, (high - at_zero) / direction.x];
+                let at_zero = dv * direction.y - o.x * direction.x;
                 if direction.x.abs() > 1e-9 {
+                    let per_px = 1.0 / direction.x;
+                    let ends = [(low - at_zero) * per_px, (high - at_zero) * per_px];
                     from = ends[0].min(ends[1]).max(from);
                     to = ends[0].max(ends[1]).min(to);
                 } else if !(low..=high).contains(&at_zero) {
                     to = -1.0;
                 }
             }
-            let mut x = from.ceil();
-            while x <= to {
-                let (du, dv) = (x - o.x, y - o.y);
-                at(x as usize, y as usize, du * e.x + dv * e.y, du * n.x + dv * n.y);
-                x += 1.0;
+            let from = from.ceil();
+            if from > to {
+                continue;
             }
-            y += 1.0;
+            let (from, to) = (from as u32, to as u32);
+            let greys = row.get(from as usize..=to as usize).unwrap_or_default();
+            let [at_p, at_v] = [e, n].map(|d| dv * d.y - o.x * d.x);
+            for (x, &grey) in (from..).zip(greys) {
+                let u = f64::from(x);
+                at(Pixel { x, y, grey, p: at_p + u * e.x, v: at_v + u * n.x });
+            }
         }
     }
 }

@@ -250,10 +250,9 @@ pub(super) fn prior(
     sigma.map(|s| 1.0 / (s * s))
 }
 
-/// Normal equations of one flank, in the upper triangle of its slots, and their right side; lane by
-/// lane.
+/// Normal equations of one flank, in the upper triangle of its slots, and their right side.
 #[derive(Debug, Clone, Copy, Default)]
-pub(super) struct FlankEquations([[Doubles; SLOTS + 1]; SLOTS]);
+pub(super) struct FlankEquations([[f64; SLOTS + 1]; SLOTS]);
 
 impl FlankEquations {
     /// Adds those of blocks, which are those of their features.
@@ -261,31 +260,30 @@ impl FlankEquations {
     pub fn add(&mut self, say: &Doubles, factors: &Factors, equations: &Equations) {
         let said = factors.times(say);
         for (i, sums) in self.0.iter_mut().enumerate() {
-            let feature = SLOT_FEATURE[i];
-            for j in i..=SLOTS {
-                let other = if j == SLOTS { RIGHT } else { SLOT_FEATURE[j] };
-                let (a, b) = (&said[i], &equations[feature.min(other)][feature.max(other)]);
-                let sum = sums[j];
-                sums[j] = match j {
-                    1 => each(|l| sum[l] + a[l] * factors.p[l] * b[l]),
-                    2 => each(|l| sum[l] + a[l] * factors.bend[l] * b[l]),
-                    4 | 6 => each(|l| sum[l] + a[l] * factors.t[l] * b[l]),
-                    _ => each(|l| sum[l] + a[l] * b[l]),
-                };
+            let (a, feature) = (&said[i], SLOT_FEATURE[i]);
+            for (j, sum) in sums.iter_mut().enumerate().skip(i) {
+                let other = SLOT_FEATURE.get(j).copied().unwrap_or(RIGHT);
+                let b = &equations[feature.min(other)][feature.max(other)];
+                let product: Doubles = each(|l| a[l] * b[l]);
+                *sum += total(&match j {
+                    1 => each(|l| product[l] * factors.p[l]),
+                    2 => each(|l| product[l] * factors.bend[l]),
+                    4 | 6 => each(|l| product[l] * factors.t[l]),
+                    _ => product,
+                });
             }
         }
     }
 
     /// Adds them to those of all unknowns.
     pub fn spread(&self, flank: usize, information: &mut Information, right: &mut Vector) {
-        let totals = self.0.map(|row| row.map(|lanes| total(&lanes)));
         for (a, &i) in SEEN_SLOT.iter().enumerate() {
             let (row, sign) = (seen_unknown(a, flank), seen_sign(a, flank));
-            right[row] += sign * totals[i][SLOTS];
+            right[row] += sign * self.0[i][SLOTS];
             // The lower half, which is all that is looked at.
             for (b, &j) in SEEN_SLOT.iter().enumerate().skip(a) {
                 information[(seen_unknown(b, flank), row)] +=
-                    sign * seen_sign(b, flank) * totals[i.min(j)][i.max(j)];
+                    sign * seen_sign(b, flank) * self.0[i.min(j)][i.max(j)];
             }
         }
     }

@@ -10,9 +10,9 @@ use crate::image::GrayView;
 
 /// Pixels that are compared: columns and rows of a grid.
 const GRID: [usize; 2] = [24, 18];
-/// A change of the logarithm of the brightness by this much is one of the light: colours are told
-/// apart by more, and neither noise nor a camera that moves makes the median change so much.
-const CHANGE: f64 = 0.06;
+/// A change of the brightness by this factor is one of the light: colours are told apart by more, and
+/// neither noise nor a camera that moves makes the median change so much.
+const BRIGHTER: f32 = 1.0618;
 /// Levels beyond these are clipped, or noise for the most part.
 const LEVELS: std::ops::RangeInclusive<u8> = 12..=243;
 /// Fewer pixels than this part of the grid tell nothing.
@@ -44,29 +44,39 @@ impl Exposure {
         let size = (image.width(), image.height());
         let [columns, rows] = GRID;
         self.now.clear();
-        self.now.extend((0..columns * rows).map(|i| {
-            let (column, row) = (i % columns, i / columns);
-            let x = (2 * column + 1) * size.0 / (2 * columns);
+        for row in 0..rows {
             let y = (2 * row + 1) * size.1 / (2 * rows);
-            image.pixel(x, y).unwrap_or(0)
-        }));
+            let pixels = image.row(y).unwrap_or_default();
+            let place = |column: usize| (2 * column + 1) * size.0 / (2 * columns);
+            let seen = (0..columns).map(|column| pixels.get(place(column)).copied().unwrap_or(0));
+            self.now.extend(seen);
+        }
         if self.grid.is_empty() || self.size != size {
             self.size = size;
             std::mem::swap(&mut self.grid, &mut self.now);
             return None;
         }
-        self.ratios.clear();
-        let pairs = self.grid.iter().zip(&self.now);
-        let told = pairs.filter(|&(then, now)| LEVELS.contains(then) && LEVELS.contains(now));
-        self.ratios.extend(told.map(|(&then, &now)| f64::from(now) / f64::from(then)));
-        if (self.ratios.len() as f64) < ENOUGH * (columns * rows) as f64 {
+        let told = || {
+            let pairs = self.grid.iter().zip(&self.now);
+            pairs.filter(|&(then, now)| LEVELS.contains(then) && LEVELS.contains(now))
+        };
+        // Whether the median tells a change is counted; only then is it looked for.
+        let (mut count, mut brighter, mut darker) = (0, 0, 0);
+        for (&then, &now) in told() {
+            let (then, now) = (f32::from(then), f32::from(now));
+            count += 1;
+            brighter += usize::from(now >= BRIGHTER * then);
+            darker += usize::from(now <= then / BRIGHTER);
+        }
+        // Of an even number the upper one of the two in the middle is meant.
+        let is_changed = 2 * brighter >= count || 2 * darker > count;
+        if !is_changed || (count as f64) < ENOUGH * (columns * rows) as f64 {
             return None;
         }
+        self.ratios.clear();
+        self.ratios.extend(told().map(|(&then, &now)| f64::from(now) / f64::from(then)));
         let middle = self.ratios.len() / 2;
         let (_, &mut gain, _) = self.ratios.select_nth_unstable_by(middle, f64::total_cmp);
-        if gain.ln().abs() < CHANGE {
-            return None;
-        }
         std::mem::swap(&mut self.grid, &mut self.now);
         Some(gain)
     }
