@@ -247,13 +247,16 @@ impl Photometric {
     /// Where the search begins: on the sketch, with the middle levels of the blocks' pixels that are
     /// clear of the edge. `None` if a flank has none on either side.
     fn start(&mut self, sketch: &Sketch) -> Option<Unknowns> {
+        let Self { isa, flanks, sorted, .. } = self;
         let mut levels = [[0.0; 2]; 2];
-        for (levels, flank) in levels.iter_mut().zip(&self.flanks) {
-            for (level, survey) in levels.iter_mut().zip([Survey::Inside, Survey::Outside]) {
-                let (strip, told) = (&flank.strip, &mut self.sorted);
-                self.isa.run(Surveying { strip, sketch, survey, told });
-                *level = median(&mut self.sorted)?;
-            }
+        for ([inside, outside], Flank { strip, .. }) in levels.iter_mut().zip(flanks) {
+            let clear_inside = |away: f32, grey: f32, _: f32| (away < -CLEAR_INSIDE_PX, grey);
+            isa.run(Surveying { strip, sketch, look: clear_inside, mean: true, told: sorted });
+            *inside = median(sorted)?;
+            let clear_outside =
+                |away: f32, grey: f32, behind: f32| (away > CLEAR_OUTSIDE_PX, grey - behind);
+            isa.run(Surveying { strip, sketch, look: clear_outside, mean: true, told: sorted });
+            *outside = median(sorted)?;
         }
         let blur_px = self.shown_blur_px(sketch, &levels);
         Some(Unknowns::on(sketch, levels, blur_px))
@@ -261,14 +264,20 @@ impl Photometric {
 
     /// The blur that the pixels about the sketch's edge show, between levels given for either flank,
     /// by the middle one of its blocks \[px\]. Of a step, n = (I − b) / (a − b) has
-    /// ∫ n (1 − n) dy = s / √π.
+    /// ∫ n (1 − n) dy = s / √π; what shows more than the step, or less, counts for nothing.
     fn shown_blur_px(&mut self, sketch: &Sketch, levels: &[[f64; 2]; 2]) -> f64 {
+        let Self { isa, flanks, sorted, .. } = self;
         let mut sum = 0.0;
-        for (flank, levels) in self.flanks.iter().zip(levels) {
-            let survey = Survey::Step(levels.map(|level| level as f32));
-            let (strip, told) = (&flank.strip, &mut self.sorted);
-            self.isa.run(Surveying { strip, sketch, survey, told });
-            sum += 0.5 * median(&mut self.sorted).unwrap_or(0.0);
+        for (Flank { strip, .. }, levels) in flanks.iter().zip(levels) {
+            let [a, b] = levels.map(|level| level as f32);
+            let across_step = |away: f32, grey: f32, behind: f32| {
+                let b = behind + b;
+                let parts = ((grey - b) * (a - grey)).max(0.0);
+                // Of no contrast there is no part.
+                (away.abs() < NEAR_EDGE_PX, parts / ((a - b) * (a - b)).max(1.0))
+            };
+            isa.run(Surveying { strip, sketch, look: across_step, mean: false, told: sorted });
+            sum += 0.5 * median(sorted).unwrap_or(0.0);
         }
         let (shown, expected) = (PI.sqrt() * sum / self.options.block_px, self.options.blur_px);
         shown.clamp((expected - BLUR_SIGMA_PX).max(LEAST_BLUR_PX), expected + BLUR_SIGMA_PX)
@@ -532,56 +541,38 @@ fn stretch(line: &Vector2<f64>, h: f64) -> Stretch {
     Stretch { from_px: middle_px - half_px, to_px: middle_px + half_px }
 }
 
-/// What a look at the blocks' pixels is to tell of each.
-#[derive(Debug, Clone, Copy)]
-enum Survey {
-    /// The mean level of the pixels that are clear of the edge on one side of it, if there are any.
-    Inside,
-    Outside,
-    /// Σ n (1 − n) over the pixels near the edge, with n the part of the step between an inside and an
-    /// outside level that a pixel shows; what shows more than the step, or less, counts for nothing.
-    Step([f32; 2]),
-}
-
 /// A look at all blocks of a flank.
-struct Surveying<'a> {
+struct Surveying<'a, F> {
     strip: &'a Strip,
     sketch: &'a Sketch,
-    survey: Survey,
-    /// Refilled with what the blocks tell.
+    /// Of a pixel so far outside the sketch's edge \[px\], its level and that of the known background
+    /// behind it: whether it counts, and what it tells.
+    look: F,
+    /// Whether a block tells the mean of what its pixels tell, or the sum.
+    mean: bool,
+    /// Refilled with what the blocks tell that have pixels that count.
     told: &'a mut Vec<f64>,
 }
 
-impl Work for Surveying<'_> {
+impl<F: Fn(f32, f32, f32) -> (bool, f32)> Work for Surveying<'_, F> {
     #[inline(always)]
     fn run(self) {
-        let Self { strip, sketch, survey, told } = self;
+        let Self { strip, sketch, look, mean, told } = self;
         told.clear();
         for group in &strip.groups {
             let edge: Lanes = each(|i| sketch.half_width_at(group.p[i]) as f32);
             let (mut sums, mut counts) = ([0.0_f32; LANES], [0.0_f32; LANES]);
             for chunk in strip.chunks(group) {
                 for i in 0..LANES {
-                    let outside = chunk.v[i] - edge[i];
-                    let (grey, behind) = (chunk.grey[i], chunk.background[i]);
-                    let (value, counts_here) = match survey {
-                        Survey::Inside => (grey, outside < -CLEAR_INSIDE_PX),
-                        Survey::Outside => (grey - behind, outside > CLEAR_OUTSIDE_PX),
-                        Survey::Step([a, b]) => {
-                            let step = a - (behind + b);
-                            let parts = ((grey - (behind + b)) * (a - grey)).max(0.0);
-                            // Of no contrast there is no part.
-                            (parts / (step * step).max(1.0), outside.abs() < NEAR_EDGE_PX)
-                        }
-                    };
+                    let away = chunk.v[i] - edge[i];
+                    let (counts_here, value) = look(away, chunk.grey[i], chunk.background[i]);
                     let counted = if counts_here { chunk.weight[i] } else { 0.0 };
                     sums[i] += counted * value;
                     counts[i] += counted;
                 }
             }
             for (sum, count) in sums.into_iter().zip(counts).filter(|(_, count)| *count > 0.0) {
-                let is_mean = !matches!(survey, Survey::Step(_));
-                told.push(f64::from(if is_mean { sum / count } else { sum }));
+                told.push(f64::from(if mean { sum / count } else { sum }));
             }
         }
     }
