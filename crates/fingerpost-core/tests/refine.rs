@@ -322,6 +322,28 @@ fn the_covariance_is_that_of_the_errors_and_near_the_bound() {
 }
 
 #[test]
+fn sharp_and_soft_pictures_settle_in_a_few_iterations() {
+    let (mut noise, mut refiner) = (Noise::new(12), refiner());
+    let fingers = 8;
+    // How many they may take on average.
+    for (blur_px, most) in [(0.4, 4), (0.6, 4), (1.0, 6), (1.5, 6), (1.9, 7)] {
+        let mut iterations = 0;
+        for _ in 0..fingers {
+            let cone = Cone::random(&mut noise, 0.1, 1.0);
+            let picture = cone.render(&Light { blur_px, ..PLAIN }, 1, &flat).take(2.0, &mut noise);
+            let refined = refine(&mut refiner, &picture, &cone.believed(&mut noise, 0.3)).unwrap();
+            let report = refined.photometric.unwrap();
+            assert_eq!(refined.source, Source::Photometric, "blur {blur_px}");
+            // Pixels are as wide as a blur of 1 / √12 px.
+            let part = report.blur_px / blur_px.hypot(1.0 / 12_f64.sqrt());
+            assert!((0.88..1.12).contains(&part), "{} px for {blur_px}", report.blur_px);
+            iterations += report.iterations;
+        }
+        assert!(iterations <= most * fingers, "{iterations} iterations at {blur_px}");
+    }
+}
+
+#[test]
 fn light_from_the_side_and_a_dark_limb_turn_nothing() {
     let light = Light { side: 0.3, limb: 0.3, ..PLAIN };
     let score = photometric(3, [40, 4], &light, 0.0, false);
