@@ -63,11 +63,15 @@ mod photometric;
 mod pixels;
 mod profile;
 mod sketch;
+mod skin;
 mod straightness;
 mod unknowns;
 
 pub use background::KnownBackground;
 pub use options::{BisectorOptions, PhotometricOptions, RefineOptions};
+#[cfg(test)]
+pub(crate) use skin::tests::Painted;
+pub(crate) use skin::{Lie, Skin};
 pub use straightness::Bend;
 
 use crate::appearance::Appearance;

@@ -44,6 +44,7 @@ mod options;
 mod pace;
 mod scene;
 mod seek;
+mod steady;
 mod verdict;
 
 use crate::background::Background;
@@ -76,6 +77,7 @@ use pace::Pace;
 use scene::Scene;
 use seek::{Judged, Seek};
 use std::f64::consts::TAU;
+use steady::{Shown, Steady};
 pub use verdict::Refusal;
 use verdict::{Known, Motion, Posture};
 
@@ -145,6 +147,12 @@ impl FingerLine {
         let there = Matrix2::new(1.0, by_px, 0.0, 1.0);
         let covariance = there * self.covariance * there.transpose();
         Self { axis: Axis { anchor, ..self.axis }, covariance, ..self }
+    }
+
+    /// The same line, told beside a point and towards a tip.
+    fn told_at(self, axis: &Axis) -> Self {
+        let told = self.told_along((axis.anchor - self.axis.anchor).dot(&self.axis.direction()));
+        Self { axis: Axis { tip: axis.tip, ..told.axis }, ..told }
     }
 
     /// The same line, told beside the anchor of another.
@@ -302,6 +310,8 @@ pub struct ContourTracker {
     /// How a tracked hand moves.
     dynamics: Option<Dynamics<3>>,
     pace: Pace,
+    /// What the frames so far have told of its line.
+    steady: Steady,
     last_time_s: Option<f64>,
     /// The light in which the hand's looks are known.
     exposure: Exposure,
@@ -717,6 +727,7 @@ impl ContourTracker {
             refiner: Refiner::new(RefineOptions::default())?,
             dynamics: None,
             pace: Pace::unknown(),
+            steady: Steady::new(),
             last_time_s: None,
             exposure: Exposure::new(),
             template,
@@ -1055,6 +1066,7 @@ impl ContourTracker {
         let at = found.shape.placement();
         self.dynamics = Some(Dynamics::start(components, gap_s, time_s, &at, &misfit())?);
         self.pace = Pace::unknown();
+        self.steady.forget();
         self.hand.usual_px = found.fit.map_or(f64::INFINITY, |fit| fit.residual_rms_px);
         self.hand.partly_frames = MOST_COVERED_FRAMES;
         self.hand.count_partly(found);
@@ -1561,6 +1573,14 @@ impl ContourTracker {
             }
             (Some(refined), Some(contour)) => Some(contour.doubted(&refined.axis)),
             (None, contour) | (_, contour @ None) => contour,
+        };
+        let finger_line = match self.hand.shape {
+            Shape::Ribbon(x) if self.options.refine => finger_line.map(|line| {
+                let length_px = self.waiting.measure.length_px;
+                let shown = Shown { half_width_px: x[3], taper: x[4], length_px };
+                self.steady.follow(frame.image(), time_s, line, &shown)
+            }),
+            _ => finger_line,
         };
         Ok(Track { finger_line, ..track(time_s, Status::Tracking, found, accept, None) })
     }

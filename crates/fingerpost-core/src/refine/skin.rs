@@ -1,0 +1,486 @@
+//! What a finger's skin looks like, and how it lies in another frame.
+//!
+//! Nail, creases and the shading across a finger move with it, whatever is behind it. Seen in the
+//! finger's own coordinates, s along it from the tip and d across it, they stay as they are, and a
+//! frame in which they lie elsewhere tells how the finger has moved and turned since. That is no line
+//! of its own: where the axis runs in the skin nobody knows but the edges. But it carries what many
+//! frames' edges have told from one to the next, before another background each time.
+//!
+//! The model of a frame is I = g m(s, d) + o, with m the mean of the frames before, and gain and
+//! offset of the light free. It is fitted by Gauss–Newton over a shift along the finger, one across
+//! it and a turn about the middle, every cell weighted by Tukey's biweight and by how much it has
+//! varied so far: what is no skin but background, or a reflection, varies as the finger moves and
+//! soon has no say. A finger without texture or shading determines nothing, and its covariance says so.
+//!
+//! Source: Lucas & Kanade 1981, An iterative image registration technique; the weights by what each
+//! cell has varied are those of independent Gaussians.
+
+use crate::image::GrayView;
+use crate::shape_space::Axis;
+use nalgebra::{Matrix2, SMatrix, SVector};
+
+/// Cells across half of the finger; they are at least one pixel wide.
+const CELLS_ACROSS: f64 = 8.0;
+/// A cell is so many times as long as wide: skin changes less along a finger.
+const ELONGATION: f64 = 2.0;
+/// Cells reach so far across, in half-widths: the edge of a finger that is seen too slim lies there.
+const ACROSS: f64 = 1.1;
+/// The finger is looked at over so much at most, in half-widths.
+const LONGEST: f64 = 10.0;
+/// Room for the cells of any finger.
+const ROWS: usize = 48;
+const COLUMNS: usize = 32;
+
+/// What a cell is expected to vary by at first, and at least \[grey levels²\].
+const FIRST_VARIANCE: f32 = 6.0;
+const LEAST_VARIANCE: f32 = 2.0;
+/// Part of a frame that is learned once some are known.
+const RATE: f32 = 0.05;
+/// Tukey's cutoff \[robust standard deviations\].
+const CUTOFF: f32 = 4.685;
+/// Median of χ² of one degree of freedom.
+const MEDIAN: f32 = 0.455;
+/// Cells do not scatter by less than this part of what they have varied by, in squares.
+const LEAST_SCALE: f32 = 0.25;
+/// A frame that scatters by more than this, in squares, shows something else.
+const MOST_SCALE: f32 = 9.0;
+/// And so does one whose light differs by more than this factor.
+const MOST_GAIN: f32 = 1.6;
+/// As many of the cells have to lie in the picture and to agree.
+const LEAST_SEEN: f64 = 0.6;
+/// Neighbouring cells share pixels, and compression mixes what it stores: the covariance of
+/// independent ones is multiplied by this.
+const CORRELATION: f64 = 9.0;
+
+/// The tip is known this well along the finger, and the rest this badly \[px, px, rad\].
+const PRIOR_SIGMAS: [f64; 3] = [1.0, 3.0, 0.1];
+/// Settled when an iteration moves no cell by more than this \[px\]; one that still moves by more
+/// than [`LOOSE_PX`] after the last has not found it.
+const SETTLED_PX: f64 = 0.04;
+const LOOSE_PX: f64 = 0.4;
+const ITERATIONS: usize = 6;
+/// Levels are told from here, the middle of the range \[grey levels\].
+const MIDDLE_GREY: f32 = 128.0;
+
+/// Unknowns: shift along, shift across, turn, gain, offset.
+const UNKNOWNS: usize = 5;
+type Vector = SVector<f64, UNKNOWNS>;
+type Information = SMatrix<f64, UNKNOWNS, UNKNOWNS>;
+
+/// A finger's skin, learned frame by frame.
+#[derive(Debug, Clone)]
+pub(crate) struct Skin {
+    rows: usize,
+    columns: usize,
+    /// Size of a cell \[px\].
+    along_px: f64,
+    across_px: f64,
+    /// The columns in use of each row, from and to.
+    used: Vec<[usize; 2]>,
+    cells: usize,
+    /// Row by row, from the tip on: levels about [`MIDDLE_GREY`], and their variances.
+    mean: Vec<f32>,
+    variance: Vec<f32>,
+    /// The frame that is being looked at; NaN outside of it.
+    now: Vec<f32>,
+    squares: Vec<f32>,
+    frames: f32,
+}
+
+/// How the skin lies in a frame.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Lie {
+    /// The axis that was drawn on the skin when it was first seen, told at the skin's middle.
+    pub axis: Axis,
+    /// Covariance of its offset there \[px\] and of its angle \[rad\].
+    pub covariance: Matrix2<f64>,
+    gain: f32,
+    offset: f32,
+}
+
+impl Skin {
+    /// None yet.
+    pub fn unseen() -> Self {
+        let cells = ROWS * COLUMNS;
+        Self {
+            rows: 0,
+            columns: 0,
+            along_px: 1.0,
+            across_px: 1.0,
+            used: Vec::with_capacity(ROWS),
+            cells: 0,
+            mean: Vec::with_capacity(cells),
+            variance: Vec::with_capacity(cells),
+            now: Vec::with_capacity(cells),
+            squares: Vec::with_capacity(cells),
+            frames: 0.0,
+        }
+    }
+
+    /// Draws an axis on the skin that an image shows there, over a length back from its tip; the
+    /// half-width is that at the tip's distance from the anchor, 0, and grows with the taper towards
+    /// the tip. Whether the image shows enough of it.
+    pub fn draw(
+        &mut self,
+        image: &GrayView<'_>,
+        axis: &Axis,
+        half_width_px: f64,
+        taper: f64,
+        length_px: f64,
+    ) -> bool {
+        self.across_px = (half_width_px / CELLS_ACROSS).max(1.0);
+        self.along_px = ELONGATION * self.across_px;
+        let length_px = length_px.min(LONGEST * half_width_px);
+        // One more on every side, for the slopes.
+        self.rows = ((length_px / self.along_px) as usize + 3).min(ROWS);
+        self.columns = COLUMNS - 1;
+        let ahead_px = (axis.tip - axis.anchor).dot(&axis.direction());
+        let end_px = half_width_px + taper * ahead_px;
+        self.used.clear();
+        for row in 0..self.rows {
+            let back_px = -self.s(row);
+            let half_px = half_width_px + taper * (ahead_px - back_px);
+            // The end is round.
+            let over_px = (end_px - back_px).max(0.0);
+            let reach_px = ACROSS * (half_px * half_px - over_px * over_px).max(0.0).sqrt();
+            let reach = ((reach_px / self.across_px) as usize).min(self.columns / 2 - 1);
+            let middle = self.columns / 2;
+            let is_border = row == 0 || row + 1 == self.rows;
+            self.used.push(if is_border { [0, 0] } else { [middle - reach, middle + reach + 1] });
+        }
+        self.cells = self.used.iter().map(|[from, to]| to - from).sum();
+        let all = self.rows * self.columns;
+        for (levels, value) in
+            [(&mut self.mean, 0.0), (&mut self.now, 0.0), (&mut self.variance, FIRST_VARIANCE)]
+        {
+            levels.clear();
+            levels.resize(all, value);
+        }
+        self.frames = 1.0;
+        self.look(image, &self.middle_of(axis));
+        self.mean.copy_from_slice(&self.now);
+        self.used_cells().filter(|&i| self.now[i].is_finite()).count() as f64
+            >= LEAST_SEEN * self.cells.max(1) as f64
+    }
+
+    /// An axis told at the skin's middle.
+    pub fn middle_of(&self, axis: &Axis) -> Axis {
+        let tip = axis.anchor + axis.direction() * (axis.tip - axis.anchor).dot(&axis.direction());
+        Axis { anchor: tip + axis.direction() * self.middle_px(), tip, ..*axis }
+    }
+
+    /// s of the middle \[px\].
+    fn middle_px(&self) -> f64 {
+        -0.5 * self.rows.saturating_sub(1) as f64 * self.along_px
+    }
+
+    /// s and d of a row and of a column \[px\].
+    fn s(&self, row: usize) -> f64 {
+        -(row as f64) * self.along_px
+    }
+
+    fn d(&self, column: usize) -> f64 {
+        (column as f64 - (self.columns / 2) as f64) * self.across_px
+    }
+
+    fn used_cells(&self) -> impl Iterator<Item = usize> + '_ {
+        let columns = self.columns;
+        self.used
+            .iter()
+            .enumerate()
+            .flat_map(move |(row, [from, to])| row * columns + from..row * columns + to)
+    }
+
+    /// Samples the image where the skin would lie on an axis, and one cell around it.
+    fn look(&mut self, image: &GrayView<'_>, at: &Axis) {
+        let (e, n) = (at.direction(), at.normal());
+        for row in 0..self.rows {
+            let beside = |row: usize| self.used.get(row).copied().filter(|[from, to]| to > from);
+            let runs = [row.wrapping_sub(1), row, row + 1];
+            let run =
+                runs.into_iter().filter_map(beside).reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1])]);
+            let Some([from, to]) = run else { continue };
+            let middle = at.tip + e * self.s(row);
+            for column in from.saturating_sub(1)..(to + 1).min(self.columns) {
+                let place = middle + n * self.d(column);
+                let level = image.sample_f32(place.x as f32, place.y as f32);
+                self.now[row * self.columns + column] = level.map_or(f32::NAN, |g| g - MIDDLE_GREY);
+            }
+        }
+    }
+
+    /// How the skin lies in an image, near where an axis would have it; `None` where the image does
+    /// not show it.
+    pub fn find(&mut self, image: &GrayView<'_>, near: &Axis) -> Option<Lie> {
+        let start = self.middle_of(near);
+        let (mut axis, mut light, mut along_px) = (start, [1.0, 0.0], 0.0);
+        for iteration in 1..=ITERATIONS {
+            self.look(image, &axis);
+            let scale = self.scale(light)?;
+            let (mut information, mut right, agreeing) = self.equations(light, scale);
+            if agreeing < LEAST_SEEN * self.cells as f64 {
+                return None;
+            }
+            for (k, sigma) in PRIOR_SIGMAS.into_iter().enumerate() {
+                information[(k, k)] += sigma.powi(-2);
+            }
+            right[0] -= along_px / PRIOR_SIGMAS[0].powi(2);
+            let inverse = information.try_inverse()?;
+            let step: Vector = inverse * right;
+            along_px += step[0];
+            let (e, n) = (axis.direction(), axis.normal());
+            let anchor = axis.anchor + e * step[0] + n * step[1];
+            axis = Axis::of_finger(anchor, axis.angle_rad + step[2], -self.middle_px());
+            light = [light[0] + step[3] as f32, light[1] + step[4] as f32];
+            let moved_px = step[1].abs() + self.middle_px().abs() * step[2].abs();
+            if moved_px < SETTLED_PX || (iteration == ITERATIONS && moved_px < LOOSE_PX) {
+                let [gain, offset] = light;
+                let is_it = scale <= MOST_SCALE && (1.0 / MOST_GAIN..=MOST_GAIN).contains(&gain);
+                let covariance = inverse.fixed_view::<2, 2>(1, 1).into_owned() * CORRELATION;
+                return is_it.then_some(Lie { axis, covariance, gain, offset });
+            }
+        }
+        None
+    }
+
+    /// The robust variance of what is seen about what is expected, in units of what each cell varies
+    /// by.
+    fn scale(&mut self, [gain, offset]: [f32; 2]) -> Option<f32> {
+        let mut squares = std::mem::take(&mut self.squares);
+        squares.clear();
+        squares.extend(self.used_cells().filter_map(|i| {
+            let residual = self.now[i] - gain * self.mean[i] - offset;
+            let square = residual * residual / self.variance[i];
+            square.is_finite().then_some(square)
+        }));
+        let middle = squares.len() / 2;
+        let scale = (!squares.is_empty())
+            .then(|| *squares.select_nth_unstable_by(middle, f32::total_cmp).1 / MEDIAN);
+        self.squares = squares;
+        scale.map(|s| s.max(LEAST_SCALE))
+    }
+
+    /// The normal equations of a step, and how many cells agree with what is expected.
+    fn equations(&self, [gain, offset]: [f32; 2], scale: f32) -> (Information, Vector, f64) {
+        let mut sums = [[0.0_f32; UNKNOWNS + 1]; UNKNOWNS];
+        let mut agreeing = 0.0;
+        let (per_along, per_across) = (0.5 / self.along_px as f32, 0.5 / self.across_px as f32);
+        let cutoff = 1.0 / (CUTOFF * CUTOFF * scale);
+        let middle_px = self.middle_px();
+        for (row, &[from, to]) in self.used.iter().enumerate() {
+            let from_middle = (self.s(row) - middle_px) as f32;
+            for column in from..to {
+                let i = row * self.columns + column;
+                let (now, level) = (self.now[i], self.mean[i]);
+                let residual = now - gain * level - offset;
+                let weight = 1.0 / self.variance[i];
+                let left = 1.0 - residual * residual * weight * cutoff;
+                // Rows run from the tip back.
+                let slope =
+                    gain * per_along * (self.mean[i - self.columns] - self.mean[i + self.columns]);
+                let across = gain * per_across * (self.mean[i + 1] - self.mean[i - 1]);
+                let d = self.d(column) as f32;
+                let told = [-slope, -across, slope * d - across * from_middle, level, 1.0];
+                if !(left > 0.0 && (slope + across).is_finite()) {
+                    continue;
+                }
+                agreeing += 1.0;
+                let weight = weight * left * left / scale;
+                for k in 0..UNKNOWNS {
+                    let weighted = weight * told[k];
+                    for j in k..UNKNOWNS {
+                        sums[k][j] += weighted * told[j];
+                    }
+                    sums[k][UNKNOWNS] += weighted * residual;
+                }
+            }
+        }
+        let information = Information::from_fn(|i, j| f64::from(sums[i.min(j)][i.max(j)]));
+        (information, Vector::from_fn(|i, _| f64::from(sums[i][UNKNOWNS])), agreeing)
+    }
+
+    /// Learns the frame in which the skin has just been found.
+    pub fn learn(&mut self, lie: &Lie) {
+        self.frames += 1.0;
+        let rate = (1.0 / self.frames).max(RATE);
+        let light = 1.0 / lie.gain;
+        let cells = self.mean.iter_mut().zip(&mut self.variance).zip(&self.now);
+        for ((mean, variance), now) in cells {
+            let change = (now - lie.offset) * light - *mean;
+            if change.is_finite() {
+                *mean += rate * change;
+                *variance = ((1.0 - rate) * *variance + rate * change * change).max(LEAST_VARIANCE);
+            } else if now.is_finite() {
+                *mean = (now - lie.offset) * light;
+            }
+        }
+    }
+}
+
+// The skin is private to the crate, and what it must agree with is where its finger was painted.
+#[cfg(test)]
+pub(crate) mod tests {
+    use super::*;
+    use nalgebra::Point2;
+
+    pub(crate) const WIDTH: usize = 160;
+    pub(crate) const HEIGHT: usize = 120;
+    const LENGTH_PX: f64 = 60.0;
+    const HALF_WIDTH_PX: f64 = 8.0;
+
+    /// A finger of 60 × 16 px before stripes.
+    #[derive(Clone, Copy)]
+    pub(crate) struct Painted {
+        pub tip: Point2<f64>,
+        pub angle_rad: f64,
+        /// Shading across it and creases along it \[grey levels\]; without, it is even.
+        pub texture: f64,
+        pub gain: f64,
+        /// Where the stripes behind it begin \[px\].
+        pub stripes_px: f64,
+        pub noise: f64,
+        pub seed: u64,
+    }
+
+    impl Painted {
+        pub(crate) fn at(tip: [f64; 2], angle_rad: f64) -> Self {
+            let tip = Point2::from(tip);
+            Self { tip, angle_rad, texture: 20.0, gain: 1.0, stripes_px: 0.0, noise: 0.0, seed: 1 }
+        }
+
+        pub(crate) fn axis(&self) -> Axis {
+            let back = Axis::of_finger(self.tip, self.angle_rad, 0.0).direction() * 30.0;
+            Axis::of_finger(self.tip - back, self.angle_rad, 30.0)
+        }
+
+        fn level(&self, x: f64, y: f64) -> f64 {
+            let axis = self.axis();
+            let from_tip = Point2::new(x, y) - self.tip;
+            let (s, d) = (from_tip.dot(&axis.direction()), from_tip.dot(&axis.normal()));
+            let outside = d.hypot((s + HALF_WIDTH_PX).max(0.0)) - HALF_WIDTH_PX;
+            let depth = (1.0 - (d / HALF_WIDTH_PX).powi(2)).max(0.0).sqrt();
+            let crease = (0.31 * s + 0.4 * d).sin() + (0.17 * s - 0.25 * d).cos();
+            let skin = 140.0 + self.texture * (depth + 0.5 * crease);
+            let behind = 90.0 + 15.0 * (0.4 * (x - 0.5 * y) + self.stripes_px).sin();
+            behind + (skin - behind) / (1.0 + (2.0 * outside).exp())
+        }
+
+        pub(crate) fn bytes(&self) -> Vec<u8> {
+            let mut noise = self.seed;
+            let mut normal = || {
+                // Sum of uniforms from a linear congruential generator.
+                (0..12).fold(-6.0, |sum, _| {
+                    noise = noise.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
+                    sum + (noise >> 40) as f64 / f64::from(1 << 24)
+                })
+            };
+            (0..WIDTH * HEIGHT)
+                .map(|i| {
+                    let level = self.level((i % WIDTH) as f64, (i / WIDTH) as f64);
+                    (self.gain * level + self.noise * normal()).round().clamp(0.0, 255.0) as u8
+                })
+                .collect()
+        }
+
+        pub(crate) fn show<T>(&self, look: impl FnOnce(&GrayView<'_>) -> T) -> T {
+            look(&GrayView::new(&self.bytes(), WIDTH, HEIGHT, WIDTH).unwrap())
+        }
+    }
+
+    fn drawn(painted: &Painted) -> Skin {
+        let mut skin = Skin::unseen();
+        let seen =
+            painted.show(|image| skin.draw(image, &painted.axis(), HALF_WIDTH_PX, 0.0, LENGTH_PX));
+        assert!(seen);
+        skin
+    }
+
+    /// How far a lie is from where the finger was painted: offset at its anchor and angle.
+    fn off(lie: &Lie, painted: &Painted) -> [f64; 2] {
+        let truth = painted.axis();
+        [
+            truth.normal().dot(&(lie.axis.anchor - truth.anchor)),
+            lie.axis.angle_rad - truth.angle_rad,
+        ]
+    }
+
+    #[test]
+    fn skin_is_found_where_its_finger_has_moved_and_turned_in_another_light() {
+        let mut skin = drawn(&Painted::at([110.0, 70.0], 0.4));
+        for (tip, angle_rad, gain) in
+            [([110.0, 70.0], 0.4, 1.0), ([112.3, 68.4], 0.43, 1.0), ([90.2, 80.9], 0.9, 0.8)]
+        {
+            let painted = Painted { gain, ..Painted::at(tip, angle_rad) };
+            let near = Painted::at([tip[0] + 0.5, tip[1] - 1.0], angle_rad - 0.02).axis();
+            let lie = painted.show(|image| skin.find(image, &near)).unwrap();
+            let [offset_px, angle] = off(&lie, &painted);
+            assert!(offset_px.abs() < 0.08 && angle.abs() < 0.003, "{tip:?}: {offset_px} {angle}");
+            assert!((f64::from(lie.gain) - gain).abs() < 0.05, "{}", lie.gain);
+        }
+    }
+
+    #[test]
+    fn the_less_texture_the_less_is_told() {
+        let told = |texture: f64| {
+            let painted = Painted { texture, noise: 2.0, ..Painted::at([110.0, 70.0], 0.4) };
+            let mut skin = drawn(&painted);
+            let again = Painted { seed: 2, ..painted };
+            let lie = again.show(|image| skin.find(image, &painted.axis())).unwrap();
+            lie.covariance[(1, 1)].sqrt()
+        };
+        let [strong, weak] = [40.0, 10.0].map(told);
+        assert!(strong < weak && weak < 0.03, "{strong} {weak}");
+    }
+
+    #[test]
+    fn the_covariance_holds_what_noise_does() {
+        let painted = Painted { noise: 3.0, ..Painted::at([110.0, 70.0], 0.4) };
+        let mut skin = drawn(&Painted { noise: 0.0, ..painted });
+        let (mut squares, mut told) = ([0.0; 2], [0.0; 2]);
+        for seed in 1..=60 {
+            let painted = Painted { seed, ..painted };
+            let lie = painted.show(|image| skin.find(image, &painted.axis())).unwrap();
+            for (k, off) in off(&lie, &painted).into_iter().enumerate() {
+                squares[k] += off * off;
+                told[k] += lie.covariance[(k, k)];
+            }
+        }
+        // White noise, interpolated, is correlated less than is granted for.
+        for k in 0..2 {
+            let ratio = squares[k] / told[k];
+            assert!((0.3 / CORRELATION..1.0).contains(&ratio), "{k}: {ratio}");
+        }
+    }
+
+    #[test]
+    fn what_is_not_the_skin_is_not_found() {
+        let painted = Painted::at([110.0, 70.0], 0.4);
+        let mut skin = drawn(&painted);
+        for gone in [[150.0, 20.0], [40.0, 20.0], [400.0, 300.0]] {
+            let elsewhere = Painted::at(gone, -1.2);
+            assert!(
+                elsewhere.show(|image| skin.find(image, &painted.axis())).is_none(),
+                "{gone:?}"
+            );
+        }
+        assert!(painted.show(|image| skin.find(image, &painted.axis())).is_some());
+        let outside = Painted::at([-200.0, 70.0], 0.4).axis();
+        assert!(painted.show(|image| skin.find(image, &outside)).is_none());
+    }
+
+    #[test]
+    fn what_changes_as_the_finger_moves_loses_its_say() {
+        let mut skin = drawn(&Painted::at([110.0, 70.0], 0.4));
+        for k in 1..30 {
+            let stripes_px = f64::from(k);
+            let painted = Painted { stripes_px, noise: 1.0, ..Painted::at([110.0, 70.0], 0.4) };
+            let lie = painted.show(|image| skin.find(image, &painted.axis())).unwrap();
+            skin.learn(&lie);
+        }
+        let row = skin.rows / 2;
+        let [from, to] = skin.used[row];
+        let variance = |column: usize| skin.variance[row * skin.columns + column];
+        let inside = variance(usize::midpoint(from, to));
+        assert!(variance(from) > 4.0 * inside && variance(to - 1) > 4.0 * inside);
+    }
+}

@@ -1,0 +1,332 @@
+//! A finger line that frame after frame has a say in.
+//!
+//! Before wood, the line of one frame is off by half a degree: here and there an edge is the grain's.
+//! The next frame is off by as much, but otherwise, for the hand has moved on. The finger's skin
+//! ([`Skin`]) tells how it moved and turned in between, so that the lines of all frames can be told on
+//! it: how the axis runs in the skin is a constant that drifts slowly, as the hand turns and other
+//! light falls on it, and a Kalman filter learns it.
+//!
+//! The lines' errors are not independent. As long as the hand rests, the same grain lies behind it,
+//! and the next line errs as the last; how much of an error is new grows with the distance that the
+//! finger has moved. Of a line whose error correlates by ρ from frame to frame, many tell as much as
+//! independent ones of (1 + ρ) / (1 − ρ) times the variance. And a line that is surer than what is
+//! known counts as it is: a finger before an even background gains nothing from the frames before,
+//! nor does it lose.
+
+use super::FingerLine;
+use crate::image::GrayView;
+use crate::refine::{Lie, Skin};
+use crate::shape_space::Axis;
+use nalgebra::{Matrix2, Vector2};
+
+/// How the axis drifts in the skin: variance of its offset \[half-widths²\] and angle \[rad²\] for
+/// every half-width that the finger moves, and for every second; of its angle besides for every
+/// rad² that it turns.
+const DRIFT_PER_WIDTH: [f64; 2] = [5e-5, 2e-6];
+const DRIFT_PER_S: [f64; 2] = [1e-4, 4e-6];
+const DRIFT_PER_TURN: f64 = 2.5e-3;
+/// The errors of two lines correlate by exp(−distance / this), in half-widths.
+const FRESH_WIDTHS: f64 = 0.15;
+/// They are never taken for the same altogether: pixels have noise of their own.
+const MOST_CORRELATED: f64 = 0.98;
+/// A line and what is known may differ by more than this, in the square of their covariance, in one
+/// case of a hundred: then both are doubted.
+const CONTRADICTION: f64 = 9.21;
+/// Or it is another finger.
+const OTHER: f64 = 100.0;
+/// As long as a finger has not gone so far, in half-widths, its lines are one look at it, and the last
+/// counts: the surest of several that err alike would be chosen by chance.
+const ONE_LOOK_WIDTHS: f64 = 0.5;
+/// Skin that has not been found in so many frames in a row is learned anew.
+const MOST_MISSED: usize = 5;
+/// The part of the template's length that is skin for certain.
+const SKIN_PART: f64 = 0.9;
+
+/// What the frames so far have told of a hand's line.
+#[derive(Debug, Clone)]
+pub(super) struct Steady {
+    skin: Skin,
+    known: Option<Known>,
+}
+
+#[derive(Debug, Clone, Copy)]
+struct Known {
+    /// The line as it runs in the skin, beside the axis that was drawn on it: offset \[px\] at the
+    /// skin's middle, and angle \[rad\].
+    line: Vector2<f64>,
+    covariance: Matrix2<f64>,
+    /// How the skin lay first and last, and when.
+    first: Axis,
+    lay: Axis,
+    is_moved: bool,
+    /// Frames in a row in which the skin was not found.
+    missed: usize,
+    time_s: f64,
+    half_width_px: f64,
+}
+
+/// The finger as its template has it.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Shown {
+    pub half_width_px: f64,
+    pub taper: f64,
+    pub length_px: f64,
+}
+
+impl Steady {
+    pub fn new() -> Self {
+        Self { skin: Skin::unseen(), known: None }
+    }
+
+    /// Another hand, or the same in another pose: nothing is known of it.
+    pub fn forget(&mut self) {
+        self.known = None;
+    }
+
+    /// The line of a frame, told with what is known from the frames before.
+    pub fn follow(
+        &mut self,
+        image: &GrayView<'_>,
+        time_s: f64,
+        line: FingerLine,
+        shown: &Shown,
+    ) -> FingerLine {
+        let Some(known) = self.known else {
+            self.begin(image, time_s, &line, shown);
+            return line;
+        };
+        if let Some(told) = self.told(image, time_s, line, known) {
+            return told;
+        }
+        let missed = known.missed + 1;
+        self.known = (missed < MOST_MISSED).then_some(Known { missed, ..known });
+        line
+    }
+
+    fn begin(&mut self, image: &GrayView<'_>, time_s: f64, line: &FingerLine, shown: &Shown) {
+        let Shown { half_width_px, taper, length_px } = *shown;
+        let axis = &line.axis;
+        let is_seen = self.skin.draw(image, axis, half_width_px, taper, SKIN_PART * length_px);
+        let lay = self.skin.middle_of(axis);
+        self.known = is_seen.then(|| Known {
+            line: Vector2::zeros(),
+            covariance: line.told_at(&lay).covariance,
+            first: lay,
+            lay,
+            is_moved: false,
+            missed: 0,
+            time_s,
+            half_width_px,
+        });
+    }
+
+    /// `None` where the skin is not to be seen, or lies where no such line can be.
+    fn told(
+        &mut self,
+        image: &GrayView<'_>,
+        time_s: f64,
+        line: FingerLine,
+        known: Known,
+    ) -> Option<FingerLine> {
+        // Where the skin would lie if this line were right.
+        let here = line.told_at(&self.skin.middle_of(&line.axis)).axis;
+        let anchor = here.anchor - here.normal() * known.line.x;
+        let ahead_px = (here.tip - here.anchor).norm();
+        let near = Axis::of_finger(anchor, here.angle_rad - known.line.y, ahead_px);
+        let lie = self.skin.find(image, &near)?;
+        let measured = line.told_at(&lie.axis);
+        let drawn = FingerLine { axis: lie.axis, ..measured };
+        let mut known = known.drifted(&lie, time_s);
+        let distance = (lie.axis.anchor - known.lay.anchor).norm() / known.half_width_px;
+        (known.lay, known.missed) = (lie.axis, 0);
+        let correlation = MOST_CORRELATED.min((-distance / FRESH_WIDTHS).exp());
+        let told = measured.covariance * ((1.0 + correlation) / (1.0 - correlation));
+
+        let foretold = known.covariance + lie.covariance;
+        let surprise = drawn.apart(&measured.axis) - known.line;
+        let contradiction = surprise.dot(&((foretold + told).try_inverse()? * surprise));
+        if contradiction > OTHER {
+            return None;
+        }
+        let doubt = (contradiction / CONTRADICTION).max(1.0);
+        let (foretold, told) = (foretold * doubt, told * doubt);
+
+        // This frame's line, and the constant: the one knows where the skin lies as well as the
+        // other does not.
+        let gain = foretold * (foretold + told).try_inverse()?;
+        let learned = known.covariance * doubt * (foretold + told).try_inverse()?;
+        let covariance = (Matrix2::identity() - gain) * foretold;
+        let at = known.line + gain * surprise;
+        let doubted = FingerLine { covariance: line.covariance * doubt, ..line };
+        let gone = (lie.axis.anchor - known.first.anchor).norm() / known.half_width_px;
+        known.is_moved |= gone >= ONE_LOOK_WIDTHS;
+        let is_alone =
+            !known.is_moved || spread(&doubted.covariance, &line) < spread(&covariance, &line);
+        known.covariance *= doubt;
+        if is_alone {
+            known.line += surprise;
+            known.covariance = measured.covariance * doubt + lie.covariance;
+        } else {
+            known.line += learned * surprise;
+            known.covariance = (Matrix2::identity() - learned) * known.covariance;
+        }
+        self.skin.learn(&lie);
+        self.known = Some(known);
+        if is_alone {
+            return Some(doubted);
+        }
+        let axis = &lie.axis;
+        let ahead_px = (axis.tip - axis.anchor).norm();
+        let axis =
+            Axis::of_finger(axis.anchor + axis.normal() * at.x, axis.angle_rad + at.y, ahead_px);
+        let tip_px = (line.axis.tip - line.axis.anchor).norm();
+        let steadied = FingerLine { axis, covariance, ..line }.told_beside(&line);
+        let axis = Axis::of_finger(steadied.axis.anchor, steadied.axis.angle_rad, tip_px);
+        Some(FingerLine { axis, ..steadied })
+    }
+}
+
+/// Variance of a line over its stretch \[px²\].
+fn spread(covariance: &Matrix2<f64>, line: &FingerLine) -> f64 {
+    covariance[(0, 0)] + line.half_length_px.powi(2) * covariance[(1, 1)]
+}
+
+impl Known {
+    /// After the skin has moved to where it lies now.
+    fn drifted(self, lie: &Lie, time_s: f64) -> Self {
+        let w = self.half_width_px;
+        let moved = (lie.axis.anchor - self.lay.anchor).norm() / w;
+        let turned = (lie.axis.angle_rad - self.lay.angle_rad).sin();
+        let passed_s = (time_s - self.time_s).max(0.0);
+        let drift = |k: usize| DRIFT_PER_WIDTH[k] * moved + DRIFT_PER_S[k] * passed_s;
+        let own = Vector2::new(w * w * drift(0), drift(1) + DRIFT_PER_TURN * turned * turned);
+        Self { covariance: self.covariance + Matrix2::from_diagonal(&own), time_s, ..self }
+    }
+}
+
+// What is steadied is private to the crate, and what it must agree with is where it was painted.
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::refine::Painted;
+    use crate::tracker::LineSource;
+
+    const SHOWN: Shown = Shown { half_width_px: 8.0, taper: 0.0, length_px: 60.0 };
+
+    /// A line that is off by so much, and told with a covariance.
+    fn line(painted: &Painted, off: [f64; 2], sigmas: [f64; 2]) -> FingerLine {
+        let axis = painted.axis();
+        let anchor = axis.anchor + axis.normal() * off[0];
+        FingerLine {
+            axis: Axis::of_finger(anchor, axis.angle_rad + off[1], 30.0),
+            half_length_px: 30.0,
+            covariance: Matrix2::from_diagonal(&Vector2::from(sigmas.map(|s| s * s))),
+            source: LineSource::Contour,
+        }
+    }
+
+    fn painted(k: usize, step_px: f64, texture: f64) -> Painted {
+        let k = k as f64;
+        let tip = [100.0 + step_px * 9.0 * (0.5 * k).sin(), 70.0 + step_px * 4.0 * (0.3 * k).cos()];
+        let stripes_px = 0.7 * k;
+        let angle_rad = 0.4 + 0.02 * step_px * (0.2 * k).sin();
+        Painted {
+            texture,
+            stripes_px,
+            noise: 2.0,
+            seed: 7 + k as u64,
+            ..Painted::at(tip, angle_rad)
+        }
+    }
+
+    /// Errors of as many frames that change from frame to frame, about (0.15 px, 0.01 rad).
+    fn error(k: usize) -> [f64; 2] {
+        let k = k as f64;
+        [0.2 * (2.3 * k).sin(), 0.014 * (2.9 * k + 1.0).sin()]
+    }
+
+    /// The error of angle and what is told of it, frame by frame.
+    fn followed(frames: usize, step_px: f64, texture: f64, sigmas: [f64; 2]) -> Vec<[f64; 2]> {
+        let mut steady = Steady::new();
+        (0..frames)
+            .map(|k| {
+                let painted = painted(k, step_px, texture);
+                let off = if step_px > 0.0 { error(k) } else { error(0) };
+                let line = line(&painted, off, sigmas);
+                let told =
+                    painted.show(|image| steady.follow(image, k as f64 / 25.0, line, &SHOWN));
+                let off = told.axis.angle_rad - painted.angle_rad;
+                [off, told.covariance[(1, 1)].sqrt()]
+            })
+            .collect()
+    }
+
+    fn rms(values: impl ExactSizeIterator<Item = f64>) -> f64 {
+        let count = values.len() as f64;
+        (values.map(|v| v * v).sum::<f64>() / count).sqrt()
+    }
+
+    #[test]
+    fn the_lines_of_a_moving_finger_are_told_together() {
+        let told = followed(60, 1.0, 20.0, [0.15, 0.01]);
+        let alone = rms((20..60).map(|k| error(k)[1]));
+        let together = rms(told[20..].iter().map(|t| t[0]));
+        assert!(together < 0.5 * alone, "{together} of {alone}");
+        // And they are told to be as sure as they are.
+        let sigma = rms(told[20..].iter().map(|t| t[1]));
+        assert!(together < 1.3 * sigma && sigma < 0.6 * 0.01, "{together} {sigma}");
+    }
+
+    #[test]
+    fn the_error_of_a_resting_finger_is_not_averaged_to_nothing() {
+        let told = followed(60, 0.0, 20.0, [0.15, 0.01]);
+        for [off, sigma] in told {
+            assert!((off - error(0)[1]).abs() < 1e-9 && (sigma - 0.01).abs() < 1e-9);
+        }
+    }
+
+    #[test]
+    fn a_line_that_is_surer_than_the_skin_stays_as_it_is() {
+        let told = followed(40, 1.0, 20.0, [1e-3, 1e-4]);
+        for (k, [off, _]) in told.into_iter().enumerate() {
+            assert!((off - error(k)[1]).abs() < 1e-3, "{k}: {off}");
+        }
+    }
+
+    #[test]
+    fn skin_that_is_out_of_sight_leaves_the_line_alone_and_is_learned_anew() {
+        let mut steady = Steady::new();
+        let away = Painted::at([400.0, 300.0], 0.4);
+        for k in 0..20 {
+            let painted = painted(k, 1.0, 20.0);
+            let shown = if (8..12).contains(&k) { away } else { painted };
+            let line = line(&painted, error(k), [0.15, 0.01]);
+            let told = shown.show(|image| steady.follow(image, k as f64 / 25.0, line, &SHOWN));
+            if (8..12).contains(&k) {
+                assert_eq!(told, line);
+            }
+        }
+        assert!(steady.known.is_some_and(|known| known.missed == 0));
+        for k in 20..20 + MOST_MISSED {
+            let line = line(&painted(k, 1.0, 20.0), error(k), [0.15, 0.01]);
+            assert_eq!(
+                away.show(|image| steady.follow(image, k as f64 / 25.0, line, &SHOWN)),
+                line
+            );
+        }
+        assert!(steady.known.is_none());
+    }
+
+    #[test]
+    fn another_finger_is_not_told_by_the_skin_of_the_first() {
+        let mut steady = Steady::new();
+        for k in 0..10 {
+            let painted = painted(k, 1.0, 20.0);
+            let line = line(&painted, error(k), [0.15, 0.01]);
+            painted.show(|image| steady.follow(image, k as f64 / 25.0, line, &SHOWN));
+        }
+        let painted = painted(10, 1.0, 20.0);
+        let other = line(&painted, [3.0, 0.3], [0.15, 0.01]);
+        assert_eq!(painted.show(|image| steady.follow(image, 0.4, other, &SHOWN)), other);
+    }
+}
