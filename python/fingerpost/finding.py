@@ -106,8 +106,12 @@ Rays that pass so far apart are no proof alone: the lines must contradict each o
 DOUBTED_FRAMES = 20
 """Views that have given no point for so many frames follow different things."""
 
-LENGTHS = (12.0, 10.5, 9.0, 8.0, 7.0, 6.0, 5.0)
+LENGTHS = (10.5, 9.0, 8.0, 7.0, 6.0, 5.0)
 """Templates that may follow a found finger, in its fitted half-widths, the longest first."""
+
+MEASURED = 2
+"""How often the longest is looked for: a template that ends near the tip, where a finger is slim, tells
+too small a width to begin with."""
 
 LOOKS = 3
 """How often each of them looks at the frame: its colours, known from the first look, bring out
@@ -813,6 +817,18 @@ class HandSearch:
     def _lengthen(self, trial: Trial, line: CoreFingerLine, frame: Frame) -> None:
         """Follow with the longest template that this frame shows all of, if there is one."""
         half_width_px = trial.half_width_px
+        for _ in range(MEASURED):
+            longest = self._longest(line, half_width_px, frame)
+            if longest is None:
+                return
+            trial.tracker, trial.track = longest
+            trial.is_lengthened = True
+            half_width_px = trial.half_width_px
+
+    def _longest(
+        self, line: CoreFingerLine, half_width_px: float, frame: Frame
+    ) -> tuple[ContourTracker, Track] | None:
+        """Return the longest template on a finger of a width that the frame shows all of."""
         here = StartPose(line.tip_px, line.angle_rad, half_width_px)
         for length in LENGTHS:
             start = StartPose(line.tip_px, line.angle_rad, length * half_width_px)
@@ -824,8 +840,8 @@ class HandSearch:
                 continue
             there = StartPose(found.tip_px, found.angle_rad, half_width_px)
             if _are_near(here, there, 2.0 * half_width_px, SAME_TURN_RAD):
-                trial.tracker, trial.track, trial.is_lengthened = tracker, track, True
-                return
+                return tracker, track
+        return None
 
     def candidate_sightings(self) -> list[Sighting]:
         """Return what is seen of the candidates, one for each."""

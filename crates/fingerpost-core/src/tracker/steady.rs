@@ -26,9 +26,12 @@ const DRIFT_PER_WIDTH: [f64; 2] = [5e-5, 2e-6];
 const DRIFT_PER_S: [f64; 2] = [1e-4, 4e-6];
 const DRIFT_PER_TURN: f64 = 2.5e-3;
 /// The errors of two lines correlate by exp(−distance / this), in half-widths.
-const FRESH_WIDTHS: f64 = 0.15;
+const FRESH_WIDTHS: f64 = 0.5;
 /// They are never taken for the same altogether: pixels have noise of their own.
 const MOST_CORRELATED: f64 = 0.98;
+/// This part of their variance they have in common however far the finger moves, as what a shaded
+/// flank does to all of them.
+const COMMON_PART: f64 = 0.15;
 /// A line and what is known may differ by more than this, in the square of their covariance, in one
 /// case of a hundred: then both are doubted.
 const CONTRADICTION: f64 = 9.21;
@@ -156,6 +159,7 @@ impl Steady {
         let gain = foretold * (foretold + told).try_inverse()?;
         let learned = known.covariance * doubt * (foretold + told).try_inverse()?;
         let covariance = (Matrix2::identity() - gain) * foretold;
+        let covariance = covariance + (measured.covariance * doubt - covariance) * COMMON_PART;
         let at = known.line + gain * surprise;
         let doubted = FingerLine { covariance: line.covariance * doubt, ..line };
         let gone = (lie.axis.anchor - known.first.anchor).norm() / known.half_width_px;
