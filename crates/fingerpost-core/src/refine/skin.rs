@@ -45,11 +45,11 @@ const LEAST_SCALE: f32 = 0.25;
 /// A frame that scatters by more than this, in squares, shows something else.
 const MOST_SCALE: f32 = 9.0;
 /// And so does one whose light differs by more than this factor.
-const MOST_GAIN: f32 = 1.6;
+const MOST_GAIN: f32 = 2.0;
 /// As many of the cells have to lie in the picture and to agree.
 const LEAST_SEEN: f64 = 0.6;
-/// Neighbouring cells share pixels, and compression mixes what it stores: the covariance of
-/// independent ones is multiplied by this.
+/// Neighbouring cells share pixels, and compression mixes what it stores: so many of them tell as
+/// much as one that is independent.
 const CORRELATION: f64 = 9.0;
 
 /// The tip is known this well along the finger, and the rest this badly \[px, px, rad\].
@@ -221,6 +221,8 @@ impl Skin {
             if agreeing < LEAST_SEEN * self.cells as f64 {
                 return None;
             }
+            information /= CORRELATION;
+            right /= CORRELATION;
             for (k, sigma) in PRIOR_SIGMAS.into_iter().enumerate() {
                 information[(k, k)] += sigma.powi(-2);
             }
@@ -236,7 +238,7 @@ impl Skin {
             if moved_px < SETTLED_PX || (iteration == ITERATIONS && moved_px < LOOSE_PX) {
                 let [gain, offset] = light;
                 let is_it = scale <= MOST_SCALE && (1.0 / MOST_GAIN..=MOST_GAIN).contains(&gain);
-                let covariance = inverse.fixed_view::<2, 2>(1, 1).into_owned() * CORRELATION;
+                let covariance = inverse.fixed_view::<2, 2>(1, 1).into_owned();
                 return is_it.then_some(Lie { axis, covariance, gain, offset });
             }
         }
