@@ -12,7 +12,8 @@
 //! near its acquired value by a prior, which follows slowly. The finger comes first: its thumb is
 //! fitted afterwards and does not turn it, and is left out once it has not been seen for a while.
 //! The finger line comes from the pixels about the flanks where they can be believed
-//! ([`crate::refine`]), else from the contour. The paper's model keeps the settled size; rigid motion and
+//! ([`crate::refine`]), else from the contour; the lines of the frames before have a say in it where
+//! they tell it better, carried along by the finger's skin. The paper's model keeps the settled size; rigid motion and
 //! one shear remain (rigid motion alone where the template has no thumb: nothing but the thumb
 //! shows the shear). A Kalman filter with constant velocity ([`DynamicsOptions`]) foretells place
 //! and angle, what both models share, and how far along each normal the edge may be. Where the

@@ -159,7 +159,8 @@ pub struct TrackerOptions {
     /// this, at least 1.
     pub correlation: f64,
     /// Whether the band model's finger line is refined by the flanks alone
-    /// ([`Refiner`](crate::refine::Refiner)); the paper's never is.
+    /// ([`Refiner`](crate::refine::Refiner)) and told with those of the frames before; the paper's
+    /// never is.
     pub refine: bool,
     /// Until the hand is acquired.
     pub acquire: AcquireOptions,
