@@ -118,8 +118,8 @@ impl Skin {
     }
 
     /// Draws an axis on the skin that an image shows there, over a length back from its tip; the
-    /// half-width is that at the tip's distance from the anchor, 0, and grows with the taper towards
-    /// the tip. Whether the image shows enough of it.
+    /// half-width is that at its anchor, and grows with the taper towards the tip. Whether the image
+    /// shows enough of it.
     pub fn draw(
         &mut self,
         image: &GrayView<'_>,
