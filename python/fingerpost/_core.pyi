@@ -205,8 +205,8 @@ class _TrackerOptions(TypedDict, total=False):
     correlation: float
     """The covariance is multiplied by this, at least 1: neighbouring measurements share pixels."""
     refine: bool
-    """Whether the band model's finger line is refined by the flanks alone and told with those of the
-    frames before; the paper's never is."""
+    """Whether the band model's finger line is refined by the flanks alone, and told with those of
+    the frames before; the paper's never is."""
     acquire: _AcquireOptions
     """Until the hand is acquired."""
     track: _TrackOptions

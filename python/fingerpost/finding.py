@@ -107,11 +107,12 @@ DOUBTED_FRAMES = 20
 """Views that have given no point for so many frames follow different things."""
 
 LENGTHS = (10.5, 9.0, 8.0, 7.0, 6.0, 5.0)
-"""Templates that may follow a found finger, in its fitted half-widths, the longest first."""
+"""Templates that may follow a found finger, in its fitted half-widths, the longest first: an
+index finger is hardly longer from knuckle to tip."""
 
 MEASURED = 2
-"""How often the longest is looked for: a template that ends near the tip, where a finger is slim, tells
-too small a width to begin with."""
+"""How often the longest is looked for: a trial's template lies near the tip, where a finger is
+slim, and tells too small a width to begin with."""
 
 LOOKS = 3
 """How often each of them looks at the frame: its colours, known from the first look, bring out

@@ -321,6 +321,7 @@ impl Skin {
 
 // The skin is private to the crate, and what it must agree with is where its finger was painted.
 #[cfg(test)]
+#[expect(clippy::unwrap_used, reason = "a test may panic")]
 pub(crate) mod tests {
     use super::*;
     use nalgebra::Point2;
