@@ -320,6 +320,33 @@ def test_a_found_finger_is_seen_at_length_once_a_frame_shows_it_all():
     assert lengths_px[1] > 1.2 * lengths_px[0]
 
 
+def test_a_found_finger_is_as_long_as_its_whole_width_says():
+    # A short template knows the width near the tip alone, where a finger that tapers is slim.
+    rig = SimulatedRig(
+        device=RodAndProng(length_mm=200.0, diameter_mm=36.0, taper=0.6, prong_length_mm=0.0)
+    )
+    motion = Trajectory.hold(OVER_THE_TABLE, 0.1)
+    image = rig.render(motion, time_s=0.0, rng=np.random.default_rng(SEED)).images[0]
+    search, frame = HandSearch(), Frame(0, 0.0, image)
+    search.look(frame)
+    search.judge(np.zeros(len(search.candidates)))
+    assert search.try_out(search.candidates[0], frame)
+    (trial,) = search.trials
+    line = trial.track.finger_line
+    short = fp.StartPose(line.tip_px, line.angle_rad, 4.0 * trial.half_width_px)
+    trial.tracker = fp.ContourTracker.at_hand(
+        fp.Template.pistol("none"), short, {"acquire": {"settle_frames": 1}}
+    )
+    trial.track = trial.tracker.update(image, 0.0)
+    slim_px = trial.half_width_px
+    search.believe(trial, frame)
+    ahead = np.array([np.cos(line.angle_rad), np.sin(line.angle_rad)])
+    length_px = np.ptp(trial.tracker.contour() @ ahead)
+    assert trial.half_width_px > 1.1 * slim_px
+    # The outline of a template of nine half-widths; by the width near the tip it has less than 7.7.
+    assert length_px > 8.0 * trial.half_width_px
+
+
 def test_options_of_the_search_are_checked():
     with pytest.raises(InvalidInputError, match="rates"):
         LearnedBackground({"rates": 1.0})
