@@ -69,7 +69,7 @@ use convergence::{
 };
 use exposure::Exposure;
 use looks::{Lead, Looks, Sight, Silhouette};
-use mould::{Kind, Mould, finger_samples};
+use mould::{Kind, Mould, STANDS_OUT, finger_samples};
 use nalgebra::{Matrix2, Matrix3, Point2, Rotation2, SMatrix, SVector, Vector2, Vector3};
 pub use options::{
     AcceptOptions, AcquireOptions, DynamicsOptions, Model, TrackOptions, TrackerOptions,
@@ -627,6 +627,8 @@ const PINNED_SIGMA: f64 = 1e-4;
 /// while it is tracked.
 const BED_IN_ROUNDS: usize = 3;
 const BED_IN_SLACK: f64 = 4.0;
+/// By these edges, its inside is still told from its outside to this part of how well it was.
+const STILL_TOLD: f64 = 0.8;
 
 /// Flanks are refined from so far beyond where another limb hides them \[px\].
 const CROTCH_PX: f64 = 2.0;
@@ -1019,7 +1021,8 @@ impl ContourTracker {
             }
             (Shape::Planar(map), _) => self.affine(frame, map, NEAR_PX)?,
         };
-        let accepted = frozen.is_accepted(&self.options.track.accept);
+        let accepted =
+            frozen.is_accepted(&self.options.track.accept) && self.told_apart(frame) >= STANDS_OUT;
         if accepted {
             self.hand.shape = frozen.shape;
         }
@@ -1029,6 +1032,7 @@ impl ContourTracker {
     /// Learns what the settled hand looks like, and looks at it once more in the mixture of colours
     /// that shows it best: a shaded flank or the tip, which grey may have hidden, comes out now.
     fn bed_in(&mut self, frame: &Scene<'_>) -> Result<()> {
+        let mut told = self.told_apart(frame);
         for _ in 0..BED_IN_ROUNDS {
             self.hand.looks = None;
             self.learn_looks(frame)?;
@@ -1043,13 +1047,25 @@ impl ContourTracker {
             let finger = self.run_ribbon::<5>(frame, &turned.x, Limb::Finger, look, Some(&held))?;
             if Found::from(finger).is_accepted(&self.options.acquire.accept) {
                 let slid = finger.x.fixed_rows::<2>(0) - x.fixed_rows::<2>(0);
-                let mut x = finger.x;
+                let mut moved = finger.x;
                 // The thumb stays where it was.
-                x[5] -= slid.dot(&Vector2::new(x[2].cos(), x[2].sin()));
-                self.hand.shape = Shape::Ribbon(x);
+                moved[5] -= slid.dot(&Vector2::new(x[2].cos(), x[2].sin()));
+                self.hand.shape = Shape::Ribbon(moved);
+                let now = self.told_apart(frame);
+                if now < STILL_TOLD * told {
+                    self.hand.shape = Shape::Ribbon(x);
+                    return Ok(());
+                }
+                told = now;
             }
         }
         Ok(())
+    }
+
+    /// How well the last search's contour tells the inside of the finger from its outside.
+    fn told_apart(&mut self, frame: &Scene<'_>) -> f64 {
+        let (samples, finger) = (self.hand.fingers(&self.samples), self.hand.shape.silhouette());
+        self.convergence.told_apart(samples, frame, &finger)
     }
 
     /// Whether the planar template has a thumb that shows length and shear; a traced outline is
@@ -1708,11 +1724,12 @@ impl Shape {
     }
 
     fn silhouette(&self) -> Silhouette {
-        let ahead = match self {
-            Self::Ribbon(x) => Vector2::new(x[2].cos(), x[2].sin()),
-            Self::Planar(map) => map.linear.column(0).normalize(),
-        };
-        Silhouette { ahead, half_width_px: self.width() }
+        match self {
+            Self::Ribbon(x) => Silhouette::of_band(x),
+            Self::Planar(map) => {
+                Silhouette { ahead: map.linear.column(0).normalize(), half_width_px: self.width() }
+            }
+        }
     }
 
     /// Half the width of the finger, up to a factor that the template fixes.

@@ -192,6 +192,8 @@ pub(super) struct Convergence {
     agreeing: Vec<PlacedSample>,
     /// Residual offsets of those along the contour, part by part of the outline.
     left_over: Vec<(Part, f64)>,
+    /// Looks of a hand of which nothing is known, made when they are first asked for.
+    unknown: Option<Looks>,
     /// The present frame as the hand's discriminant shows it.
     image: DiscriminantImage,
     /// Lines that are searched once more, where the hand begins, and which lines they replace.
@@ -222,6 +224,7 @@ impl Convergence {
             equations: EquationBuffer::with_capacity(options.samples, MAX_DOF),
             agreeing: Vec::with_capacity(options.samples),
             left_over: Vec::with_capacity(options.samples),
+            unknown: None,
             image: DiscriminantImage::default(),
             again: Vec::with_capacity(options.samples),
             replaced: Vec::with_capacity(options.samples),
@@ -256,6 +259,26 @@ impl Convergence {
         finger: &Silhouette,
         keep: f64,
     ) -> Result<()> {
+        self.gather_agreeing(samples);
+        self.leave_out_covered(looks, frame)?;
+        looks.learn(frame, &mut self.image, &self.agreeing, finger, keep)
+    }
+
+    /// How well the inside of a finger of which nothing is known differs from its outside, by the edges
+    /// of the last search that agree; see [`Looks::told_apart`].
+    pub fn told_apart(&mut self, samples: usize, frame: &Scene<'_>, finger: &Silhouette) -> f64 {
+        self.gather_agreeing(samples);
+        let coloured = frame.colour().is_some();
+        if self.unknown.as_ref().is_none_or(|looks| looks.is_coloured() != coloured) {
+            self.unknown = Some(Looks::new(coloured));
+        }
+        let Self { unknown, agreeing, .. } = self;
+        unknown.as_mut().map_or(0.0, |looks| looks.told_apart(frame, agreeing, finger))
+    }
+
+    /// Of the finger's samples of the last search, the first `samples` of all, those whose edges agree
+    /// with the fit, each moved to its edge.
+    fn gather_agreeing(&mut self, samples: usize) {
         self.agreeing.clear();
         let hits = self.visible.iter().zip(&self.lines).zip(&self.measurements);
         let agreeing = hits
@@ -264,8 +287,6 @@ impl Convergence {
             .filter(|&((i, ..), &weight)| i < samples && weight > 0.5)
             .map(|((_, line, edge), _)| at_edge(line, edge));
         self.agreeing.extend(agreeing);
-        self.leave_out_covered(looks, frame)?;
-        looks.learn(frame, &mut self.image, &self.agreeing, finger, keep)
     }
 
     /// Of the agreeing edges, forgets those that do not look like the hand inside, as long as most do:

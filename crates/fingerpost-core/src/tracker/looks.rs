@@ -5,7 +5,7 @@ use crate::appearance::Appearance;
 use crate::discriminant::{Discriminant, DiscriminantImage, Mixture, region_about};
 use crate::frame::{Frame, SidedPixel};
 use crate::search::{Cue, Polarity};
-use crate::shape_space::PlacedSample;
+use crate::shape_space::{PlacedSample, RibbonVector};
 use nalgebra::Vector2;
 
 /// The edge itself, this far to either side, is of neither colour; looks are learned up to that
@@ -49,6 +49,13 @@ pub(super) struct Silhouette {
     /// Unit vector of pointing.
     pub ahead: Vector2<f64>,
     pub half_width_px: f64,
+}
+
+impl Silhouette {
+    /// That of a band template.
+    pub fn of_band(x: &RibbonVector) -> Self {
+        Self { ahead: Vector2::new(x[2].cos(), x[2].sin()), half_width_px: x[3] }
+    }
 }
 
 /// The looks of one hand.
@@ -106,7 +113,7 @@ impl Looks {
         finger: &Silhouette,
         keep: f64,
     ) -> Result<()> {
-        self.gather(contour, finger);
+        self.gather(contour, finger, AHEAD_WIDTHS);
         self.plain.fade(keep as f32);
         self.discriminant.fade(keep);
         self.plain.observe_all(frame, &self.pixels);
@@ -127,6 +134,21 @@ impl Looks {
         }
         self.finer = self.mixed.separation() > self.plain.separation();
         Ok(())
+    }
+
+    /// Forgets all, and tells how well what one frame shows inside of a finger's contour differs from
+    /// what it shows outside of it: [`Appearance::separation`], 0–6.
+    pub fn told_apart(
+        &mut self,
+        frame: &Frame<'_>,
+        contour: &[PlacedSample],
+        finger: &Silhouette,
+    ) -> f64 {
+        self.gather(contour, finger, 0.0);
+        self.plain.fade(0.0);
+        self.plain.observe_all(frame, &self.pixels);
+        self.plain.learn();
+        self.plain.separation()
     }
 
     /// Whether a mixture of colours shows the hand better than the grey image.
@@ -154,12 +176,13 @@ impl Looks {
         })
     }
 
-    fn gather(&mut self, contour: &[PlacedSample], finger: &Silhouette) {
+    /// Pixels on either side of a contour, and so many half-widths more ahead of the tip.
+    fn gather(&mut self, contour: &[PlacedSample], finger: &Silhouette, ahead_widths: f64) {
         let depth_px = (2.0 * finger.half_width_px - EDGE_PX).clamp(3.0, REACH_PX);
         self.pixels.clear();
         for PlacedSample { position, normal } in contour {
             // Ahead of a fingertip there is nothing of the hand, and it may go there next.
-            let ahead_px = normal.dot(&finger.ahead).max(0.0) * AHEAD_WIDTHS * finger.half_width_px;
+            let ahead_px = normal.dot(&finger.ahead).max(0.0) * ahead_widths * finger.half_width_px;
             let outer_px = (REACH_PX + ahead_px).min(MOST_REACH_PX);
             let inside = SidedPixel::along(*position, -normal, EDGE_PX, depth_px, true);
             self.pixels.extend(inside);
