@@ -14,7 +14,7 @@ use super::options::TrackerOptions;
 use super::scene::Scene;
 use crate::Result;
 use crate::fit::Prior;
-use crate::search::{MAX_HALF_LENGTH_PX, Polarity, Scale};
+use crate::search::{Cue, MAX_HALF_LENGTH_PX, Polarity, Scale};
 use crate::shape_space::{Axis, BandMeasure, RIBBON_DOF, Ribbon, RibbonVector};
 use crate::template::{Limb, Part, TemplateSample};
 use nalgebra::{Point2, Rotation2, SMatrix, Vector2};
@@ -98,7 +98,7 @@ impl Mould<'_> {
     pub fn find(&self, convergence: &mut Convergence, frame: &Scene<'_>) -> Result<Moulded> {
         let mut finger = Converged::at(*self.waiting);
         let mut finger_polarity = self.options.polarity;
-        let mut best = f64::NEG_INFINITY;
+        let mut best = 0.0;
         for angle_rad in ANGLES_RAD {
             for &polarity in self.hypotheses() {
                 for width in WIDTHS {
@@ -212,21 +212,24 @@ impl Mould<'_> {
         let reach_px = self.options.acquire.reach_px(self.waiting[3]);
         for _ in 0..LED_ROUNDS {
             convergence.teach(&mut looks, samples.len(), frame, &Silhouette::of_band(&x), 0.0)?;
-            for lead in [Lead::Votes, Lead::HandEdges] {
-                let Some(sight) = looks.sight(frame, lead, polarity) else { return Ok(best) };
-                let half_px = if lead == Lead::Votes { reach_px } else { MIN_HALF_LENGTH_PX };
-                let led = self.seen::<5>(convergence, frame, (&x, &found.x), half_px, sight)?;
+            let Some(votes) = looks.sight(frame, Lead::Votes, polarity) else { break };
+            let Some(edges) = looks.sight(frame, Lead::HandEdges, polarity) else { break };
+            // In the end by edges alone, as it was: what looks lead to is no more of a hand for that.
+            let edges_alone = Sight { cue: Cue::Edges, ..edges };
+            let near_px = MIN_HALF_LENGTH_PX;
+            let mut led = found;
+            for (half_px, sight) in [(reach_px, votes), (near_px, edges), (near_px, edges_alone)] {
+                led = self.seen::<5>(convergence, frame, (&x, &found.x), half_px, sight)?;
                 if led.fit.is_none() {
                     return Ok(best);
                 }
                 x = led.x;
-                if lead == Lead::HandEdges {
-                    let finger = Silhouette::of_band(&x);
-                    let told = convergence.told_apart(samples.len(), frame, &finger);
-                    if told >= BETTER_TOLD * best.1 && self.is_plausible(&led, false) {
-                        best = (led, told);
-                    }
-                }
+            }
+            let told = convergence.told_apart(samples.len(), frame, &Silhouette::of_band(&x));
+            let away_px = (x.fixed_rows::<2>(0) - found.x.fixed_rows::<2>(0)).norm();
+            let is_better = away_px <= reach_px && told >= BETTER_TOLD * best.1;
+            if is_better && self.is_plausible(&led, false) {
+                best = (led, told);
             }
         }
         Ok(best)
