@@ -869,7 +869,7 @@ impl ContourTracker {
         if self.known(&accept, None).judge(&found).is_ok() {
             let bend = self.bend(frame, &found)?;
             let posture = self.hand.posture.after(bend.as_ref(), &found);
-            if posture != Posture::Bent {
+            if !posture.is_bent() {
                 self.hand.shape = found.shape;
                 self.start(time_s, &found, posture)?;
                 return self.tracked(frame, time_s, &found, &accept);
@@ -912,7 +912,7 @@ impl ContourTracker {
             if let Some(acquired) = self.freeze(frame)? {
                 let bend = self.bend(frame, &acquired)?;
                 let posture = Posture::Straight.after(bend.as_ref(), &acquired);
-                if posture != Posture::Bent {
+                if !posture.is_bent() {
                     let accept = self.options.track.accept;
                     self.start(time_s, &acquired, posture)?;
                     return self.tracked(frame, time_s, &acquired, &accept);
@@ -1142,7 +1142,7 @@ impl ContourTracker {
             self.hand.posture = self.hand.posture.after(bend.as_ref(), &found);
             self.hand.shape = found.shape;
             self.dynamics = Some(dynamics);
-            let mut track = if self.hand.posture == Posture::Bent {
+            let mut track = if self.hand.posture.is_bent() {
                 self.keep_in_sight(time_s, &found, &accept)
             } else {
                 self.hand.bent_frames = 0;

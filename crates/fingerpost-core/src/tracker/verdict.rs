@@ -66,6 +66,9 @@ pub(super) enum Posture {
     Straight,
     /// One frame showed it bent, but not for sure: blur and what is behind it bend flanks too.
     Doubted,
+    /// It is not, as a frame showed for sure, but none before: it yields no line, but where the next
+    /// one does not show it, neither is it known to be bent.
+    BentOnce,
     /// It is not, and yields no line.
     Bent,
 }
@@ -76,17 +79,28 @@ impl Posture {
     /// was seen to bend is straight again only when it is seen to be.
     pub fn after(self, bend: Option<&Bend>, found: &Found) -> Self {
         let Some(Bend { angle_rad, sigma_rad }) = bend else {
-            let stays = self == Self::Bent && found.explained() < SURE;
-            return if stays { Self::Bent } else { Self::Straight };
+            return match self {
+                Self::Bent if found.explained() < SURE => Self::Bent,
+                Self::BentOnce if found.explained() < SURE => Self::Doubted,
+                _ => Self::Straight,
+            };
         };
         let angle_rad = angle_rad.abs();
         if angle_rad > BENT_RAD {
-            let is_sure = self != Self::Straight || angle_rad - sigma_rad > BENT_RAD;
-            return if is_sure { Self::Bent } else { Self::Doubted };
+            return match self {
+                Self::Straight if angle_rad - sigma_rad > BENT_RAD => Self::BentOnce,
+                Self::Straight => Self::Doubted,
+                _ => Self::Bent,
+            };
         }
         let tip = found.fit.map_or(0.0, |fit| fit.support.of(Part::Tip));
-        let stays = self == Self::Bent && (angle_rad > STRAIGHT_RAD || tip < TIP_SEEN);
-        if stays { Self::Bent } else { Self::Straight }
+        let stays = self.is_bent() && (angle_rad > STRAIGHT_RAD || tip < TIP_SEEN);
+        if stays { self } else { Self::Straight }
+    }
+
+    /// Whether it yields no line.
+    pub fn is_bent(self) -> bool {
+        matches!(self, Self::BentOnce | Self::Bent)
     }
 }
 
