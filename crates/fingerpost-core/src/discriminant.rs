@@ -19,6 +19,9 @@ const LEAST_VARIANCE: f64 = 1.0;
 /// Standard deviation of either class in the discriminant's image, unless [`MOST_CONTRAST`] is
 /// less \[grey levels\]: enough for rounding to bytes to cost nothing.
 const CLASS_SIGMA: f64 = 3.0;
+/// Hand minus background in the discriminant's image at least \[grey levels\]: an edge that shows half
+/// of it has the least contrast that counts as one.
+const LEAST_CONTRAST: f64 = 18.0;
 /// Hand minus background in the discriminant's image at most \[grey levels\]; more would leave the
 /// range of a byte.
 const MOST_CONTRAST: f64 = 120.0;
@@ -197,7 +200,8 @@ impl Discriminant {
             return None;
         }
         // By w, the classes are separation2 apart, and so is their variance.
-        let gain = (CLASS_SIGMA / separation2.sqrt()).min(MOST_CONTRAST / separation2);
+        let contrast = (CLASS_SIGMA * separation2.sqrt()).clamp(LEAST_CONTRAST, MOST_CONTRAST);
+        let gain = contrast / separation2;
         let middle = 0.5 * (hand.mean() + background.mean());
         let unit = f64::from(1 << PLACES);
         let weights = [0, 1, 2].map(|k| (w[k] * gain * unit).round() as i32);
