@@ -186,6 +186,17 @@ impl<const D: usize> Dynamics<D> {
         &self.state.v
     }
 
+    /// The filter after a shape vector that surprised: it may have come there by a velocity that has
+    /// changed from the given one to the present, or have been taken for another one before. As
+    /// likely the one as the other, they are joined into the Gaussian of their mean and covariance.
+    #[must_use]
+    pub fn doubting(mut self, velocity_before: &SVector<f64, D>) -> Self {
+        let half = (self.state.v - velocity_before) * 0.5;
+        self.state.v -= half;
+        self.state.p_vv = symmetric(&(self.state.p_vv + half * half.transpose()));
+        self
+    }
+
     /// The shape vector at a later time.
     ///
     /// # Errors

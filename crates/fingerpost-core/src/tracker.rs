@@ -1141,7 +1141,9 @@ impl ContourTracker {
             let bend = self.bend(frame, &found)?;
             self.hand.posture = self.hand.posture.after(bend.as_ref(), &found);
             self.hand.shape = found.shape;
-            self.dynamics = Some(dynamics);
+            let jumped = innovation.is_some_and(|square| square > self.surprise);
+            let before = foretold.dynamics.velocity();
+            self.dynamics = Some(if jumped { dynamics.doubting(before) } else { dynamics });
             let mut track = if self.hand.posture.is_bent() {
                 self.keep_in_sight(time_s, &found, &accept)
             } else {
