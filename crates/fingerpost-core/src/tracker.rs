@@ -627,6 +627,8 @@ const PINNED_SIGMA: f64 = 1e-4;
 /// while it is tracked.
 const BED_IN_ROUNDS: usize = 3;
 const BED_IN_SLACK: f64 = 4.0;
+/// So much it has turned at most when it is known \[rad\].
+const MOST_TURNED_RAD: f64 = 0.3;
 /// By these edges, its inside is still told from its outside to this part of how well it was.
 const STILL_TOLD: f64 = 0.8;
 
@@ -994,6 +996,7 @@ impl ContourTracker {
     /// Keeps the settled hand's dimensions and looks: tracking starts from them. None if the
     /// paper's template cannot take them on, or explains them badly.
     fn freeze(&mut self, frame: &Scene<'_>) -> Result<Option<Found>> {
+        let settled = self.hand.shape.placement();
         self.bed_in(frame)?;
         if let Some(looks) = &mut self.hand.looks {
             looks.anchor();
@@ -1021,8 +1024,13 @@ impl ContourTracker {
             }
             (Shape::Planar(map), _) => self.affine(frame, map, NEAR_PX)?,
         };
-        let accepted =
-            frozen.is_accepted(&self.options.track.accept) && self.told_apart(frame) >= STANDS_OUT;
+        // A hand that stays has not slid along what is behind it.
+        let slid = frozen.shape.placement() - settled;
+        let stays = slid.xy().norm() <= self.options.acquire.reach_px(self.waiting.ribbon[3])
+            && slid[2].sin().abs() <= MOST_TURNED_RAD;
+        let accepted = stays
+            && frozen.is_accepted(&self.options.track.accept)
+            && self.told_apart(frame) >= STANDS_OUT;
         if accepted {
             self.hand.shape = frozen.shape;
         }

@@ -100,6 +100,17 @@ fn it_is_the_mixture_of_fisher() {
 }
 
 #[test]
+fn classes_that_are_hard_to_tell_apart_are_shown_with_contrast_enough_for_an_edge() {
+    // 3.5 standard deviations apart: at three grey levels each, 10 grey levels would be left.
+    let spread = [[9, 12, 11], [6, 0, -6], [0, 8, -8]];
+    let (hand, background) = (class(SKIN, spread), class(WOOD, spread));
+    let discriminant = learned(&hand, &background);
+    let mixture = discriminant.mixture().unwrap();
+    let contrast = mean(&shown(mixture, &hand)) - mean(&shown(mixture, &background));
+    assert!((contrast - 18.0).abs() < 0.5, "{contrast}");
+}
+
+#[test]
 fn in_other_light_it_is_the_mixture_that_would_be_learned_there() {
     let spread = [[9, 12, 11], [3, 0, -3], [0, 2, -2]];
     let (hand, background) = (class(SKIN, spread), class(WOOD, spread));

@@ -353,6 +353,25 @@ fn a_steady_motion_is_recovered() {
 }
 
 #[test]
+fn a_doubted_velocity_is_the_old_one_or_the_new_one() {
+    let r = P::from_diagonal(&SEEN.component_mul(&SEEN));
+    let at = |u: f64| X::new(u, 300.0, 0.3, 14.0);
+    let mut dynamics = Dynamics::start(hand(), LONGEST_GAP_S, 0.0, &at(100.0), &r).unwrap();
+    dynamics.update(0.04, &at(100.0), &r).unwrap();
+    let before = *dynamics.velocity();
+    dynamics.update(0.08, &at(150.0), &r).unwrap();
+    let (jumped, doubting) = (dynamics, dynamics.doubting(&before));
+    assert!(jumped.velocity().x > 500.0, "{}", jumped.velocity());
+    let after_s = 0.04;
+    let half = 0.5 * (jumped.velocity() - before);
+    let [sure, unsure] = [jumped, doubting].map(|d| expected(&d, 0.08 + after_s));
+    assert!((sure.vector - unsure.vector - half * after_s).amax() < TOLERANCE);
+    // Of two equally likely velocities: half their difference, to either side.
+    let spread = half * half.transpose() * after_s.powi(2);
+    assert!((unsure.covariance - sure.covariance - spread).amax() < 1e-6);
+}
+
+#[test]
 fn an_angle_goes_round() {
     let components = [velocity(10.0, 5.0, Domain::Circle)];
     let r = Matrix1::new(1e-6);
