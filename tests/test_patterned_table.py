@@ -32,7 +32,9 @@ def cloth(angle_rad: float, check_px: float) -> NDArray[np.float64]:
     return colour
 
 
-def picture(table: NDArray[np.float64], tip: NDArray[np.float64] | None, seed: int) -> NDArray[np.uint8]:
+def picture(
+    table: NDArray[np.float64], tip: NDArray[np.float64] | None, seed: int
+) -> NDArray[np.uint8]:
     """The table, before it a finger and the hand that it is of, blurred by its area, and noise."""
     shown = table.copy()
     if tip is not None:

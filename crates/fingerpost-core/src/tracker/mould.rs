@@ -108,7 +108,7 @@ impl Mould<'_> {
                     if !self.is_plausible(&found, false) {
                         continue;
                     }
-                    let (found, told) = self.by_looks(convergence, frame, found, polarity)?;
+                    let (found, told) = self.by_looks(convergence, frame, &found, polarity)?;
                     let score = self.score(&found) * told / (1.0 + told);
                     if told >= STANDS_OUT && score > best {
                         (best, finger, finger_polarity) = (score, found, polarity);
@@ -173,7 +173,7 @@ impl Mould<'_> {
         if !self.is_plausible(&found, has_thumb) {
             return Ok(Moulded { hand: Converged { fit: None, ..found }, kind });
         }
-        let (hand, told) = self.by_looks(convergence, frame, found, polarity)?;
+        let (hand, told) = self.by_looks(convergence, frame, &found, polarity)?;
         let fit = hand.fit.filter(|_| told >= STANDS_OUT);
         // A thumb of a finger that was elsewhere is none.
         let has_thumb = has_thumb && fit.is_some_and(|fit| fit.shape.names.len() == RIBBON_DOF);
@@ -202,12 +202,12 @@ impl Mould<'_> {
         &self,
         convergence: &mut Convergence,
         frame: &Scene<'_>,
-        found: Converged<RIBBON_DOF>,
+        found: &Converged<RIBBON_DOF>,
         polarity: Polarity,
     ) -> Result<(Converged<RIBBON_DOF>, f64)> {
         let samples = finger_samples(self.samples);
         let told = convergence.told_apart(samples.len(), frame, &Silhouette::of_band(&found.x));
-        let (mut x, mut best) = (found.x, (found, told));
+        let (mut x, mut best) = (found.x, (*found, told));
         let mut looks = Looks::new(frame.colour().is_some());
         let reach_px = self.options.acquire.reach_px(self.waiting[3]);
         for _ in 0..LED_ROUNDS {
@@ -217,7 +217,7 @@ impl Mould<'_> {
             // In the end by edges alone, as it was: what looks lead to is no more of a hand for that.
             let edges_alone = Sight { cue: Cue::Edges, ..edges };
             let near_px = MIN_HALF_LENGTH_PX;
-            let mut led = found;
+            let mut led = *found;
             for (half_px, sight) in [(reach_px, votes), (near_px, edges), (near_px, edges_alone)] {
                 led = self.seen::<5>(convergence, frame, (&x, &found.x), half_px, sight)?;
                 if led.fit.is_none() {
