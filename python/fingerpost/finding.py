@@ -181,6 +181,13 @@ where it is: a print, a pen, a shadow."""
 FLAT_WORTH = 0.1
 """What a flat finger is worth."""
 
+IS_FLAT = 0.2
+"""What a waiting template follows lies on the table where it has looked this flat of late; a hand,
+even with its finger on the table, does not at all."""
+
+FLAT_KEPT = 0.5
+"""What that keeps from look to look; the rest is what the present frames show."""
+
 HALF_WIDTH_NAME = "half_width [px]"
 """The component of the band model's shape vector."""
 
@@ -573,10 +580,7 @@ class Trial:
     @property
     def half_width_px(self) -> float:
         """Half the finger's width, by the fit if its shape space has one."""
-        shape = self.track.shape_vector
-        if shape is not None and HALF_WIDTH_NAME in self.track.shape_names:
-            return float(shape[self.track.shape_names.index(HALF_WIDTH_NAME)])
-        return self.candidate.half_width_px
+        return _fitted_half_width_px(self.track) or self.candidate.half_width_px
 
     @property
     def is_proven(self) -> bool:
@@ -919,7 +923,9 @@ def find_hand(views: Sequence[SearchingView], frames: Sequence[Frame | None]) ->
     """
     for k, view in enumerate(views):
         if view.is_searching and frames[k] is not None:
-            view.search.judge(_flatness(views, frames, k))
+            starts = [(c.start, c.half_width_px) for c in view.search.candidates]
+            seen = [Sighting(s.tip_px, s.angle_rad, half_px) for s, half_px in starts]
+            view.search.judge(_flatness(views, frames, k, seen))
     _believe(views, frames)
     for i, j in combinations(range(len(views)), 2):
         searching = [k for k in (i, j) if views[k].is_searching and frames[k] is not None]
@@ -927,13 +933,31 @@ def find_hand(views: Sequence[SearchingView], frames: Sequence[Frame | None]) ->
             _try_out(views, frames, (i, j), searching)
 
 
-def _flatness(views: Sequence[SearchingView], frames: Sequence[Frame | None], k: int) -> Array:
-    """Return how flat the candidates of a view look to the others."""
+def how_flat(
+    views: Sequence[SearchingView], frames: Sequence[Frame | None], k: int
+) -> float | None:
+    """Tell how flat what a view follows looks to the others; None if it follows nothing.
+
+    See `flatness`, and `find_hand` for the arguments; `k` is the view's place among all.
+    """
+    track = views[k].track
+    followed = _followed(views[k])
+    if track is None or not followed:
+        return None
+    half_width_px = _fitted_half_width_px(track)
+    if half_width_px is not None:
+        followed = [followed[0]._replace(half_width_px=half_width_px)]
+    return float(_flatness(views, frames, k, followed)[0])
+
+
+def _flatness(
+    views: Sequence[SearchingView],
+    frames: Sequence[Frame | None],
+    k: int,
+    seen: Sequence[Sighting],
+) -> Array:
+    """Return how flat fingers in a view look to the others."""
     one = frames[k]
-    seen = [
-        Sighting(c.start.tip_px, c.start.angle_rad, c.half_width_px)
-        for c in views[k].search.candidates
-    ]
     flat = np.zeros(len(seen))
     for other, frame in zip(views, frames, strict=True):
         if one is not None and frame is not None and other is not views[k]:
@@ -1089,6 +1113,14 @@ def _best_first(scores: Array) -> Iterator[tuple[int, int]]:
         if scores[row, column] <= 0.0:
             return
         yield int(row), int(column)
+
+
+def _fitted_half_width_px(track: Track) -> float | None:
+    """Return half a finger's width; None without a fit in a shape space that has one."""
+    shape = track.shape_vector
+    if shape is None or HALF_WIDTH_NAME not in track.shape_names:
+        return None
+    return float(shape[track.shape_names.index(HALF_WIDTH_NAME)])
 
 
 def _colour(frame: Frame) -> NDArray[Any] | None:

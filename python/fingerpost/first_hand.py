@@ -13,7 +13,7 @@ import numpy as np
 
 from fingerpost._core import ContourTracker, FingerLine, StartPose
 from fingerpost.capture import Frame
-from fingerpost.finding import LATELY, HandSearch, has_moved, moves
+from fingerpost.finding import FLAT_KEPT, IS_FLAT, LATELY, HandSearch, has_moved, moves
 
 ONE_HAND_RAD = 0.1
 """What moves and has turned by less than this between two frames may be one hand."""
@@ -49,6 +49,22 @@ class FirstHand:
         self._earliest: FingerLine | None = None
         self._latest: deque[FingerLine] = deque(maxlen=LATELY)
         self._second: ContourTracker | None = None
+        self._flat = 0.0
+
+    def look_flat(self, flat: float) -> ContourTracker | None:
+        """Return a tracker that waits anew, if what is followed lies on the table.
+
+        Parameters
+        ----------
+        flat
+            How flat it looks to the other views in this frame, 0 to 1.
+        """
+        self._flat = FLAT_KEPT * self._flat + (1.0 - FLAT_KEPT) * flat
+        if self.is_proven or self._flat < IS_FLAT:
+            return None
+        self._earliest = None
+        self._latest.clear()
+        return self._waiting()
 
     def welcome(self, frame: Frame, followed: FingerLine | None) -> ContourTracker | None:
         """Return the tracker that has found the hand in a frame which is new, if it is another.

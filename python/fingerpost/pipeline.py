@@ -42,6 +42,7 @@ from fingerpost.finding import (
     are_two,
     can_be_one,
     find_hand,
+    how_flat,
 )
 from fingerpost.first_hand import FirstHand
 from fingerpost.pointing import (
@@ -305,6 +306,17 @@ class HandView:
         if self._first_hand is not None:
             self._first_hand.prove(frame, track.finger_line)
 
+    @property
+    def may_follow_table(self) -> bool:
+        """Whether what is followed may lie on the table."""
+        return not self._is_sure
+
+    def look_flat(self, flat: float) -> None:
+        """Take over how flat what is followed looks to the other views; see `FirstHand.look_flat`."""
+        anew = None if self._first_hand is None else self._first_hand.look_flat(flat)
+        if anew is not None:
+            self._tracker, self._track = anew, None
+
     def observe(self, frame: Frame | None) -> None:
         """Learn from a frame that the tracker has had, and look for a hand that it does not follow.
 
@@ -536,6 +548,7 @@ class Pointer:
             One per view, in the rig's order; None where a frame could not be read.
         """
         self._follow(frames)
+        self._leave_table(frames)
         for view, frame in zip(self.views, frames, strict=True):
             view.observe(frame)
         if any(view.is_searching for view in self.views):
@@ -574,6 +587,16 @@ class Pointer:
                 view.follow(frame, track)
         if errors:
             raise errors[0]
+
+    def _leave_table(self, frames: Sequence[Frame | None]) -> None:
+        """Have templates wait anew that have locked on to what lies on the table."""
+        looks = [
+            how_flat(self.views, frames, k) if view.may_follow_table else None
+            for k, view in enumerate(self.views)
+        ]
+        for view, flat in zip(self.views, looks, strict=True):
+            if flat is not None:
+                view.look_flat(flat)
 
     def finish(self) -> Iterator[Step]:
         """Yield the last steps, whose time not every view has reached."""
