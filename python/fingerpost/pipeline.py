@@ -259,6 +259,7 @@ class HandView:
         self._is_table = False
         self._table_frames = 0
         self._doubts = 0
+        self._has_come_elsewhere = False
         self._missing = Status.ACQUIRING
         self._first_hand: FirstHand | None = None
         if view.start is not None:
@@ -271,8 +272,23 @@ class HandView:
 
     @property
     def is_searching(self) -> bool:
-        """Whether the hand may be anywhere: it is neither followed for good nor waited for."""
-        return self._tracker is None or (self._track is not None and self._track.status == "lost")
+        """Whether the hand may be anywhere: it is neither followed for good nor waited for.
+
+        A hand that another view has seen come has passed a template that still waits for it.
+        """
+        if self._tracker is None or self._misses_hand:
+            return True
+        return self._track is not None and self._track.status == "lost"
+
+    @property
+    def _misses_hand(self) -> bool:
+        """Whether a hand has come to another view that this one has not found where it waits."""
+        has_line = self._track is not None and self._track.finger_line is not None
+        return self._has_come_elsewhere and not (self._is_sure or has_line)
+
+    def hear(self, others: Sequence[HandView]) -> None:
+        """Take notice of a hand that has come to another view."""
+        self._has_come_elsewhere = any(other.has_newcomer for other in others)
 
     @property
     def track(self) -> Track | None:
@@ -550,6 +566,7 @@ class Pointer:
         self._follow(frames)
         self._leave_table(frames)
         for view, frame in zip(self.views, frames, strict=True):
+            view.hear([other for other in self.views if other is not view])
             view.observe(frame)
         if any(view.is_searching for view in self.views):
             find_hand(self.views, frames)
