@@ -283,8 +283,11 @@ class HandView:
     @property
     def _misses_hand(self) -> bool:
         """Whether a hand has come to another view that this one has not found where it waits."""
-        has_line = self._track is not None and self._track.finger_line is not None
-        return self._has_come_elsewhere and not (self._is_sure or has_line)
+        return self._has_come_elsewhere and not (self._is_sure or self._shows_finger)
+
+    @property
+    def _shows_finger(self) -> bool:
+        return self._track is not None and self._track.finger_line is not None
 
     def hear(self, others: Sequence[HandView]) -> None:
         """Take notice of a hand that has come to another view."""
@@ -404,6 +407,8 @@ class HandView:
         """
         first = self._first_hand
         if first is None or first.is_proven or first.waits_beside or self._is_table:
+            return
+        if not self._shows_finger:
             return
         if any(other.has_newcomer and shared.can_be_one(self, other) for other in others):
             first.recognise()

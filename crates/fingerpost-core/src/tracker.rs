@@ -891,9 +891,10 @@ impl ContourTracker {
     ) -> Result<Track> {
         let AcquireOptions { accept, settle_frames, settle_change, .. } = self.options.acquire;
         let width_before = self.hand.shape.width();
-        let (mut found, mut refusal) = self.settled(frame, &frame.alone(), settled)?;
-        if refusal.is_some() && frame.background().is_some() {
-            (found, refusal) = self.settled(frame, frame, settled)?;
+        let (mut found, mut refusal) = self.seen(frame, settled)?;
+        if refusal.is_some() && settled > 0 {
+            // It has moved on farther than edges lead: the template still waits there.
+            (found, refusal) = self.seen(frame, 0)?;
         }
         let accepted = refusal.is_none();
         let change = (found.shape.width() / width_before - 1.0).abs();
@@ -931,6 +932,19 @@ impl ContourTracker {
             });
         self.phase = phase;
         Ok(track(time_s, status, &found, &accept, refusal))
+    }
+
+    /// What is found without what is known of the background, or else with it, and why it is no hand.
+    fn seen(
+        &mut self,
+        frame: &Scene<'_>,
+        settled: usize,
+    ) -> Result<(Found, Option<Refusal>)> {
+        let alone = self.settled(frame, &frame.alone(), settled)?;
+        if alone.1.is_none() || frame.background().is_none() {
+            return Ok(alone);
+        }
+        self.settled(frame, frame, settled)
     }
 
     /// What is found at the waiting template or where it was, and why it is no hand. What lies on the
