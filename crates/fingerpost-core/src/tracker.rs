@@ -5,7 +5,7 @@
 //! of the template that waits; otherwise the template goes back to its start. It has *settled*
 //! when, over [`AcquireOptions::settle_frames`] accepted frames in a row, no frame changed the
 //! finger's half-width by more than [`AcquireOptions::settle_change`] of it: the hand may move
-//! meanwhile. Then it is looked at anew in its own colours, and [`Model::Paper`] deforms affinely
+//! meanwhile, from any place that the waiting template reaches to any other. Then it is looked at anew in its own colours, and [`Model::Paper`] deforms affinely
 //! once more and freezes the size.
 //!
 //! **Tracking.** Of the band model everything stays free, but what a hand cannot change is held
@@ -174,6 +174,14 @@ impl FingerLine {
     fn doubted(self, other: &Axis) -> Self {
         let apart = self.apart(other);
         Self { covariance: self.covariance + apart * apart.transpose(), ..self }
+    }
+
+    /// The same line, when what covers the finger in part may have led it astray by so much at either
+    /// end: of what is no noise nothing averages out.
+    fn misled(self, by_px: f64) -> Self {
+        let turn = by_px * 3.0_f64.sqrt() / self.half_length_px;
+        let doubt = Matrix2::from_diagonal(&Vector2::new(by_px, turn).map(|s| s * s));
+        Self { covariance: self.covariance + doubt, ..self }
     }
 
     /// This line and another look at the same finger, at the anchor of this one and as long: the mean
@@ -503,6 +511,23 @@ impl Hand {
         self.partly_frames = if is_whole { 0 } else { self.partly_frames.saturating_add(1) };
     }
 
+    /// Takes over what the edges of a fit that counts scatter. What covers a hand that is known
+    /// whole has edges that are not its own.
+    fn learn_usual(&mut self, found: &Found) {
+        if let Some(fit) = found.fit.filter(|_| self.partly_frames == 0 || !self.is_known_whole()) {
+            self.usual_px += USUAL_RATE * (fit.residual_rms_px - self.usual_px);
+        }
+    }
+
+    /// By how much the edges of a fit scatter more than is usual, as a standard deviation \[px\]:
+    /// a hand that is known whole does not, but what covers it.
+    fn unusual_px(&self, fit: &Fit) -> f64 {
+        if self.partly_frames == 0 || !self.is_known_whole() {
+            return 0.0;
+        }
+        (fit.residual_rms_px.powi(2) - self.most_scale_px().powi(2)).max(0.0).sqrt()
+    }
+
     /// What its edges scatter at most about a fit in its place \[px\].
     fn most_scale_px(&self) -> f64 {
         (USUAL_TIMES * self.usual_px).max(USUAL_LEAST_PX)
@@ -541,7 +566,7 @@ struct Way {
     path: Path,
     /// The part of the finger's contour whose edge is explained and looks like the hand inside.
     own: f64,
-    /// What its motion costs; ∞ if no hand can have become or moved to it.
+    /// What its motion costs; ∞ if no hand can have become or moved to it, or it is no fit.
     cost: f64,
 }
 
@@ -681,7 +706,7 @@ const UNLIKE: f64 = 0.3;
 /// none does.
 const OTHERS_SAY: f64 = 0.1;
 /// An edge is the hand's own only within so many of the largest scales of its residual offsets.
-const OWN_SCALES: f64 = 2.5;
+const OWN_SCALES: f64 = 1.5;
 /// Once votes have led the contour to the hand, its edges are looked for this far \[px\].
 const NEAR_PX: f64 = 10.0;
 
@@ -892,7 +917,7 @@ impl ContourTracker {
         let AcquireOptions { accept, settle_frames, settle_change, .. } = self.options.acquire;
         let width_before = self.hand.shape.width();
         let (mut found, mut refusal) = self.seen(frame, settled)?;
-        if refusal.is_some() && settled > 0 {
+        if refusal.is_some() && (1..settle_frames).contains(&settled) {
             // It has moved on farther than edges lead: the template still waits there.
             (found, refusal) = self.seen(frame, 0)?;
         }
@@ -935,11 +960,7 @@ impl ContourTracker {
     }
 
     /// What is found without what is known of the background, or else with it, and why it is no hand.
-    fn seen(
-        &mut self,
-        frame: &Scene<'_>,
-        settled: usize,
-    ) -> Result<(Found, Option<Refusal>)> {
+    fn seen(&mut self, frame: &Scene<'_>, settled: usize) -> Result<(Found, Option<Refusal>)> {
         let alone = self.settled(frame, &frame.alone(), settled)?;
         if alone.1.is_none() || frame.background().is_none() {
             return Ok(alone);
@@ -1174,10 +1195,11 @@ impl ContourTracker {
                 self.hand.grow();
                 self.hand.count_thumb(&found, lose_after_frames);
                 self.hand.count_partly(&found);
-                self.take_over_looks(frame, &found)?;
+                if !found.fit.is_some_and(|fit| fit.own_only) {
+                    self.take_over_looks(frame, &found)?;
+                }
                 self.pace.follow(innovation);
-                let residual_px = found.fit.map_or(self.hand.usual_px, |fit| fit.residual_rms_px);
-                self.hand.usual_px += USUAL_RATE * (residual_px - self.hand.usual_px);
+                self.hand.learn_usual(&found);
                 self.phase = Phase::Tracking { missed: 0 };
                 self.tracked(frame, time_s, &found, &accept)?
             };
@@ -1217,7 +1239,9 @@ impl ContourTracker {
     /// What a fit of the followed hand is judged by.
     fn known(&self, accept: &AcceptOptions, innovation: Option<&Innovation<3>>) -> Known<'_> {
         let motion = innovation.map(|i| Motion::of(i, self.surprise));
-        Known { accept: *accept, acquired: &self.hand.acquired, motion }
+        let Hand { acquired, .. } = &self.hand;
+        let most_scatter_px = self.hand.most_scale_px();
+        Known { accept: *accept, acquired, motion, most_scatter_px }
     }
 
     /// The hand about a predicted shape. Its edges are usually near and sharp; when they explain
@@ -1302,7 +1326,10 @@ impl ContourTracker {
         path: Path,
         foretold: Option<&Foretold>,
     ) -> Result<Way> {
-        let cost = self.motion(&found, foretold)?.cost;
+        let cost = match found.fit {
+            Some(_) => self.motion(&found, foretold)?.cost,
+            None => f64::INFINITY,
+        };
         let samples = self.hand.fingers(&self.samples);
         let sight = self.hand.sight(frame, Lead::HandEdges, self.options.polarity);
         let within_px = OWN_SCALES * self.hand.most_scale_px();
@@ -1597,12 +1624,16 @@ impl ContourTracker {
         };
         // Where the pixels agree with a finger only so far, the contour knows other things than two
         // bare flanks tell: the hand's colours, and its width.
-        let contour = found.fit.map(|f| FingerLine::of_contour(&f.axis, &f.line_covariance));
+        let contour = found.fit.map(|f| {
+            FingerLine::of_contour(&f.axis, &f.line_covariance).misled(self.hand.unusual_px(&f))
+        });
         let beside_cover = found.fit.is_some_and(|fit| fit.own_only);
         let finger_line = match (refined, contour) {
             // What covers a hand has pixels of its own.
             (Some(refined), Some(contour))
-                if beside_cover && contour.contradicts(&FingerLine::of_pixels(&refined)) =>
+                if beside_cover
+                    && (refined.source != Source::Photometric
+                        || contour.contradicts(&FingerLine::of_pixels(&refined))) =>
             {
                 Some(contour)
             }
@@ -1788,6 +1819,18 @@ mod tests {
         assert!((doubted.covariance - expected).norm() < 1e-9, "{}", doubted.covariance);
         assert_eq!(doubted.axis, line.axis);
         assert_eq!(line.doubted(&axis), line);
+    }
+
+    #[test]
+    fn what_covers_a_finger_leads_astray_at_its_ends() {
+        let [axis, _] = axes();
+        let covariance = Matrix2::new(0.04, 1e-4, 1e-4, 1e-4);
+        let line = FingerLine::of_contour(&axis, &covariance);
+        let misled = line.misled(0.3);
+        let added = Matrix2::new(0.09, 0.0, 0.0, 3.0 * (0.3 / 30.0_f64).powi(2));
+        assert!((misled.covariance - covariance - added).norm() < 1e-12);
+        assert_eq!(misled.axis, line.axis);
+        assert_eq!(line.misled(0.0), line);
     }
 
     fn inverse(m: Matrix2<f64>) -> Matrix2<f64> {

@@ -49,6 +49,8 @@ fn options(model: Model) -> TrackerOptions {
     TrackerOptions { model, polarity: Polarity::Bright, ..TrackerOptions::default() }
 }
 
+/// How far a hand may go from frame to frame while a template that waits reaches 20 px.
+const FAST_PX: f64 = 26.0;
 const START: StartPose =
     StartPose { tip_px: Point2::new(130.0, 60.0), angle_rad: -0.5, length_px: LENGTH_PX };
 
@@ -1083,6 +1085,21 @@ fn what_no_hand_does_from_frame_to_frame_is_refused() {
         }
         assert!(refusals.contains(&refusal), "{refusals:?}");
     }
+}
+
+#[test]
+fn a_hand_that_comes_too_fast_for_edges_to_lead_from_frame_to_frame_is_acquired() {
+    let mut tracker = tracker(Model::Ribbon, Thumb::None);
+    let mut noise = Noise::new(0x6661_7374);
+    let aside = Vector2::new(-START.angle_rad.sin(), START.angle_rad.cos());
+    let acquired = (-3..=0).any(|k| {
+        let tip = START.tip_px + aside * ((f64::from(k) + 0.5) * FAST_PX);
+        let hand = Hand::usual(Thumb::None, tip, START.angle_rad, LENGTH_PX);
+        let time_s = f64::from(k + 3) * FRAME_S;
+        let line = update(&mut tracker, &picture(&hand, &mut noise), time_s).finger_line;
+        line.is_some_and(|line| (line.axis.tip - tip).norm() < 0.5)
+    });
+    assert!(acquired);
 }
 
 /// A finger that lies along the waiting template, with its joint in the middle.

@@ -572,16 +572,21 @@ const HARDLY: f64 = 0.3;
 /// \[px\].
 const BEGINS_WITHIN_PX: f64 = 4.0;
 
-/// What is inside of an edge is the hand if its pixels vote for that by this much on average.
+/// What is inside of an edge is the hand if its pixels vote for that by this much on average, and what
+/// is outside of it is behind the hand if its pixels vote for that by this much.
 const OWN_VOTE: f32 = 0.5;
+const BEHIND_VOTE: f32 = 0.25;
 
-/// Whether what is inside of an edge looks like the hand.
+/// Whether what is inside of an edge looks like the hand, and what is outside of it like what has
+/// been seen behind that: before a hand that is covered in part, the cover has an edge as well.
 fn is_own(frame: &Frame<'_>, looks: &Appearance, edge: &PlacedSample) -> bool {
-    let vote = |inside_px: f64| {
-        let place = edge.position - edge.normal * inside_px;
+    let vote = |outward_px: f64| {
+        let place = edge.position + edge.normal * outward_px;
         looks.vote(frame, place.x, place.y)
     };
-    INSIDE_PX.map(vote).iter().sum::<f32>() >= OWN_VOTE * INSIDE_PX.len() as f32
+    let mean = |votes: [f32; 3]| votes.iter().sum::<f32>() / votes.len() as f32;
+    mean(INSIDE_PX.map(|inside_px| vote(-inside_px))) >= OWN_VOTE
+        && mean(INSIDE_PX.map(vote)) <= -BEHIND_VOTE
 }
 
 /// A sample of the contour moved to its edge.

@@ -48,6 +48,9 @@ const CONTRADICTED: f64 = 0.08;
 /// The same where all that counts looks like the hand: what covers a hand has edges inside of it.
 const CONTRADICTED_BY_COVER: f64 = 0.2;
 const FLANK_SEEN: f64 = 0.25;
+/// Of a hand that is covered in part, what is bare must lie where it goes on as it did and scatter no
+/// more than usual; then this part of the least agreement will do, and the covariance tells the rest.
+const COVERED_SHARE: f64 = 0.5;
 
 /// A finger whose halves differ by more than this is bent \[rad\]: a line fitted to both would be
 /// off the direction of either by half of it. Fingers that point straight in real footage have less
@@ -112,6 +115,8 @@ pub(super) struct Known<'a> {
     pub acquired: &'a RibbonVector,
     /// How the fit differs from what its motion foretold; None where nothing did.
     pub motion: Option<Motion>,
+    /// What its edges scatter at most about a fit in its place \[px\].
+    pub most_scatter_px: f64,
 }
 
 /// How place and angle differ from those foretold.
@@ -156,6 +161,9 @@ impl Known<'_> {
 
     /// How much of the contour must agree.
     pub fn min_agreement(&self, fit: &Fit) -> f64 {
+        if fit.own_only && fit.residual_rms_px <= self.most_scatter_px {
+            return COVERED_SHARE * self.accept.min_inliers;
+        }
         let contradicted =
             (fit.seen.hits - fit.seen.inliers) as f64 / fit.seen.visible.max(1) as f64;
         let flanks = [Part::LeftFlank, Part::RightFlank].map(|part| fit.support.of(part));
