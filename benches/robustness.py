@@ -392,7 +392,12 @@ def static_rows(sequences: int, seed: int, workers: int | None) -> Iterator[str]
 def main() -> None:
     """Print one line per case."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("cases", nargs="*", metavar="CASE", help="clutter, or: " + "; ".join(CASES))
+    parser.add_argument(
+        "cases",
+        nargs="*",
+        metavar="CASE",
+        help="clutter, or: " + "; ".join(CASES).replace("%", "%%"),
+    )
     parser.add_argument("--sequences", type=int, default=40)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--workers", type=int, default=1, help="0: one for each core")
