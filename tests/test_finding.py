@@ -16,7 +16,15 @@ from fingerpost._core import HandFinder
 from fingerpost.capture import Frame, open_source, read_views
 from fingerpost.config import Rig
 from fingerpost.errors import InvalidInputError
-from fingerpost.finding import HandSearch, Sighting, Viewpoint, are_two, flatness, pair_scores
+from fingerpost.finding import (
+    HandSearch,
+    Sighting,
+    Viewpoint,
+    are_one,
+    are_two,
+    flatness,
+    pair_scores,
+)
 from fingerpost.pipeline import Pointer
 from fingerpost.pointing import PlaneView, Status
 from fingerpost.rehearsal import described
@@ -456,18 +464,19 @@ def on_table(points: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    ("other_tip_mm", "turn", "expected"),
+    ("other_tip_mm", "turn", "one_finger", "two_fingers"),
     [
-        (TIP_MM, 0.0, False),
-        (TIP_MM, np.pi, False),  # one finger that points nowhere
-        (ANOTHER_MM, 0.0, False),  # both point at one place
-        (ANOTHER_MM, np.pi, True),
-        (None, 0.0, False),
+        (TIP_MM, 0.0, True, False),
+        (TIP_MM, np.pi, False, False),  # one finger that points nowhere
+        (ANOTHER_MM, 0.0, False, False),  # both point at one place
+        (ANOTHER_MM, np.pi, False, True),
+        (None, 0.0, False, False),
     ],
 )
-def test_views_that_follow_different_fingers_are_told(other_tip_mm, turn, expected):
+def test_views_that_follow_one_finger_or_two_are_told(other_tip_mm, turn, one_finger, two_fingers):
     rig = SimulatedRig()
     one = Following(rig.cameras[0], rig, TIP_MM, 0.0)
     other = Following(rig.cameras[1], rig, other_tip_mm, turn)
-    assert are_two((one, other)) is expected
-    assert are_two((other, one)) is expected
+    for views in ((one, other), (other, one)):
+        assert are_one(views) is one_finger
+        assert are_two(views) is two_fingers

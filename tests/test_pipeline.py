@@ -249,7 +249,9 @@ def test_an_observation_tells_what_the_search_found_and_why_the_frame_counts():
     assert "0 agree" in lost.reasons[1]
     unread = dataclasses.replace(lost, frame=None, track=None)
     assert unread.reasons == ("the frame could not be read",)
-    assert dataclasses.replace(lost, track=None).reasons == (
+    without = dataclasses.replace(lost, track=None)
+    assert without.reasons == ("refused: it lies on the table",)
+    assert dataclasses.replace(without, searched=None).reasons == (
         "no hand is followed: looked for everywhere",
     )
 

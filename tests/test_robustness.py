@@ -1,6 +1,7 @@
 """What a learned background is good for, and that it does no harm once it is wrong."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -25,6 +26,8 @@ FPS = 30.0
 COVERED_MM = 20.0
 # 0.3 s.
 BACK_FRAMES = 9
+# Desks on which a template that waits in either view takes the wood for a finger.
+LOCKING_SEEDS = (8, 11, 15)
 
 
 @pytest.mark.parametrize("channels", ["grey", "bgr"])
@@ -57,6 +60,44 @@ def test_what_covers_a_hand_in_part_is_no_other_hand():
                 if point is not None and target is not None and step.fix.status is Status.OK:
                     error_mm = np.hypot(*(point - target))
                     assert error_mm < COVERED_MM, (seed, k, error_mm)
+
+
+def desk(seed: int) -> SimulatedRig:
+    return SimulatedRig(background=Background(texture="wood", clutter=15, seed=seed))
+
+
+def held_up() -> DevicePose:
+    return DevicePose.pointing_at((200, 200), azimuth_deg=20, slant_deg=50, hover_mm=120)
+
+
+@pytest.mark.parametrize("seed", LOCKING_SEEDS)
+def test_a_template_that_has_locked_on_to_the_table_tells_nothing(seed):
+    rig = desk(seed)
+    pointer = Pointer(waiting_rig(rig, held_up()))
+    rng = np.random.default_rng([0x776F6F64, seed])
+    for k in range(20):
+        together = [Frame(k, k / FPS, image) for image in rig.render(None, rng=rng).images]
+        for step in pointer.update(together):
+            assert step.fix.status is Status.ACQUIRING, k
+
+
+def test_a_hand_that_has_passed_one_of_the_templates_is_found():
+    rig = SimulatedRig()
+    pose = held_up()
+    first, second = (view.finger for view in rig.truth(pose).views)
+    elsewhere = second.start()
+    u, v = elsewhere.tip_px
+    elsewhere = replace(elsewhere, tip_px=(u - 150.0, v - 100.0))
+    pointer = Pointer(
+        described(rig, starts=[first.start(), elsewhere]), pointing_options=PointingOptions()
+    )
+    rng = np.random.default_rng(0x706173736564)
+    for k in range(TABLE_FRAMES + BACK_FRAMES):
+        shot = rig.render(pose if k >= TABLE_FRAMES else None, rng=rng)
+        together = [Frame(k, k / FPS, image) for image in shot.images]
+        (step,) = pointer.update(together)
+    assert step.fix.status is Status.OK
+    assert np.hypot(*(step.fix.point - shot.truth.indicated_mm)) < COVERED_MM
 
 
 def waiting_rig(rig: SimulatedRig, pose: DevicePose) -> Rig:

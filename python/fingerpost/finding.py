@@ -1089,21 +1089,35 @@ def can_be_one(views: tuple[SearchingView, SearchingView]) -> bool:
     return _gives_point([v.viewpoint.plane_view for v in views], [v.track for v in views])
 
 
+def are_one(views: tuple[SearchingView, SearchingView]) -> bool:
+    """Tell whether two views follow one finger: their lines give a point, and they have one tip."""
+    same = _same_followed_tip(views)
+    return same is not None and same >= OTHER_TIP and can_be_one(views)
+
+
 def are_two(views: tuple[SearchingView, SearchingView]) -> bool:
     """Tell whether two views follow different fingers.
 
     Then their lines give no point, and their tips are hardly one; a hand that points nowhere has
     one tip.
     """
-    followed = [_followed(view) for view in views]
-    if not all(followed) or can_be_one(views):
+    if can_be_one(views):
         return False
+    same = _same_followed_tip(views)
+    return same is not None and same < OTHER_TIP
+
+
+def _same_followed_tip(views: tuple[SearchingView, SearchingView]) -> float | None:
+    """Return how well the tips that two views follow may be one; None unless both follow one."""
+    followed = [_followed(view) for view in views]
+    if not all(followed):
+        return None
     first, second = (
         _OnPlane.of(view.viewpoint, fingers).along(axis)
         for view, fingers, axis in zip(views, followed, (1, 0), strict=True)
     )
     same = _same_tip(first, second, views[0].viewpoint.plane_view.plane_size)
-    return bool(same[0, 0] < OTHER_TIP)
+    return float(same[0, 0])
 
 
 def _best_first(scores: Array) -> Iterator[tuple[int, int]]:

@@ -18,6 +18,9 @@ from fingerpost.finding import FLAT_KEPT, IS_FLAT, LATELY, HandSearch, has_moved
 ONE_HAND_RAD = 0.1
 """What moves and has turned by less than this between two frames may be one hand."""
 
+RAISED_FRAMES = 30
+"""What has looked raised above the table for so many frames is looked at no more."""
+
 
 class FirstHand:
     """Tells whether what a view follows is a hand, and has a second template wait if it may not be.
@@ -49,7 +52,10 @@ class FirstHand:
         self._earliest: FingerLine | None = None
         self._latest: deque[FingerLine] = deque(maxlen=LATELY)
         self._second: ContourTracker | None = None
+        self.has_rival = False
+        """Whether the second template has found something else to follow."""
         self._flat = 0.0
+        self._raised_frames = 0
 
     def look_flat(self, flat: float) -> ContourTracker | None:
         """Return a tracker that waits anew, if what is followed lies on the table.
@@ -60,13 +66,21 @@ class FirstHand:
             How flat it looks to the other views in this frame, 0 to 1.
         """
         self._flat = FLAT_KEPT * self._flat + (1.0 - FLAT_KEPT) * flat
-        if self.is_proven or self._flat < IS_FLAT:
+        self._raised_frames += 1
+        if self._flat < IS_FLAT:
             return None
-        self._earliest = None
+        self._earliest, self._raised_frames = None, 0
         self._latest.clear()
         return self._waiting()
 
-    def welcome(self, frame: Frame, followed: FingerLine | None) -> ContourTracker | None:
+    @property
+    def may_be_flat(self) -> bool:
+        """Whether what is followed may lie on the table."""
+        return not self.is_proven and self._raised_frames < RAISED_FRAMES
+
+    def welcome(
+        self, frame: Frame, followed: FingerLine | None, *, is_backed: bool
+    ) -> ContourTracker | None:
         """Return the tracker that has found the hand in a frame which is new, if it is another.
 
         What is followed by the time that something comes to the template may lie on the table,
@@ -78,7 +92,11 @@ class FirstHand:
             The search has looked behind it.
         followed
             What the view's tracker has seen in the last frame, unless that was the table.
+        is_backed
+            Whether another view follows the same finger, and has found nothing else beside it, by
+            the last frame: then what has come here alone covers the hand.
         """
+        had_rival, self.has_rival = self.has_rival, False
         self.has_come = False
         if self.is_proven or not self._search.has_come(frame, self._start):
             self._second = None
@@ -88,9 +106,9 @@ class FirstHand:
             return None
         if self._second is None and followed is not None and moves(self._latest):
             return None
-        return self._wait_beside(frame)
+        return self._wait_beside(frame, waits=is_backed or not had_rival)
 
-    def _wait_beside(self, frame: Frame) -> ContourTracker | None:
+    def _wait_beside(self, frame: Frame, *, waits: bool) -> ContourTracker | None:
         second = self._second = self._second or self._waiting()
         colour = frame.image if frame.image.ndim == 3 else None
         behind = self._search.background
@@ -100,6 +118,9 @@ class FirstHand:
         if not self._search.has_come_whole(frame, line):
             # It may be what covers the hand that is followed already, in part.
             self._second = None
+            return None
+        self.has_rival = True
+        if waits:
             return None
         if self._earliest is not None and self._is_same(line):
             # Both follow one hand: what was learned where it stood from the start is it.

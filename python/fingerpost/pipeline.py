@@ -39,6 +39,7 @@ from fingerpost.finding import (
     DOUBTED_FRAMES,
     HandSearch,
     Viewpoint,
+    are_one,
     are_two,
     can_be_one,
     find_hand,
@@ -84,7 +85,7 @@ class Observation:
     contour_px
         The template's outline after the frame, (N, 2) [px].
     searched
-        Where the last search looked, and what it found; None without a track.
+        Where the last search looked, and what it found; None without a template.
     missing
         What a view without a track is: it looks for its first hand, or for one that it has lost.
     """
@@ -125,6 +126,8 @@ class Observation:
         """Why the frame went the way it did, for people: the verdict, then details."""
         if self.frame is None:
             return ("the frame could not be read",)
+        if self.track is None and self.searched is not None:
+            return ("refused: it lies on the table",)
         if self.track is None:
             return ("no hand is followed: looked for everywhere",)
         return _verdict(self.track), _details(self.track, self.search)
@@ -260,6 +263,7 @@ class HandView:
         self._table_frames = 0
         self._doubts = 0
         self._has_come_elsewhere = False
+        self._is_backed = False
         self._missing = Status.ACQUIRING
         self._first_hand: FirstHand | None = None
         if view.start is not None:
@@ -305,6 +309,11 @@ class HandView:
         return self._tracker is not None if first is None else first.is_newcomer
 
     @property
+    def has_rival(self) -> bool:
+        """Whether it has found something else beside what it follows."""
+        return self._first_hand is not None and self._first_hand.has_rival
+
+    @property
     def _is_sure(self) -> bool:
         """Whether what is followed, if anything, is a hand and not perhaps the table."""
         return self._first_hand is None or self._first_hand.is_proven
@@ -328,10 +337,10 @@ class HandView:
     @property
     def may_follow_table(self) -> bool:
         """Whether what is followed may lie on the table."""
-        return not self._is_sure
+        return self._first_hand is not None and self._first_hand.may_be_flat
 
     def look_flat(self, flat: float) -> None:
-        """Take over how flat what is followed looks to the other views; see `FirstHand.look_flat`."""
+        """Take over how flat what is followed looks to others; see `FirstHand.look_flat`."""
         anew = None if self._first_hand is None else self._first_hand.look_flat(flat)
         if anew is not None:
             self._tracker, self._track = anew, None
@@ -365,7 +374,8 @@ class HandView:
             return
         track = None if self._is_table else self._track
         line = track.finger_line if track is not None else None
-        self._tracker = self._first_hand.welcome(frame, line) or self._tracker
+        second = self._first_hand.welcome(frame, line, is_backed=self._is_backed)
+        self._tracker = second or self._tracker
 
     @property
     def _stands_free(self) -> bool:
@@ -393,12 +403,25 @@ class HandView:
         else:
             is_alone = all(shared.are_two(self, other) for other in others)
         self._doubts = self._doubts + 1 if is_alone else 0
+        self._is_backed = self._is_backed_by(others, shared)
         self._recognise(others, shared)
         # A hand that has come into another view stands out from the table in this one too.
         is_table = self._is_table and not self._is_sure and any(o.has_newcomer for o in others)
         self._table_frames = self._table_frames + 1 if is_table else 0
         if self._table_frames >= BACKGROUND_FRAMES or self._doubts >= DOUBTED_FRAMES:
             self._let_go()
+
+    def _is_backed_by(self, others: Sequence[HandView], shared: _Shared) -> bool:
+        """Whether another view follows the same finger as this one, and has found nothing else.
+
+        It matters where something else has been found here. A finger that is there but gives no
+        line in a frame, as one that seems bent, is backed.
+        """
+        if not self.has_rival or self._track is None:
+            return False
+        if not self._shows_finger:
+            return self._track.status == "tracking"
+        return any(shared.are_one(self, other) and not other.has_rival for other in others)
 
     def _recognise(self, others: Sequence[HandView], shared: _Shared) -> None:
         """Take for a hand what was here before the table was known, if another view shows one come.
@@ -425,7 +448,8 @@ class HandView:
         tracker, track = (found.tracker, found.track) if found else (self._tracker, self._track)
         if frame is None or tracker is None:
             return Observation(self.name, frame, None, np.empty((0, 2)), None, self._missing)
-        return Observation(self.name, frame, track, tracker.contour(), tracker.search_lines())
+        contour_px, searched = tracker.contour(), tracker.search_lines()
+        return Observation(self.name, frame, track, contour_px, searched, self._missing)
 
 
 def _marks(lines: SearchLines) -> SearchMarks:
@@ -445,6 +469,9 @@ class _Shared:
 
     def can_be_one(self, one: HandView, other: HandView) -> bool:
         return self._judged(can_be_one, one, other)
+
+    def are_one(self, one: HandView, other: HandView) -> bool:
+        return self._judged(are_one, one, other)
 
     def are_two(self, one: HandView, other: HandView) -> bool:
         return self._judged(are_two, one, other)
