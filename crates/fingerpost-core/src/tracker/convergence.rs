@@ -576,6 +576,8 @@ const BEGINS_WITHIN_PX: f64 = 4.0;
 /// is outside of it is behind the hand if its pixels vote for that by this much.
 const OWN_VOTE: f32 = 0.5;
 const BEHIND_VOTE: f32 = 0.25;
+/// What is outside is looked at in these places \[px\]: motion smears the hand farther than light does.
+const OUTSIDE_PX: [f64; 3] = [4.0, 6.0, 8.0];
 
 /// Whether what is inside of an edge looks like the hand, and what is outside of it like what has
 /// been seen behind that: before a hand that is covered in part, the cover has an edge as well.
@@ -586,7 +588,7 @@ fn is_own(frame: &Frame<'_>, looks: &Appearance, edge: &PlacedSample) -> bool {
     };
     let mean = |votes: [f32; 3]| votes.iter().sum::<f32>() / votes.len() as f32;
     mean(INSIDE_PX.map(|inside_px| vote(-inside_px))) >= OWN_VOTE
-        && mean(INSIDE_PX.map(vote)) <= -BEHIND_VOTE
+        && mean(OUTSIDE_PX.map(vote)) <= -BEHIND_VOTE
 }
 
 /// A sample of the contour moved to its edge.
