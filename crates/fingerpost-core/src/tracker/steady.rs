@@ -13,7 +13,7 @@
 //! known counts as it is: a finger before an even background gains nothing from the frames before,
 //! nor does it lose.
 
-use super::FingerLine;
+use super::line::{CONTRADICTION, FingerLine};
 use crate::image::GrayView;
 use crate::refine::{Lie, Skin};
 use crate::shape_space::Axis;
@@ -32,10 +32,8 @@ const MOST_CORRELATED: f64 = 0.98;
 /// This part of their variance they have in common however far the finger moves, as what a shaded
 /// flank does to all of them.
 const COMMON_PART: f64 = 0.15;
-/// A line and what is known may differ by more than this, in the square of their covariance, in one
-/// case of a hundred: then both are doubted.
-const CONTRADICTION: f64 = 9.21;
-/// Or it is another finger.
+/// What contradicts what is known by more than this, in the square of their covariance, is another
+/// finger's.
 const OTHER: f64 = 100.0;
 /// As long as a finger has not gone so far, in half-widths, its lines are one look at it, and the last
 /// counts: the surest of several that err alike would be chosen by chance.

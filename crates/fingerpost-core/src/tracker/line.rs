@@ -1,0 +1,223 @@
+//! The line that a finger points along, and how several looks at it are told together.
+
+use crate::refine::Refined;
+use crate::shape_space::Axis;
+use nalgebra::{Matrix2, Vector2};
+use std::f64::consts::TAU;
+
+/// The image line that the finger points along.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct FingerLine {
+    /// The axis: the middle of what it was measured on, its tip and its direction.
+    pub axis: Axis,
+    /// Half the length of what it was measured on \[px\]: a line through a slightly bent finger cuts
+    /// the bend at ± `half_length_px` / √3 from the anchor, where one through a parabola would.
+    pub half_length_px: f64,
+    /// Covariance of (offset \[px\] along the line's normal at the anchor, angle \[rad\]).
+    pub covariance: Matrix2<f64>,
+    /// What it was measured on.
+    pub source: LineSource,
+}
+
+/// Correlation of the errors of two looks at one finger, contour and pixels: they share its edges. It
+/// is 0.1–0.5 on footage of hands.
+const COMMON: f64 = 0.5;
+/// Two honest looks differ by more than this, in the square of the differences' covariance, in one
+/// case of ten: χ² of offset and angle.
+const BY_CHANCE: f64 = 4.605;
+/// And by more than this in one case of a hundred: then one of them is of something else.
+pub(super) const CONTRADICTION: f64 = 9.21;
+
+impl FingerLine {
+    /// The axis of a fitted template, which is told at its middle.
+    pub(super) fn of_contour(axis: &Axis, covariance: &Matrix2<f64>) -> Self {
+        let half_length_px = (axis.tip - axis.anchor).norm();
+        Self { axis: *axis, half_length_px, covariance: *covariance, source: LineSource::Contour }
+    }
+
+    /// How far another axis is from this one, in offset and angle.
+    pub(super) fn apart(&self, other: &Axis) -> Vector2<f64> {
+        let turn = other.angle_rad - self.axis.angle_rad;
+        let turn = turn - (turn / TAU).round() * TAU;
+        Vector2::new(self.axis.normal().dot(&(other.anchor - self.axis.anchor)), turn)
+    }
+
+    /// The same line, told so much farther along.
+    pub(super) fn told_along(self, by_px: f64) -> Self {
+        let anchor = self.axis.anchor + self.axis.direction() * by_px;
+        // Offset there: that here + by_px · angle.
+        let there = Matrix2::new(1.0, by_px, 0.0, 1.0);
+        let covariance = there * self.covariance * there.transpose();
+        Self { axis: Axis { anchor, ..self.axis }, covariance, ..self }
+    }
+
+    /// The same line, told beside a point and towards a tip.
+    pub(super) fn told_at(self, axis: &Axis) -> Self {
+        let told = self.told_along((axis.anchor - self.axis.anchor).dot(&self.axis.direction()));
+        Self { axis: Axis { tip: axis.tip, ..told.axis }, ..told }
+    }
+
+    /// The same line, told beside the anchor of another.
+    pub(super) fn told_beside(self, other: &Self) -> Self {
+        self.told_along((other.axis.anchor - self.axis.anchor).dot(&self.axis.direction()))
+    }
+
+    /// Whether two lines of one finger lie farther apart than their covariances say.
+    pub(super) fn contradicts(&self, other: &Self) -> bool {
+        let other = other.told_beside(self);
+        let apart = self.apart(&other.axis);
+        let inverse = (self.covariance + other.covariance).try_inverse();
+        inverse.is_none_or(|inverse| apart.dot(&(inverse * apart)) > CONTRADICTION)
+    }
+
+    /// The same line, when another look at the finger has its axis elsewhere: which of them is wrong
+    /// is not known, and it may be wrong by as much as they differ.
+    pub(super) fn doubted(self, other: &Axis) -> Self {
+        let apart = self.apart(other);
+        Self { covariance: self.covariance + apart * apart.transpose(), ..self }
+    }
+
+    /// The same line, when what covers the finger in part may have led it astray by so much at either
+    /// end: of what is no noise nothing averages out.
+    pub(super) fn misled(self, by_px: f64) -> Self {
+        let turn = by_px * 3.0_f64.sqrt() / self.half_length_px;
+        let doubt = Matrix2::from_diagonal(&Vector2::new(by_px, turn).map(|s| s * s));
+        Self { covariance: self.covariance + doubt, ..self }
+    }
+
+    /// This line and another look at the same finger, at the anchor of this one and as long: the mean
+    /// by what each is worth, with the covariance (1 + ρ) (C₁⁻¹ + C₂⁻¹)⁻¹, where ρ is the correlation
+    /// of their errors. Where they differ by more than they do by chance, both are worth less by as
+    /// much.
+    pub(super) fn joined(self, other: &Self) -> Self {
+        let Self { axis, covariance, .. } = self;
+        let other = other.told_beside(&self);
+        let apart = self.apart(&other.axis);
+        let Some(weight) = (covariance + other.covariance).try_inverse() else { return self };
+        let gain = covariance * weight;
+        let step = gain * apart;
+        let contradiction = apart.dot(&(weight * apart)) / BY_CHANCE;
+        let anchor = axis.anchor + axis.normal() * step.x;
+        let tip_px = (axis.tip - axis.anchor).dot(&axis.direction());
+        Self {
+            axis: Axis::of_finger(anchor, axis.angle_rad + step.y, tip_px),
+            covariance: (1.0 + COMMON) * contradiction.max(1.0) * gain * other.covariance,
+            source: LineSource::Both,
+            ..self
+        }
+    }
+
+    /// A refined line, told at the middle of the stretch that it stands for.
+    pub(super) fn of_pixels(refined: &Refined) -> Self {
+        let Refined { axis, stretch, covariance, .. } = *refined;
+        let half_length_px = 0.5 * stretch.length_px();
+        let line = Self { axis, half_length_px, covariance, source: LineSource::Pixels };
+        line.told_along(0.5 * (stretch.from_px + stretch.to_px))
+    }
+}
+
+/// What a finger line was measured on.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum LineSource {
+    /// The contour: the axis of the fitted template.
+    Contour,
+    /// The pixels about both flanks ([`Source::Photometric`](crate::refine::Source::Photometric)).
+    Pixels,
+    /// Both, where the pixels are not believed alone ([`Source::Unsure`](crate::refine::Source::Unsure)).
+    Both,
+}
+
+// The lines are private, and what they must agree with is arithmetic.
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::Point2;
+
+    /// An axis, and one 2 px beside it that is turned by 0.1 rad across the angle's jump.
+    fn axes() -> [Axis; 2] {
+        let axis = Axis::of_finger(Point2::new(10.0, 20.0), 3.1, 30.0);
+        let aside = axis.anchor + axis.normal() * 2.0 + axis.direction() * 5.0;
+        [axis, Axis::of_finger(aside, 3.2, 30.0)]
+    }
+
+    #[test]
+    fn a_contour_is_doubted_by_as_much_as_the_flanks_lie_elsewhere() {
+        let [axis, other] = axes();
+        let covariance = Matrix2::new(0.04, 1e-4, 1e-4, 1e-4);
+        let line = FingerLine::of_contour(&axis, &covariance);
+        assert!((line.half_length_px - 30.0).abs() < 1e-12);
+        let doubted = line.doubted(&other);
+        let expected = covariance + Matrix2::new(4.0, 0.2, 0.2, 0.01);
+        assert!((doubted.covariance - expected).norm() < 1e-9, "{}", doubted.covariance);
+        assert_eq!(doubted.axis, line.axis);
+        assert_eq!(line.doubted(&axis), line);
+    }
+
+    #[test]
+    fn what_covers_a_finger_leads_astray_at_its_ends() {
+        let [axis, _] = axes();
+        let covariance = Matrix2::new(0.04, 1e-4, 1e-4, 1e-4);
+        let line = FingerLine::of_contour(&axis, &covariance);
+        let misled = line.misled(0.3);
+        let added = Matrix2::new(0.09, 0.0, 0.0, 3.0 * (0.3 / 30.0_f64).powi(2));
+        assert!((misled.covariance - covariance - added).norm() < 1e-12);
+        assert_eq!(misled.axis, line.axis);
+        assert_eq!(line.misled(0.0), line);
+    }
+
+    fn inverse(m: Matrix2<f64>) -> Matrix2<f64> {
+        Matrix2::new(m.m22, -m.m12, -m.m21, m.m11) / m.determinant()
+    }
+
+    /// A line with the given covariance and the middle of what it was measured on.
+    fn pixels(axis: &Axis, covariance: Matrix2<f64>) -> FingerLine {
+        let source = LineSource::Pixels;
+        FingerLine { axis: *axis, half_length_px: 20.0, covariance, source }
+    }
+
+    #[test]
+    fn two_looks_are_weighed_by_what_they_are_worth_wherever_their_anchors_are() {
+        let axis = Axis::of_finger(Point2::new(10.0, 20.0), 3.1, 30.0);
+        let other = Axis::of_finger(axis.anchor + axis.direction() * 8.0, 3.101, 22.0);
+        let covariances =
+            [Matrix2::new(0.04, 1e-4, 1e-4, 1e-4), Matrix2::new(0.01, -2e-4, -2e-4, 3e-4)];
+        let joined = pixels(&axis, covariances[0]).joined(&pixels(&other, covariances[1]));
+
+        // Generalised least squares of (offset, angle) at the first anchor, from the measurements: the
+        // first's own are 0, the second's offset is told 8 px further on.
+        let design = [Matrix2::identity(), Matrix2::new(1.0, 8.0, 0.0, 1.0)];
+        let seen = [Vector2::zeros(), Vector2::new(0.0, 0.001)];
+        let (mut information, mut right) = (Matrix2::zeros(), Vector2::zeros());
+        for k in 0..2 {
+            let weight = design[k].transpose() * inverse(covariances[k]);
+            information += weight * design[k];
+            right += weight * seen[k];
+        }
+        let covariance = inverse(information);
+        let told = covariance * right;
+        let beside = joined.axis.anchor - axis.anchor;
+        assert!((axis.normal().dot(&beside) - told.x).abs() < 1e-6);
+        assert!(axis.direction().dot(&beside).abs() < 1e-9);
+        assert!((joined.axis.angle_rad - axis.angle_rad - told.y).abs() < 1e-9);
+        assert!(((joined.axis.tip - joined.axis.anchor).norm() - 30.0).abs() < 1e-9);
+        // They agree; half of their errors is in common.
+        assert!((joined.covariance / 1.5 - covariance).norm() < 1e-6 * covariance.norm());
+        assert_eq!(joined.source, LineSource::Both);
+    }
+
+    #[test]
+    fn two_looks_that_contradict_each_other_are_worth_less() {
+        let [axis, other] = axes();
+        let covariance = Matrix2::new(0.04, 1e-4, 1e-4, 1e-4);
+        let agreed = pixels(&axis, covariance).joined(&pixels(&axis, covariance));
+        assert!((agreed.axis.angle_rad - axis.angle_rad).abs() < 1e-12);
+        let torn = pixels(&axis, covariance).joined(&pixels(&other, covariance));
+        // Across the jump of the angle, in the middle of both.
+        let turn = (torn.axis.angle_rad - 3.15).sin();
+        assert!(turn.abs() < 1e-2, "{turn}");
+        let spread = (torn.covariance - agreed.covariance).symmetric_eigenvalues();
+        assert!(spread.iter().all(|s| *s > 0.0), "{spread}");
+        // 0.1 rad apart: neither end is far outside.
+        assert!(torn.covariance[(1, 1)].sqrt() > 0.02, "{}", torn.covariance);
+    }
+}
