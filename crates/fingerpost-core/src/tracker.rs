@@ -533,6 +533,8 @@ const BED_IN_ROUNDS: usize = 3;
 const BED_IN_SLACK: f64 = 4.0;
 /// So much it has turned at most when it is known \[rad\].
 const MOST_TURNED_RAD: f64 = 0.3;
+/// And by no more than this part of the template's length, or what the template reaches.
+const MOST_SLID: f64 = 0.5;
 /// By these edges, its inside is still told from its outside to this part of how well it was.
 const STILL_TOLD: f64 = 0.8;
 
@@ -940,8 +942,10 @@ impl ContourTracker {
         };
         // A hand that stays has not slid along what is behind it.
         let slid = frozen.shape.placement() - settled;
-        let stays = slid.xy().norm() <= self.options.acquire.reach_px(self.waiting.ribbon[3])
-            && slid[2].sin().abs() <= MOST_TURNED_RAD;
+        let length_px = self.waiting.measure.length_px;
+        let most_px =
+            self.options.acquire.reach_px(self.waiting.ribbon[3]).max(MOST_SLID * length_px);
+        let stays = slid.xy().norm() <= most_px && slid[2].sin().abs() <= MOST_TURNED_RAD;
         let accepted = stays
             && frozen.is_accepted(&self.options.track.accept)
             && self.told_apart(frame) >= STANDS_OUT;
