@@ -308,14 +308,21 @@ def test_no_fingers_make_no_pairs():
     assert pair_scores(viewpoints(rig), ([], sightings(rig, OVER_THE_TABLE))).shape == (0, 2)
 
 
-def test_a_found_finger_is_seen_at_length_once_a_frame_shows_it_all():
-    rig, motion = SCENES["plain"], Trajectory.hold(OVER_THE_TABLE, 0.1)
+def tried_out(rig: SimulatedRig) -> tuple:
+    """A search, the trial of its best candidate, and the first view's picture that shows it."""
+    motion = Trajectory.hold(OVER_THE_TABLE, 0.1)
     image = rig.render(motion, time_s=0.0, rng=np.random.default_rng(SEED)).images[0]
     search, frame = HandSearch(), Frame(0, 0.0, image)
     search.look(frame)
     search.judge(np.zeros(len(search.candidates)))
     assert search.try_out(search.candidates[0], frame)
     (trial,) = search.trials
+    return search, trial, image
+
+
+def test_a_found_finger_is_seen_at_length_once_a_frame_shows_it_all():
+    rig = SCENES["plain"]
+    search, trial, image = tried_out(rig)
     line = trial.track.finger_line
     ahead = np.array([np.cos(line.angle_rad), np.sin(line.angle_rad)])
     v, u = np.indices(image.shape)
@@ -333,13 +340,7 @@ def test_a_found_finger_is_as_long_as_its_whole_width_says():
     rig = SimulatedRig(
         device=RodAndProng(length_mm=200.0, diameter_mm=36.0, taper=0.6, prong_length_mm=0.0)
     )
-    motion = Trajectory.hold(OVER_THE_TABLE, 0.1)
-    image = rig.render(motion, time_s=0.0, rng=np.random.default_rng(SEED)).images[0]
-    search, frame = HandSearch(), Frame(0, 0.0, image)
-    search.look(frame)
-    search.judge(np.zeros(len(search.candidates)))
-    assert search.try_out(search.candidates[0], frame)
-    (trial,) = search.trials
+    search, trial, image = tried_out(rig)
     line = trial.track.finger_line
     short = fp.StartPose(line.tip_px, line.angle_rad, 4.0 * trial.half_width_px)
     trial.tracker = fp.ContourTracker.at_hand(
@@ -347,7 +348,7 @@ def test_a_found_finger_is_as_long_as_its_whole_width_says():
     )
     trial.track = trial.tracker.update(image, 0.0)
     slim_px = trial.half_width_px
-    search.believe(trial, frame)
+    search.believe(trial, Frame(0, 0.0, image))
     ahead = np.array([np.cos(line.angle_rad), np.sin(line.angle_rad)])
     length_px = np.ptp(trial.tracker.contour() @ ahead)
     assert trial.half_width_px > 1.1 * slim_px

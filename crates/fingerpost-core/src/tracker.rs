@@ -5,19 +5,20 @@
 //! of the template that waits; otherwise the template goes back to its start. It has *settled*
 //! when, over [`AcquireOptions::settle_frames`] accepted frames in a row, no frame changed the
 //! finger's half-width by more than [`AcquireOptions::settle_change`] of it: the hand may move
-//! meanwhile, from any place that the waiting template reaches to any other. Then it is looked at anew in its own colours, and [`Model::Paper`] deforms affinely
-//! once more and freezes the size.
+//! meanwhile, from any place that the waiting template reaches to any other. Then it is looked at
+//! anew in its own colours, and [`Model::Paper`] deforms affinely once more and freezes the size.
 //!
 //! **Tracking.** Of the band model everything stays free, but what a hand cannot change is held
 //! near its acquired value by a prior, which follows slowly. The finger comes first: its thumb is
 //! fitted afterwards and does not turn it, and is left out once it has not been seen for a while.
 //! The finger line comes from the pixels about the flanks where they can be believed
 //! ([`crate::refine`]), else from the contour; the lines of the frames before have a say in it where
-//! they tell it better, carried along by the finger's skin. The paper's model keeps the settled size; rigid motion and
-//! one shear remain (rigid motion alone where the template has no thumb: nothing but the thumb
-//! shows the shear). A Kalman filter with constant velocity ([`DynamicsOptions`]) foretells place
-//! and angle, what both models share, and how far along each normal the edge may be. Where the
-//! edges there explain the hand badly, or by a motion that surprises, it is sought all around.
+//! they tell it better, carried along by the finger's skin. The paper's model keeps the settled
+//! size; rigid motion and one shear remain (rigid motion alone where the template has no thumb:
+//! nothing but the thumb shows the shear). A Kalman filter with constant velocity
+//! ([`DynamicsOptions`]) foretells place and angle, what both models share, and how far along each
+//! normal the edge may be. Where the edges there explain the hand badly, or by a motion that
+//! surprises, it is sought all around.
 //!
 //! **Lost.** After [`TrackOptions::lose_after_frames`] frames without an accepted fit the hand is
 //! lost. It is looked for where it last was, and followed again from the first fit there that
