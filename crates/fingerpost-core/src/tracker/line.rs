@@ -43,7 +43,7 @@ impl FingerLine {
     }
 
     /// The same line, told so much farther along.
-    pub(super) fn told_along(self, by_px: f64) -> Self {
+    fn told_along(self, by_px: f64) -> Self {
         let anchor = self.axis.anchor + self.axis.direction() * by_px;
         // Offset there: that here + by_px · angle.
         let there = Matrix2::new(1.0, by_px, 0.0, 1.0);

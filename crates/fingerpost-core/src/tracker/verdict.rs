@@ -6,8 +6,10 @@
 //! less against it than edges that lie elsewhere.
 
 use super::convergence::Fit;
+use super::found::Found;
+use super::hand::SURE;
 use super::options::AcceptOptions;
-use super::{Found, SURE, Shape};
+use super::shape::Shape;
 use crate::dynamics::Innovation;
 use crate::refine::Bend;
 use crate::shape_space::RibbonVector;

@@ -1,0 +1,220 @@
+//! Where a followed hand is: the ways to settle on it, each weighed by what tells for and against it.
+
+use super::ContourTracker;
+use super::convergence::Window;
+use super::follow::Foretold;
+use super::found::Found;
+use super::hand::{Look, SURE};
+use super::looks::Lead;
+use super::scene::Scene;
+use super::seek::Judged;
+use super::shape::Shape;
+use crate::Result;
+use crate::search::{MAX_HALF_LENGTH_PX, Scale};
+use crate::shape_space::{Rigid, Translation};
+use crate::template::Limb;
+
+/// A fit whose motion costs no more than this needs no second look from afar.
+const UNSURPRISING: f64 = 0.1;
+/// A contour of which less than this looks like the hand may be seen in another light.
+const UNLIKE: f64 = 0.3;
+/// What an edge counts that does not look like the hand inside, beside one that does: in a new light
+/// none does.
+const OTHERS_SAY: f64 = 0.1;
+/// An edge is the hand's own only within so many of the largest scales of its residual offsets.
+const OWN_SCALES: f64 = 1.5;
+/// Once the votes have been sought, their changes are looked for this part of the way, for the hand
+/// may have turned besides.
+const SOUGHT: f64 = 0.5;
+/// Turns of the hand that are sought \[rad\].
+const SOUGHT_TURNS_RAD: [f64; 3] = [0.0, -0.25, 0.25];
+
+/// How a hand is settled on: from which shape, at which scale, in which window.
+type Path = (Shape, Scale, Option<Window>);
+
+/// One of the places where the hand may be.
+struct Way {
+    found: Found,
+    path: Path,
+    /// The part of the finger's contour whose edge is explained and looks like the hand inside.
+    own: f64,
+    /// What its motion costs; ∞ if no hand can have become or moved to it, or it is no fit.
+    cost: f64,
+}
+
+/// How a hand has moved to a place.
+struct Moved {
+    /// As [`Way::cost`].
+    cost: f64,
+    /// Whether a hand that moves as it did would hardly be there.
+    surprises: bool,
+}
+
+impl Way {
+    /// How well it explains the contour, less what its motion costs. Edges that do not look like the
+    /// hand inside may be those of what covers it.
+    fn worth(&self) -> f64 {
+        let others = (self.found.explained() - self.own).max(0.0);
+        self.own + OTHERS_SAY * others - self.cost
+    }
+}
+
+impl ContourTracker {
+    /// The hand about a predicted shape. Its edges are usually near and sharp; when they explain
+    /// the contour badly, or by a motion that surprises, it may have gone on as it did and be covered
+    /// in part, or have gone elsewhere: the votes lead there from afar, and a larger kernel sees edges
+    /// that motion has smeared. What explains the contour best by edges that look like the hand counts,
+    /// less what its motion costs. Where nothing looks like the hand and all its edges are in their
+    /// place, the light has changed.
+    pub(super) fn find(
+        &mut self,
+        frame: &Scene<'_>,
+        predicted: Shape,
+        reach_px: f64,
+        foretold: Option<&Foretold>,
+    ) -> Result<Found> {
+        let reach_px = reach_px.min(MAX_HALF_LENGTH_PX as f64);
+        let window = foretold.map(|f| f.window);
+        let near = self.settle(frame, predicted, Scale::Fine, window)?;
+        if self.is_plain(&near, foretold)? {
+            return Ok(near);
+        }
+        let near = self.weighed(frame, near, (predicted, Scale::Fine, window), foretold)?;
+        let steady = match foretold {
+            Some(f) if self.hand.is_known_whole() => {
+                let narrow = Some(self.pace.steady(&f.window));
+                Some(self.way(frame, (predicted, Scale::Fine, narrow), foretold)?)
+            }
+            _ => None,
+        };
+        let approached = self.approach(frame, predicted, reach_px)?;
+        let smeared = self.way(frame, (approached, Scale::Coarse, None), foretold)?;
+        let sharp = self.way(frame, (smeared.found.shape, Scale::Fine, None), foretold)?;
+        // Of equals the last one, whose search need not be done again.
+        let (mut best, mut is_last) = (sharp, true);
+        let mut impossible: Option<Way> = None;
+        for way in [Some(smeared), steady, Some(near)].into_iter().flatten() {
+            let mut other = way;
+            if other.worth() > best.worth() {
+                std::mem::swap(&mut best, &mut other);
+                is_last = false;
+            }
+            let explained = impossible.as_ref().map_or(SURE, |way| way.found.explained());
+            if other.cost.is_infinite() && other.found.explained() >= explained {
+                impossible = Some(other);
+            }
+        }
+        if let (Some(foretold), true) = (foretold, best.worth() < UNLIKE) {
+            let window = self.pace.steady(&foretold.window);
+            let narrow = Some(Window { lead: Lead::AnyEdge, ..window });
+            let relit = self.way(frame, (predicted, Scale::Fine, narrow), Some(foretold))?;
+            if self.is_plain(&relit.found, Some(foretold))? {
+                return Ok(relit.found);
+            }
+            is_last = false;
+        }
+        // What no hand can have become or moved to is told as such, where no hand is left.
+        if let Some(way) = impossible
+            && best.found.explained() < self.options.track.accept.min_inliers
+        {
+            (best, is_last) = (way, false);
+        }
+        if is_last {
+            return Ok(best.found);
+        }
+        // Once more, so that the last search is that of the best.
+        let (from, scale, window) = best.path;
+        self.settle(frame, from, scale, window)
+    }
+
+    /// A way to settle, tried.
+    fn way(&mut self, frame: &Scene<'_>, path: Path, foretold: Option<&Foretold>) -> Result<Way> {
+        let (from, scale, window) = path;
+        let found = self.settle(frame, from, scale, window)?;
+        self.weighed(frame, found, path, foretold)
+    }
+
+    /// What was found in the last search, and what tells for and against it.
+    fn weighed(
+        &mut self,
+        frame: &Scene<'_>,
+        found: Found,
+        path: Path,
+        foretold: Option<&Foretold>,
+    ) -> Result<Way> {
+        let cost = match found.fit {
+            Some(_) => self.motion(&found, foretold)?.cost,
+            None => f64::INFINITY,
+        };
+        let samples = self.hand.fingers(&self.samples);
+        let sight = self.hand.sight(frame, Lead::HandEdges, self.options.polarity);
+        let within_px = OWN_SCALES * self.hand.most_scale_px();
+        let own = self.convergence.own_share(frame, &sight, samples, within_px)?;
+        Ok(Way { found, path, own, cost })
+    }
+
+    /// Whether a fit leaves nothing to ask: nearly all of the contour is explained, where a hand would
+    /// be that goes on as it did.
+    fn is_plain(&self, found: &Found, foretold: Option<&Foretold>) -> Result<bool> {
+        Ok(found.explained() >= SURE && !self.motion(found, foretold)?.surprises)
+    }
+
+    /// What the way to a fit costs, and whether it surprises.
+    fn motion(&self, found: &Found, foretold: Option<&Foretold>) -> Result<Moved> {
+        let followed = foretold.map(|f| f.followed(found)).transpose()?.flatten();
+        let innovation = followed.as_ref().and_then(|(_, innovation)| innovation.as_ref());
+        let possible = self.known(&self.options.track.accept, innovation).is_possible(&found.shape);
+        let cost = match (possible, innovation) {
+            (Err(_), _) => f64::INFINITY,
+            (Ok(()), Some(i)) if self.hand.is_known_whole() => self.pace.cost(i),
+            _ => 0.0,
+        };
+        let surprises = cost > UNSURPRISING
+            || innovation.is_some_and(|i| i.normalised_square() > self.surprise);
+        Ok(Moved { cost, surprises })
+    }
+
+    /// From afar: by the votes of pixels, if they are known, to about the right place; then the
+    /// template moves, then turns, until it covers what looks like the hand.
+    fn approach(&mut self, frame: &Scene<'_>, from: Shape, reach_px: f64) -> Result<Shape> {
+        let (from, look) = if self.hand.votes_in(frame) {
+            let look = Look { lead: Lead::Votes, ..Look::edges(SOUGHT * reach_px) };
+            (self.seek(frame, from, reach_px)?, look)
+        } else {
+            (from, Look::edges(reach_px))
+        };
+        Ok(match from {
+            Shape::Planar(map) => {
+                let moved = self.planar::<Translation, 2>(frame, map, look)?;
+                Shape::Planar(self.planar::<Rigid, 3>(frame, moved.shape, look)?.shape)
+            }
+            Shape::Ribbon(x) => {
+                let moved = self.run_ribbon::<2>(frame, &x, Limb::Thumb, look, None)?;
+                Shape::Ribbon(self.run_ribbon::<3>(frame, &moved.x, Limb::Finger, look, None)?.x)
+            }
+        })
+    }
+
+    /// The pose about another that looks most like the hand.
+    fn seek(&mut self, frame: &Scene<'_>, about: Shape, reach_px: f64) -> Result<Shape> {
+        let Self { hand, samples, waiting, seek, convergence, options, .. } = self;
+        let sight = hand.sight(frame, Lead::Votes, options.polarity);
+        let Some(appearance) = sight.cue.appearance() else { return Ok(about) };
+        let mut best = (f32::NEG_INFINITY, about);
+        for turn_rad in SOUGHT_TURNS_RAD {
+            let mut placement = about.placement();
+            placement[2] += turn_rad;
+            seek.clear(hand.acquired[3]);
+            let turned = about.placed(&placement);
+            hand.outline(&turned, samples, &waiting.measure, |_, placed| seek.push(&placed));
+            let shown = convergence.shown_about(frame, sight.mixture, seek.pixels(), reach_px)?;
+            let Judged { by_px, separation } = seek.best(&shown, appearance, reach_px);
+            if separation > best.0 {
+                placement[0] += by_px.x;
+                placement[1] += by_px.y;
+                best = (separation, about.placed(&placement));
+            }
+        }
+        Ok(best.1)
+    }
+}

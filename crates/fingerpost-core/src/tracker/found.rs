@@ -1,0 +1,52 @@
+//! What the fit to one frame came to.
+
+use super::convergence::{Converged, Fit, max_residual_px};
+use super::options::AcceptOptions;
+use super::shape::Shape;
+use super::verdict::Refusal;
+use crate::shape_space::{AffineMap, RIBBON_DOF};
+
+/// What one frame's fit came to.
+pub(super) struct Found<T = Shape> {
+    pub(super) shape: T,
+    pub(super) fit: Option<Fit>,
+    pub(super) iterations: usize,
+}
+
+impl Found {
+    pub(super) fn is_accepted(&self, accept: &AcceptOptions) -> bool {
+        self.refusal(accept).is_none()
+    }
+
+    /// Why its edges alone do not make it a hand.
+    pub(super) fn refusal(&self, accept: &AcceptOptions) -> Option<Refusal> {
+        let Some(fit) = &self.fit else { return Some(Refusal::NoFit) };
+        if fit.agreement < accept.min_inliers {
+            Some(Refusal::Agreement)
+        } else if fit.residual_rms_px > max_residual_px(accept, self.shape.width()) {
+            Some(Refusal::Residual)
+        } else {
+            None
+        }
+    }
+
+    /// The part of the visible contour that the fit explains, 0–1.
+    pub(super) fn explained(&self) -> f64 {
+        self.fit.map_or(0.0, |f| f.support.share())
+    }
+}
+
+impl From<Found<AffineMap>> for Found {
+    fn from(found: Found<AffineMap>) -> Self {
+        let Found { shape, fit, iterations } = found;
+        Self { shape: Shape::Planar(shape), fit, iterations }
+    }
+}
+
+impl From<Converged<RIBBON_DOF>> for Found {
+    fn from(found: Converged<RIBBON_DOF>) -> Self {
+        let Converged { x, fit, iterations } = found;
+        // A band that is turned inside out is no finger.
+        Self { shape: Shape::Ribbon(x), fit: fit.filter(|_| x[3] > 0.0), iterations }
+    }
+}

@@ -1,0 +1,224 @@
+//! The hand as it is known: its shape, its looks, and what is usual of it.
+
+use super::convergence::{Attempt, CONVERGED_PX, Fit, Window};
+use super::found::Found;
+use super::looks::{Lead, Looks, Sight};
+use super::mould::{Kind, finger_samples};
+use super::options::TrackerOptions;
+use super::scene::Scene;
+use super::shape::Shape;
+use super::verdict::Posture;
+use crate::search::{Polarity, Scale};
+use crate::shape_space::{
+    AffineMap, BandMeasure, PlacedSample, Pose, RIBBON_DOF, Ribbon, RibbonVector, ShapeSpace,
+};
+use crate::template::{Part, Template, TemplateSample};
+
+/// Part of a change of width or taper that is taken over per accepted frame.
+const HELD_RATE: f64 = 0.05;
+/// Where covers may give a hand edges that it does not have, the residual offsets' scale is at most so
+/// many times the usual one and need not be below this \[px\]; the usual one follows slowly.
+const USUAL_TIMES: f64 = 2.0;
+const USUAL_LEAST_PX: f64 = 0.2;
+const USUAL_RATE: f64 = 0.1;
+/// What has not been seen whole for so many frames may be no hand that is covered in part, but none.
+pub(super) const MOST_COVERED_FRAMES: usize = 90;
+/// A fit that explains this part of the contour needs no second look from afar.
+pub(super) const SURE: f64 = 0.85;
+
+/// The template before it has seen a hand.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Waiting {
+    pub(super) map: AffineMap,
+    pub(super) ribbon: RibbonVector,
+    pub(super) measure: BandMeasure,
+}
+
+/// The hand as it is known now.
+#[derive(Debug, Clone)]
+pub(super) struct Hand {
+    pub(super) shape: Shape,
+    /// The band template when the hand was acquired; its widths and taper follow slowly.
+    pub(super) acquired: RibbonVector,
+    /// What the acquired hand shows.
+    pub(super) kind: Kind,
+    /// The planar template moulded to this hand; unused by the band model.
+    pub(super) moulded: Vec<TemplateSample>,
+    /// What it looks like, once it was seen.
+    pub(super) looks: Option<Looks>,
+    /// Frames in a row in which its thumb was not seen.
+    pub(super) thumb_missed: usize,
+    /// Whether its finger is straight, for how many frames in a row it has not been, and how often
+    /// it has been since it was acquired.
+    pub(super) posture: Posture,
+    pub(super) bent_frames: usize,
+    pub(super) straight_frames: usize,
+    /// Root mean square of its edges' residual offsets as it is seen usually \[px\]; infinite as
+    /// long as that is not known.
+    pub(super) usual_px: f64,
+    /// Frames since nearly all of its contour was last explained.
+    pub(super) partly_frames: usize,
+}
+
+/// How far a convergence looks along the normals, and whether by the pixels' votes or by edges.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Look {
+    pub(super) half_length_px: f64,
+    pub(super) lead: Lead,
+    pub(super) scale: Scale,
+    pub(super) window: Option<Window>,
+    pub(super) rest_px: f64,
+    pub(super) own_only: bool,
+}
+
+impl Waiting {
+    /// What a hand would show that is just like the template.
+    pub(super) fn kind(&self, options: &TrackerOptions) -> Kind {
+        Kind { has_thumb: self.measure.side != 0.0, polarity: options.polarity }
+    }
+
+    pub(super) fn shape(&self, template: &Template) -> Shape {
+        match template.proportions() {
+            Some(_) => Shape::Ribbon(self.ribbon),
+            None => Shape::Planar(self.map),
+        }
+    }
+}
+
+impl Hand {
+    /// The band template's samples that take part: the finger's, and the thumb's if it is seen.
+    pub(super) fn bands<'a>(&self, samples: &'a [TemplateSample]) -> &'a [TemplateSample] {
+        if self.kind.has_thumb { samples } else { finger_samples(samples) }
+    }
+
+    /// The planar template's samples: those moulded to this hand, or the waiting template's.
+    pub(super) fn planar<'a>(&'a self, samples: &'a [TemplateSample]) -> &'a [TemplateSample] {
+        if self.moulded.is_empty() { samples } else { &self.moulded }
+    }
+
+    /// Lets the dimensions that a hand cannot change follow slowly: it may come nearer.
+    pub(super) fn grow(&mut self) {
+        if let Shape::Ribbon(x) = self.shape {
+            for k in [3, 4, 8] {
+                self.acquired[k] += HELD_RATE * (x[k] - self.acquired[k]);
+            }
+        }
+    }
+
+    /// Leaves out a thumb that was not seen for so many frames: it would hide the finger.
+    pub(super) fn count_thumb(&mut self, found: &Found, most_missed: usize) {
+        let seen = found.fit.is_some_and(|f| f.shape.names.len() == RIBBON_DOF);
+        self.thumb_missed = if seen { 0 } else { self.thumb_missed + 1 };
+        if self.thumb_missed >= most_missed && matches!(self.shape, Shape::Ribbon(_)) {
+            self.kind.has_thumb = false;
+        }
+    }
+
+    /// The hand's samples where a shape puts them, but for those that another limb hides.
+    pub(super) fn outline(
+        &self,
+        shape: &Shape,
+        samples: &[TemplateSample],
+        measure: &BandMeasure,
+        mut each: impl FnMut(Part, PlacedSample),
+    ) {
+        match shape {
+            Shape::Planar(map) => {
+                self.planar(samples).iter().for_each(|s| each(s.part(), map.place(s)));
+            }
+            Shape::Ribbon(x) => {
+                let measure = measure.with_thumb(self.kind.has_thumb);
+                if let Ok(space) = Ribbon::<RIBBON_DOF>::about(x, &measure) {
+                    let pose = space.pose(x);
+                    let placed = self.bands(samples).iter().map(|s| (s, pose.place(s)));
+                    let seen = placed.filter(|(s, p)| !pose.is_hidden(s, p));
+                    seen.for_each(|(s, p)| each(s.part(), p));
+                }
+            }
+        }
+    }
+
+    /// How many of its samples are the finger's: the first ones.
+    pub(super) fn fingers(&self, samples: &[TemplateSample]) -> usize {
+        match self.shape {
+            Shape::Ribbon(_) => finger_samples(samples).len(),
+            Shape::Planar(_) => finger_samples(self.planar(samples)).len(),
+        }
+    }
+
+    /// A search for these samples by what is known of the hand.
+    pub(super) fn attempt<'a>(
+        &'a self,
+        samples: &'a [TemplateSample],
+        frame: &Scene<'_>,
+        look: Look,
+        polarity: Polarity,
+    ) -> Attempt<'a> {
+        let Look { half_length_px, scale, lead, window, rest_px, own_only } = look;
+        let sight = self.sight(frame, lead, polarity);
+        let most_scale_px = if own_only { self.most_scale_px() } else { f64::INFINITY };
+        Attempt { samples, sight, scale, half_length_px, window, rest_px, own_only, most_scale_px }
+    }
+
+    /// Whether it was seen whole of late: what never was may be none, and moves as it likes.
+    pub(super) fn is_known_whole(&self) -> bool {
+        self.partly_frames < MOST_COVERED_FRAMES
+    }
+
+    /// Notes whether a fit that counts explains nearly all of its contour.
+    pub(super) fn count_partly(&mut self, found: &Found) {
+        let is_whole = found.explained() >= SURE;
+        self.partly_frames = if is_whole { 0 } else { self.partly_frames.saturating_add(1) };
+    }
+
+    /// Takes over what the edges of a fit that counts scatter. What covers a hand that is known
+    /// whole has edges that are not its own.
+    pub(super) fn learn_usual(&mut self, found: &Found) {
+        if let Some(fit) = found.fit.filter(|_| self.partly_frames == 0 || !self.is_known_whole()) {
+            self.usual_px += USUAL_RATE * (fit.residual_rms_px - self.usual_px);
+        }
+    }
+
+    /// By how much the edges of a fit scatter more than is usual, as a standard deviation \[px\]:
+    /// a hand that is known whole does not, but what covers it.
+    pub(super) fn unusual_px(&self, fit: &Fit) -> f64 {
+        if self.partly_frames == 0 || !self.is_known_whole() {
+            return 0.0;
+        }
+        (fit.residual_rms_px.powi(2) - self.most_scale_px().powi(2)).max(0.0).sqrt()
+    }
+
+    /// What its edges scatter at most about a fit in its place \[px\].
+    pub(super) fn most_scale_px(&self) -> f64 {
+        (USUAL_TIMES * self.usual_px).max(USUAL_LEAST_PX)
+    }
+
+    /// How to look for it in a frame.
+    pub(super) fn sight(&self, frame: &Scene<'_>, lead: Lead, polarity: Polarity) -> Sight<'_> {
+        let known = self.looks.as_ref().and_then(|l| l.sight(frame, lead, polarity));
+        known.unwrap_or(Sight::unknown(polarity))
+    }
+
+    /// Whether a mixture of colours shows it better than the grey image.
+    pub(super) fn is_mixed(&self) -> bool {
+        self.looks.as_ref().is_some_and(Looks::is_mixed)
+    }
+
+    /// Whether its looks are known so far that this frame can show them.
+    pub(super) fn votes_in(&self, frame: &Scene<'_>) -> bool {
+        self.looks.as_ref().is_some_and(|l| !l.is_coloured() || frame.colour().is_some())
+    }
+}
+
+impl Look {
+    pub(super) fn edges(half_length_px: f64) -> Self {
+        Self {
+            half_length_px,
+            lead: Lead::HandEdges,
+            scale: Scale::Fine,
+            window: None,
+            rest_px: CONVERGED_PX,
+            own_only: false,
+        }
+    }
+}

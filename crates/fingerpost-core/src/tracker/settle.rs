@@ -1,0 +1,226 @@
+//! From nearby by edges: what each model leaves free, fitted in stages.
+
+use super::convergence::{Converged, Fit, TAKEN_OVER_PX, Window};
+use super::found::Found;
+use super::hand::Look;
+use super::looks::Lead;
+use super::mould::finger_samples;
+use super::scene::Scene;
+use super::shape::Shape;
+use super::{ContourTracker, NEAR_PX};
+use crate::Result;
+use crate::fit::Prior;
+use crate::search::Scale;
+use crate::shape_space::{
+    Affine, AffineMap, PlanarSpace, RIBBON_DOF, Ribbon, RibbonVector, Rigid, RigidShear,
+    Similarity, Translation,
+};
+use crate::template::{Limb, Part};
+use nalgebra::{SMatrix, SVector};
+
+/// How far what a hand cannot change may stray while it is tracked: standard deviations of the
+/// band template, in parts of the finger's half-width, of 1 for the taper, and of its length. The
+/// thumb may move, and foreshortening moves its root.
+const HELD_WIDTH_SIGMA: f64 = 0.06;
+const HELD_TAPER_SIGMA: f64 = 0.03;
+const HELD_THUMB_SIGMA: f64 = 0.1;
+/// A thumb has grown or shrunk by no more than this factor since the hand was acquired, and this
+/// part of it is explained.
+const THUMB_CHANGE: f64 = 1.7;
+const THUMB_SEEN: f64 = 0.4;
+/// No finger line depends on where exactly the thumb is: it is at rest when no sample moves further
+/// than this \[px\].
+const THUMB_RESTS_PX: f64 = 0.1;
+/// While the thumb is fitted, the finger stays within this of where it is \[px, rad, 1\].
+const PINNED_SIGMA: f64 = 1e-4;
+
+impl ContourTracker {
+    /// From nearby, or as far as the window says, by edges: everything that the model leaves a
+    /// tracked hand. The paper's leans its thumb, if it has one to show the shear; the band model
+    /// takes up what a hand can change.
+    pub(super) fn settle(
+        &mut self,
+        frame: &Scene<'_>,
+        from: Shape,
+        scale: Scale,
+        window: Option<Window>,
+    ) -> Result<Found> {
+        let near_px = window.map_or(self.largeness() * NEAR_PX, |w| w.near_px);
+        let own_only = window.is_some_and(|w| w.own_only);
+        let lead = window.map_or(Lead::HandEdges, |w| w.lead);
+        let look = Look { lead, scale, own_only, ..Look::edges(near_px) };
+        let first = match window {
+            Some(Window { gate, .. }) => Look { window, half_length_px: gate.longest_px(), ..look },
+            None => look,
+        };
+        let before_others = Look { rest_px: TAKEN_OVER_PX, ..first };
+        Ok(match from {
+            Shape::Planar(map) if self.shows_shear() => {
+                let turned = self.planar::<Rigid, 3>(frame, map, before_others)?;
+                self.planar::<RigidShear, 4>(frame, turned.shape, look)?.into()
+            }
+            Shape::Planar(map) => self.planar::<Rigid, 3>(frame, map, first)?.into(),
+            Shape::Ribbon(x) => {
+                let belief = window.and_then(|w| w.belief());
+                let turned =
+                    self.run_ribbon::<3>(frame, &x, Limb::Finger, before_others, belief.as_ref())?;
+                let mut held = self.held::<5>(&x, 1.0);
+                if let Some(Prior { mean, information }) = belief {
+                    held.mean.fixed_rows_mut::<3>(0).copy_from(&mean);
+                    held.information.fixed_view_mut::<3, 3>(0, 0).copy_from(&information);
+                }
+                let finger =
+                    self.run_ribbon::<5>(frame, &turned.x, Limb::Finger, look, Some(&held))?;
+                match &finger.fit {
+                    Some(fit) if self.hand.kind.has_thumb => {
+                        self.lean_thumb(frame, &finger, fit, look)?.into()
+                    }
+                    _ => finger.into(),
+                }
+            }
+        })
+    }
+
+    /// The paper's acquisition: the template moves, turns, then deforms affinely; a finger alone,
+    /// which shows neither length nor shear, only grows.
+    pub(super) fn affine(
+        &mut self,
+        frame: &Scene<'_>,
+        from: AffineMap,
+        half_length_px: f64,
+    ) -> Result<Found> {
+        let look = Look::edges(half_length_px);
+        let moved = self.planar::<Translation, 2>(frame, from, look)?;
+        let turned = self.planar::<Rigid, 3>(frame, moved.shape, look)?;
+        Ok(if self.shows_shear() {
+            self.planar::<Affine, 6>(frame, turned.shape, look)?.into()
+        } else {
+            self.planar::<Similarity, 4>(frame, turned.shape, look)?.into()
+        })
+    }
+
+    /// One planar shape space; a fit that mirrors or flattens the template is none.
+    pub(super) fn planar<S: PlanarSpace<D>, const D: usize>(
+        &mut self,
+        frame: &Scene<'_>,
+        from: AffineMap,
+        look: Look,
+    ) -> Result<Found<AffineMap>> {
+        let Ok((space, x)) = S::through(&from) else {
+            return Ok(Found { shape: from, fit: None, iterations: 0 });
+        };
+        let samples = self.hand.planar(&self.samples);
+        let attempt = self.hand.attempt(samples, frame, look, self.options.polarity);
+        let found = self.convergence.run(frame, &space, x, &attempt, None)?;
+        let map = space.pose(&found.x);
+        let sound = map.decompose().is_ok();
+        Ok(Found {
+            shape: if sound { map } else { from },
+            fit: found.fit.filter(|_| sound),
+            iterations: found.iterations,
+        })
+    }
+
+    /// Whether the planar template has a thumb that shows length and shear; a traced outline is
+    /// taken to be no mere finger.
+    fn shows_shear(&self) -> bool {
+        self.hand.kind.has_thumb || self.template.proportions().is_none()
+    }
+
+    /// The thumb of a finger that was fitted. A thumb bends and leans; it must not turn the finger,
+    /// whose line and covariance stay as they are.
+    fn lean_thumb(
+        &mut self,
+        frame: &Scene<'_>,
+        finger: &Converged<RIBBON_DOF>,
+        fit: &Fit,
+        look: Look,
+    ) -> Result<Converged<RIBBON_DOF>> {
+        let mut held = self.held::<RIBBON_DOF>(&finger.x, 1.0);
+        for i in 0..5 {
+            held.mean[i] = finger.x[i];
+            held.information[(i, i)] = PINNED_SIGMA.powi(-2);
+        }
+        let look = Look { rest_px: THUMB_RESTS_PX, ..look };
+        let whole = self.run_ribbon(frame, &finger.x, Limb::Thumb, look, Some(&held))?;
+        let Some(with_thumb) = whole.fit else { return Ok(*finger) };
+        if !self.is_thumb(&whole.x, &with_thumb) {
+            // It stays where it was.
+            return Ok(Converged { fit: Some(Fit { seen: with_thumb.seen, ..*fit }), ..*finger });
+        }
+        let mut shape = with_thumb.shape;
+        for i in 0..5 {
+            shape.vector[i] = finger.x[i];
+        }
+        shape
+            .covariance
+            .view_mut((0, 0), (5, 5))
+            .copy_from(&fit.shape.covariance.view((0, 0), (5, 5)));
+        let iterations = finger.iterations + whole.iterations;
+        Ok(Converged {
+            x: shape.vector,
+            fit: Some(Fit { shape, rank: with_thumb.rank, seen: with_thumb.seen, ..*fit }),
+            iterations,
+        })
+    }
+
+    /// Whether what was fitted is still a thumb: about as long and as wide as it was when the hand
+    /// was acquired, and seen. A thumb that has gone astray would hide the finger.
+    fn is_thumb(&self, x: &RibbonVector, fit: &Fit) -> bool {
+        let spine = |x: &RibbonVector| x.fixed_rows::<2>(6).norm();
+        let acquired = &self.hand.acquired;
+        let within = |ratio: f64| (1.0 / THUMB_CHANGE..=THUMB_CHANGE).contains(&ratio);
+        within(spine(x) / spine(acquired))
+            && within(x[8] / acquired[8])
+            && fit.support.of(Part::Thumb) >= THUMB_SEEN
+    }
+
+    /// One prefix of the band template's shape vector, by the samples of the finger or of all of
+    /// the hand, down to the thumb.
+    pub(super) fn run_ribbon<const D: usize>(
+        &mut self,
+        frame: &Scene<'_>,
+        from: &RibbonVector,
+        down_to: Limb,
+        look: Look,
+        held: Option<&Prior<D>>,
+    ) -> Result<Converged<RIBBON_DOF>> {
+        let space = self.ribbon::<D>(from)?;
+        let samples = match down_to {
+            Limb::Finger => finger_samples(&self.samples),
+            Limb::Thumb => self.hand.bands(&self.samples),
+        };
+        let attempt = self.hand.attempt(samples, frame, look, self.options.polarity);
+        let x = Ribbon::<D>::free(from);
+        let found = self.convergence.run(frame, &space, x, &attempt, held)?;
+        Ok(Converged { x: space.full(&found.x), fit: found.fit, iterations: found.iterations })
+    }
+
+    pub(super) fn ribbon<const D: usize>(&self, about: &RibbonVector) -> Result<Ribbon<D>> {
+        Ribbon::about(about, &self.waiting.measure.with_thumb(self.hand.kind.has_thumb))
+    }
+
+    /// What the hand cannot change: the widths and the taper are those it was acquired with, the
+    /// thumb is near where it was in the last frame.
+    pub(super) fn held<const D: usize>(&self, last: &RibbonVector, slack: f64) -> Prior<D> {
+        let acquired = &self.hand.acquired;
+        let thumb_px = HELD_THUMB_SIGMA * self.waiting.measure.length_px;
+        let held = [
+            (0.0, f64::INFINITY),
+            (0.0, f64::INFINITY),
+            (0.0, f64::INFINITY),
+            (acquired[3], HELD_WIDTH_SIGMA * acquired[3]),
+            (acquired[4], HELD_TAPER_SIGMA),
+            (last[5], thumb_px),
+            (last[6], thumb_px),
+            (last[7], thumb_px),
+            (acquired[8], HELD_WIDTH_SIGMA * acquired[8]),
+        ];
+        let mut prior = Prior { mean: SVector::zeros(), information: SMatrix::zeros() };
+        for (i, (mean, sigma)) in held.iter().take(D).enumerate() {
+            prior.mean[i] = *mean;
+            prior.information[(i, i)] = (slack * sigma).powi(-2);
+        }
+        prior
+    }
+}

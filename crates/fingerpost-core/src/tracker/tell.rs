@@ -1,0 +1,148 @@
+//! The story of an accepted frame: the finger line, from pixels and contour and the frames before,
+//! and what the frame teaches of the hand.
+
+use super::found::Found;
+use super::line::FingerLine;
+use super::looks::{Lead, Looks};
+use super::options::AcceptOptions;
+use super::scene::Scene;
+use super::shape::Shape;
+use super::steady::Shown;
+use super::track::{Track, track};
+use super::{ContourTracker, Status};
+use crate::Result;
+use crate::refine::{Bend, Finger, KnownBackground, Refined, Source, Stretch};
+use crate::shape_space::{BandMeasure, Pose, RIBBON_DOF, RibbonVector, ShapeSpace};
+use crate::template::Part;
+
+/// Flanks are refined from so far beyond where another limb hides them \[px\].
+const CROTCH_PX: f64 = 2.0;
+/// A flank that nothing hides is refined from so much before the outline's beginning, in units of
+/// the finger's length: what is no finger there is found out, and a longer flank gives a surer
+/// angle.
+const BEYOND_OUTLINE: f64 = 0.07;
+/// Both go round the tip to this part of the half-width beyond the middle of its round end.
+const CAP: f64 = 0.7;
+
+impl ContourTracker {
+    /// The story of a frame whose fit was accepted, with the finger line.
+    pub(super) fn tracked(
+        &mut self,
+        frame: &Scene<'_>,
+        time_s: f64,
+        found: &Found,
+        accept: &AcceptOptions,
+    ) -> Result<Track> {
+        let refined = match self.hand.shape {
+            Shape::Ribbon(x) if self.options.refine => self.refine(frame, &x)?,
+            _ => None,
+        };
+        // Where the pixels agree with a finger only so far, the contour knows other things than two
+        // bare flanks tell: the hand's colours, and its width.
+        let contour = found.fit.map(|f| {
+            FingerLine::of_contour(&f.axis, &f.line_covariance).misled(self.hand.unusual_px(&f))
+        });
+        let beside_cover = found.fit.is_some_and(|fit| fit.own_only);
+        let finger_line = match (refined, contour) {
+            // What covers a hand has pixels of its own.
+            (Some(refined), Some(contour))
+                if beside_cover
+                    && (refined.source != Source::Photometric
+                        || contour.contradicts(&FingerLine::of_pixels(&refined))) =>
+            {
+                Some(contour)
+            }
+            (Some(refined), _) if refined.source == Source::Photometric => {
+                Some(FingerLine::of_pixels(&refined))
+            }
+            (Some(refined), Some(contour)) if refined.source == Source::Unsure => {
+                Some(FingerLine::of_pixels(&refined).joined(&contour))
+            }
+            (Some(refined), Some(contour)) => Some(contour.doubted(&refined.axis)),
+            (None, contour) | (_, contour @ None) => contour,
+        };
+        let finger_line = match self.hand.shape {
+            Shape::Ribbon(x) if self.options.refine => finger_line.map(|line| {
+                let length_px = self.waiting.measure.length_px;
+                let shown = Shown { half_width_px: x[3], taper: x[4], length_px };
+                self.steady.follow(frame.image(), time_s, line, &shown)
+            }),
+            _ => finger_line,
+        };
+        Ok(Track { finger_line, ..track(time_s, Status::Tracking, found, accept, None) })
+    }
+
+    /// The finger by its flanks alone; none if they cannot be believed.
+    fn refine(&mut self, frame: &Scene<'_>, x: &RibbonVector) -> Result<Option<Refined>> {
+        let Some(finger) = self.finger(x)? else { return Ok(None) };
+        let sight = self.hand.sight(frame, Lead::HandEdges, self.options.polarity);
+        let shown = self.convergence.shown(frame, sight.mixture, &finger)?;
+        let looks = sight.cue.appearance();
+        // What is known of the background are grey levels, whatever mixture shows the hand best.
+        let known = frame.background().map(|b| KnownBackground::from(b).behind(*frame.image()));
+        self.refiner.refine(&shown, &finger, sight.polarity, looks, known.as_ref())
+    }
+
+    /// The finger that the band template stands for, as far as both its flanks were seen.
+    pub(super) fn finger(&self, x: &RibbonVector) -> Result<Option<Finger>> {
+        let BandMeasure { length_px, round_end_px, .. } = self.waiting.measure;
+        let (half_width_px, taper) = (x[3], x[4]);
+        let flank = |flank| {
+            let from = self.convergence.beginning(&self.samples, flank)?;
+            let whole = self.samples.iter().filter(|s| s.part() == flank).all(|s| s.along >= from);
+            Some(Stretch {
+                from_px: if whole {
+                    (from - BEYOND_OUTLINE) * length_px
+                } else {
+                    from * length_px + CROTCH_PX
+                },
+                to_px: round_end_px + CAP * half_width_px,
+            })
+        };
+        let (Some(right), Some(left)) = (flank(Part::RightFlank), flank(Part::LeftFlank)) else {
+            return Ok(None);
+        };
+        let flanks = [right, left];
+        let axis = self.ribbon::<RIBBON_DOF>(x)?.pose(x).axis();
+        Ok(Some(Finger { axis, half_width_px, taper, flanks, round_end_px: Some(round_end_px) }))
+    }
+
+    /// How the finger of a fit that counts is bent, if its flanks tell; never of the paper's model.
+    pub(super) fn bend(&mut self, frame: &Scene<'_>, found: &Found) -> Result<Option<Bend>> {
+        let Shape::Ribbon(x) = found.shape else { return Ok(None) };
+        let Some(finger) = self.finger(&x)? else { return Ok(None) };
+        let sight = self.hand.sight(frame, Lead::HandEdges, self.options.polarity);
+        let shown = self.convergence.shown(frame, sight.mixture, &finger)?;
+        self.refiner.bend(&shown, &finger, sight.polarity, sight.cue.appearance())
+    }
+
+    /// Takes over what a fit that counts shows of the hand. Where its looks did not lead to it, the
+    /// light has changed: it looks as it looks now.
+    pub(super) fn take_over_looks(&mut self, frame: &Scene<'_>, found: &Found) -> Result<()> {
+        let is_relit = self.hand.votes_in(frame) && found.fit.is_some_and(|fit| !fit.by_looks);
+        if is_relit {
+            self.hand.looks = None;
+        }
+        self.learn_looks(frame)?;
+        if let Some(looks) = self.hand.looks.as_mut().filter(|_| is_relit) {
+            looks.anchor();
+        }
+        Ok(())
+    }
+
+    /// Takes over what the last accepted fit saw on either side of the contour.
+    pub(super) fn learn_looks(&mut self, frame: &Scene<'_>) -> Result<()> {
+        let coloured = frame.colour().is_some();
+        let known = self.hand.looks.as_ref().map(Looks::is_coloured);
+        if known == Some(true) && !coloured {
+            return Ok(());
+        }
+        if known != Some(coloured) {
+            self.hand.looks = None;
+        }
+        let (samples, finger) = (self.hand.fingers(&self.samples), self.hand.shape.silhouette());
+        let keep = 1.0 - self.options.track.appearance_rate;
+        let looks = self.hand.looks.get_or_insert_with(|| Looks::new(coloured));
+        self.convergence.teach(looks, samples, frame, &finger, keep)
+    }
+}
