@@ -43,10 +43,11 @@ help: ## list the targets
 demo: $(STAMPS)/extension ## the main job with nothing plugged in: pictures, a table, a summary
 	$(BIN)/fingerpost demo
 
+# A file's tests stay in one process: they share footage.
 test: lint ## every check there is, in both languages
 	cargo test --locked --quiet
 	$(MAKE) --no-print-directory instructions
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest --numprocesses auto --dist loadfile
 
 lint: $(STAMPS)/extension ## formats, lints, types, documentation links, stubs
 	cargo fmt --all --check
