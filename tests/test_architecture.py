@@ -33,7 +33,6 @@ PYTHON_GROUPS = {
     "live": "live",
     "config": "config",
     "finding": "pipeline",
-    "first_hand": "pipeline",
     "pipeline": "pipeline",
     "experiment": "application",
     "guidance": "application",

@@ -12,40 +12,21 @@ loop exists once; whatever plays, draws, records or drives stands around it.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
-from functools import cached_property, partial
+from functools import cached_property
 from itertools import islice
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fingerpost._core import (
-    Background,
-    ContourTracker,
-    SearchLines,
-    StartPose,
-    Template,
-    Track,
-    update_views,
-)
+from fingerpost._core import SearchLines, Track, update_views
 from fingerpost.capture import Frame, open_source, read_views
-from fingerpost.config import Rig, View
+from fingerpost.config import Rig
 from fingerpost.errors import FingerpostError, InvalidInputError
-from fingerpost.finding import (
-    BACKGROUND_FRAMES,
-    DOUBTED_FRAMES,
-    HandSearch,
-    Viewpoint,
-    are_one,
-    are_two,
-    can_be_one,
-    find_hand,
-    how_flat,
-)
-from fingerpost.first_hand import FirstHand
+from fingerpost.finding import HandView, Shared, find_hand, how_flat
 from fingerpost.pointing import (
     BARE_HAND,
     AlignmentState,
@@ -59,12 +40,6 @@ from fingerpost.pointing import (
 )
 from fingerpost.recording import PointRow, TrackRow
 from fingerpost.recording.picture import SearchMarks
-
-ViewFrame = tuple[
-    ContourTracker, NDArray[np.uint8], float, NDArray[np.uint8] | None, Background | None
-]
-"""A tracker, and the frame to update it with: grey levels, capture time [s], colours if there are
-any, and what is behind the hand if that is known."""
 
 DEFAULT_REFERENCE_SIGMA_PX = 0.5
 """Standard deviation of a reference point that a person clicked or a line fit gave [px]."""
@@ -96,6 +71,15 @@ class Observation:
     contour_px: NDArray[np.float64]
     searched: SearchLines | None
     missing: Status = Status.LOST
+
+    @classmethod
+    def of(cls, view: HandView, frame: Frame | None) -> Observation:
+        """Return what a view saw in the frame that it observed last."""
+        tracker = view.tracker
+        if frame is None or tracker is None:
+            return cls(view.name, frame, None, np.empty((0, 2)), None, view.missing)
+        contour_px, searched = tracker.contour(), tracker.search_lines()
+        return cls(view.name, frame, view.track, contour_px, searched, view.missing)
 
     @cached_property
     def search(self) -> SearchMarks:
@@ -222,236 +206,6 @@ class Step:
         return PointRow(frame=self.index, time_s=fix.time_s, status=fix.status.value, **cells)
 
 
-class HandView:
-    """One view of the hand: its tracker, its search for the hand, and how it sees the plane.
-
-    A view with a start pose waits there for the hand until it has followed one. A view without,
-    and any view that has lost the hand, looks everywhere; see `fingerpost.finding`.
-
-    Parameters
-    ----------
-    view
-        The view of the rig.
-    plane_points : (N, 2)
-        The plane's reference points.
-    tracker_options
-        What differs from the tracker's defaults; see `fingerpost.ContourTracker`.
-    reference_sigma_px
-        Standard deviation of reference points that come without a covariance [px], > 0.
-    """
-
-    def __init__(
-        self,
-        view: View,
-        plane_points: Sequence[tuple[float, float]],
-        tracker_options: Mapping[str, Any] | None,
-        reference_sigma_px: float,
-    ) -> None:
-        self.name = view.name
-        self.plane_view = PlaneView.from_reference_points(
-            plane_points,
-            view.reference_points_px,
-            view.reference_covariances(reference_sigma_px),
-            view.lens,
-        )
-        self.viewpoint = Viewpoint(self.plane_view, np.full(3, np.nan))
-        self._size_px: tuple[int, int] | None = None
-        self.search = HandSearch(tracker_options)
-        self._tracker: ContourTracker | None = None
-        self._track: Track | None = None
-        self._is_table = False
-        self._table_frames = 0
-        self._doubts = 0
-        self._has_come_elsewhere = False
-        self._is_backed = False
-        self._missing = Status.ACQUIRING
-        self._first_hand: FirstHand | None = None
-        if view.start is not None:
-            template = Template.pistol(view.start.thumb)
-            tip_px, angle_deg = view.start.tip_px, view.start.angle_deg
-            start = StartPose(tip_px, np.radians(angle_deg), view.start.length_px)
-            waiting = partial(ContourTracker, template, start, tracker_options)
-            self._tracker = waiting()
-            self._first_hand = FirstHand(self.search, start, waiting)
-
-    @property
-    def is_searching(self) -> bool:
-        """Whether the hand may be anywhere: it is neither followed for good nor waited for.
-
-        A hand that another view has seen come has passed a template that still waits for it.
-        """
-        if self._tracker is None or self._misses_hand:
-            return True
-        return self._track is not None and self._track.status == "lost"
-
-    @property
-    def _misses_hand(self) -> bool:
-        """Whether a hand has come to another view that this one has not found where it waits."""
-        return self._has_come_elsewhere and not (self._is_sure or self._shows_finger)
-
-    @property
-    def _shows_finger(self) -> bool:
-        return self._track is not None and self._track.finger_line is not None
-
-    def hear(self, others: Sequence[HandView]) -> None:
-        """Take notice of a hand that has come to another view."""
-        self._has_come_elsewhere = any(other.has_newcomer for other in others)
-
-    @property
-    def track(self) -> Track | None:
-        """What the view's tracker, or the trial that is believed, made of the last frame."""
-        return self.search.found.track if self.search.found is not None else self._track
-
-    @property
-    def has_newcomer(self) -> bool:
-        """Whether it has followed a hand that came after the table was known."""
-        first = self._first_hand
-        return self._tracker is not None if first is None else first.is_newcomer
-
-    @property
-    def has_rival(self) -> bool:
-        """Whether it has found something else beside what it follows."""
-        return self._first_hand is not None and self._first_hand.has_rival
-
-    @property
-    def _is_sure(self) -> bool:
-        """Whether what is followed, if anything, is a hand and not perhaps the table."""
-        return self._first_hand is None or self._first_hand.is_proven
-
-    def view_frame(self, frame: Frame) -> ViewFrame | None:
-        """Return what the view's tracker is to be updated with; None while there is none."""
-        background = self.search.look_behind(frame)
-        self._welcome(frame)
-        if self._tracker is None:
-            return None
-        colour = frame.image if frame.image.ndim == 3 else None
-        known = background if self._stands_free else None
-        return self._tracker, frame.grey(), frame.time_s, colour, known
-
-    def follow(self, frame: Frame, track: Track) -> None:
-        """Take over what the tracker made of the view's frame."""
-        self._track = track
-        if self._first_hand is not None:
-            self._first_hand.prove(frame, track.finger_line)
-
-    @property
-    def may_follow_table(self) -> bool:
-        """Whether what is followed may lie on the table."""
-        return self._first_hand is not None and self._first_hand.may_be_flat
-
-    def look_flat(self, flat: float) -> None:
-        """Take over how flat what is followed looks to others; see `FirstHand.look_flat`."""
-        anew = None if self._first_hand is None else self._first_hand.look_flat(flat)
-        if anew is not None:
-            self._tracker, self._track = anew, None
-
-    def observe(self, frame: Frame | None) -> None:
-        """Learn from a frame that the tracker has had, and look for a hand that it does not follow.
-
-        None stands for a frame that cannot be read.
-        """
-        if frame is None:
-            return
-        height_px, width_px = frame.image.shape[:2]
-        if self._size_px != (width_px, height_px):
-            self._size_px = width_px, height_px
-            self.viewpoint = Viewpoint.of(self.plane_view, self._size_px)
-        self._is_table = self.search.shows_background(frame, self._track)
-        if self._first_hand is None and self._is_table:
-            self._let_go()
-        self.search.learn(frame, self.track if self._is_sure else None)
-        if self.is_searching:
-            self.search.look(frame)
-        else:
-            self.search.rest()
-
-    def _welcome(self, frame: Frame) -> None:
-        """Follow the hand that has come to where the template waits, if it is seen beside another.
-
-        What has been followed there may be the table.
-        """
-        if self._first_hand is None:
-            return
-        track = None if self._is_table else self._track
-        line = track.finger_line if track is not None else None
-        second = self._first_hand.welcome(frame, line, is_backed=self._is_backed)
-        self._tracker = second or self._tracker
-
-    @property
-    def _stands_free(self) -> bool:
-        """Whether what is followed was no part of the background while that was learned."""
-        return self._is_sure or (self._first_hand is not None and self._first_hand.has_come)
-
-    def settle(self) -> None:
-        """Follow for good the hand that the search has found, once it is proven."""
-        found = self.search.found
-        if found is not None and found.is_proven:
-            self._tracker, self._track = found.tracker, found.track
-            if self._first_hand is not None:
-                self._first_hand.believe()
-            self._missing = Status.LOST
-            self.search.rest()
-
-    def doubt(self, others: Sequence[HandView], shared: _Shared) -> None:
-        """Count frames in which no other view shows what this one follows; let go after some.
-
-        A hand that the view has found by itself must point at the plane with another view; of one
-        that was held up to it, the other views must follow the same finger.
-        """
-        if self._first_hand is None:
-            is_alone = not any(shared.can_be_one(self, other) for other in others)
-        else:
-            is_alone = all(shared.are_two(self, other) for other in others)
-        self._doubts = self._doubts + 1 if is_alone else 0
-        self._is_backed = self._is_backed_by(others, shared)
-        self._recognise(others, shared)
-        # A hand that has come into another view stands out from the table in this one too.
-        is_table = self._is_table and not self._is_sure and any(o.has_newcomer for o in others)
-        self._table_frames = self._table_frames + 1 if is_table else 0
-        if self._table_frames >= BACKGROUND_FRAMES or self._doubts >= DOUBTED_FRAMES:
-            self._let_go()
-
-    def _is_backed_by(self, others: Sequence[HandView], shared: _Shared) -> bool:
-        """Whether another view follows the same finger as this one, and has found nothing else.
-
-        It matters where something else has been found here. A finger that is there but gives no
-        line in a frame, as one that seems bent, is backed.
-        """
-        if not self.has_rival or self._track is None:
-            return False
-        if not self._shows_finger:
-            return self._track.status == "tracking"
-        return any(shared.are_one(self, other) and not other.has_rival for other in others)
-
-    def _recognise(self, others: Sequence[HandView], shared: _Shared) -> None:
-        """Take for a hand what was here before the table was known, if another view shows one come.
-
-        What lies on the table is known for it before long.
-        """
-        first = self._first_hand
-        if first is None or first.is_proven or first.waits_beside or self._is_table:
-            return
-        if not self._shows_finger:
-            return
-        if any(other.has_newcomer and shared.can_be_one(self, other) for other in others):
-            first.recognise()
-
-    def _let_go(self) -> None:
-        """Follow nothing any more, and look everywhere."""
-        self._tracker, self._track, self._doubts, self._is_table = None, None, 0, False
-        self._missing = Status.LOST
-        self.search.rest()
-
-    def observation(self, frame: Frame | None) -> Observation:
-        """Return what the view saw in the frame that it observed last."""
-        found = self.search.found
-        tracker, track = (found.tracker, found.track) if found else (self._tracker, self._track)
-        if frame is None or tracker is None:
-            return Observation(self.name, frame, None, np.empty((0, 2)), None, self._missing)
-        contour_px, searched = tracker.contour(), tracker.search_lines()
-        return Observation(self.name, frame, track, contour_px, searched, self._missing)
-
-
 def _marks(lines: SearchLines) -> SearchMarks:
     """Return where a tracker looked for edges, and what it found there."""
     sides = np.array([-1.0, 1.0])[:, None] * lines.half_length_px[:, None, None]
@@ -459,33 +213,6 @@ def _marks(lines: SearchLines) -> SearchMarks:
     edges_px = lines.position_px + lines.normal * lines.offset_px[:, None]
     agrees = np.zeros(len(lines), np.bool_) if lines.agrees is None else lines.agrees
     return SearchMarks(ends_px, edges_px, agrees)
-
-
-class _Shared:
-    """What pairs of views may show together in one frame; each pair is judged once."""
-
-    def __init__(self) -> None:
-        self._judgements: dict[tuple[Callable[..., bool], frozenset[HandView]], bool] = {}
-
-    def can_be_one(self, one: HandView, other: HandView) -> bool:
-        return self._judged(can_be_one, one, other)
-
-    def are_one(self, one: HandView, other: HandView) -> bool:
-        return self._judged(are_one, one, other)
-
-    def are_two(self, one: HandView, other: HandView) -> bool:
-        return self._judged(are_two, one, other)
-
-    def _judged(
-        self,
-        judge: Callable[[tuple[HandView, HandView]], bool],
-        one: HandView,
-        other: HandView,
-    ) -> bool:
-        key = judge, frozenset((one, other))
-        if key not in self._judgements:
-            self._judgements[key] = judge((one, other))
-        return self._judgements[key]
 
 
 @dataclass(slots=True)
@@ -602,12 +329,12 @@ class Pointer:
             view.observe(frame)
         if any(view.is_searching for view in self.views):
             find_hand(self.views, frames)
-        shared = _Shared()
+        shared = Shared()
         for view in self.views:
             view.settle()
             view.doubt([other for other in self.views if other is not view], shared)
         observations = tuple(
-            view.observation(frame) for view, frame in zip(self.views, frames, strict=True)
+            Observation.of(view, frame) for view, frame in zip(self.views, frames, strict=True)
         )
         for history, observation in zip(self._histories, observations, strict=True):
             history.add(observation)

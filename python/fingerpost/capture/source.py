@@ -51,6 +51,10 @@ class Frame:
             return grey
         return self._grey
 
+    def colour(self) -> NDArray[np.uint8] | None:
+        """Return the image if it is in colour; None for a grey one."""
+        return self.image if self.image.ndim == 3 else None
+
 
 class SourceKind(enum.Enum):
     """Who sets the pace: the consumer, or the world."""

@@ -64,8 +64,7 @@ def read_hand(frames: Sequence[Frame], start: Start) -> HandReadings:
     contrasts: list[float] = []
     lengths: list[float] = []
     for frame in frames:
-        colour = frame.image if frame.image.ndim == 3 else None
-        track = tracker.update(frame.grey(), frame.time_s, colour)
+        track = tracker.update(frame.grey(), frame.time_s, frame.colour())
         line = track.finger_line
         if line is None:
             continue

@@ -11,9 +11,17 @@ from collections.abc import Callable
 
 import numpy as np
 
-from fingerpost._core import ContourTracker, FingerLine, StartPose
+from fingerpost._core import Background, ContourTracker, FingerLine, StartPose
 from fingerpost.capture import Frame
-from fingerpost.finding import FLAT_KEPT, IS_FLAT, LATELY, HandSearch, has_moved, moves
+from fingerpost.finding.finger import LATELY, hand_region, has_moved, moves
+from fingerpost.finding.foreground import has_come, has_come_whole, stands_out
+
+IS_FLAT = 0.2
+"""What a waiting template follows lies on the table where it has looked this flat of late; a hand,
+even with its finger on the table, does not at all."""
+
+FLAT_KEPT = 0.5
+"""What that keeps from look to look; the rest is what the present frames show."""
 
 ONE_HAND_RAD = 0.1
 """What moves and has turned by less than this between two frames may be one hand."""
@@ -29,8 +37,8 @@ class FirstHand:
 
     Parameters
     ----------
-    search
-        The view's; it knows the background.
+    background
+        What the view has learned of the table.
     start
         Where the template waits.
     waiting
@@ -38,7 +46,7 @@ class FirstHand:
     """
 
     def __init__(
-        self, search: HandSearch, start: StartPose, waiting: Callable[[], ContourTracker]
+        self, background: Background, start: StartPose, waiting: Callable[[], ContourTracker]
     ) -> None:
         self.is_proven = False
         """Whether the view has followed a hand; from then on none is waited for."""
@@ -46,7 +54,7 @@ class FirstHand:
         """Whether something has come in this frame to where nothing was followed yet."""
         self.is_newcomer = False
         """Whether the hand has come after the table was known, and did not stand there before."""
-        self._search = search
+        self._background = background
         self._start = start
         self._waiting = waiting
         self._earliest: FingerLine | None = None
@@ -98,7 +106,7 @@ class FirstHand:
         """
         had_rival, self.has_rival = self.has_rival, False
         self.has_come = False
-        if self.is_proven or not self._search.has_come(frame, self._start):
+        if self.is_proven or not has_come(self._background, frame, self._start):
             self._second = None
             return None
         if not self._latest:
@@ -110,12 +118,13 @@ class FirstHand:
 
     def _wait_beside(self, frame: Frame, *, waits: bool) -> ContourTracker | None:
         second = self._second = self._second or self._waiting()
-        colour = frame.image if frame.image.ndim == 3 else None
-        behind = self._search.background
-        line = second.update(frame.grey(), frame.time_s, colour, background=behind).finger_line
+        track = second.update(
+            frame.grey(), frame.time_s, frame.colour(), background=self._background
+        )
+        line = track.finger_line
         if line is None:
             return None
-        if not self._search.has_come_whole(frame, line):
+        if not has_come_whole(self._background, frame, line):
             # It may be what covers the hand that is followed already, in part.
             self._second = None
             return None
@@ -124,7 +133,7 @@ class FirstHand:
             return None
         if self._earliest is not None and self._is_same(line):
             # Both follow one hand: what was learned where it stood from the start is it.
-            self._search.forget(self._earliest)
+            self._background.forget(hand_region(self._earliest))
         self._second, self.is_proven, self.is_newcomer = None, True, True
         return second
 
@@ -145,11 +154,11 @@ class FirstHand:
         elif (
             self._second is None
             and has_moved(earliest, line)
-            and self._search.stands_out(frame, line)
+            and stands_out(self._background, frame, line)
         ):
             self.is_proven = True
             # What was learned where it stood from the start is the hand.
-            self._search.forget(earliest)
+            self._background.forget(hand_region(earliest))
 
     def believe(self) -> None:
         """Take the search's word for it that the view follows a hand."""
@@ -164,4 +173,4 @@ class FirstHand:
         """Take another view's word for it that what is followed is a hand, not the table."""
         self.is_proven = True
         if self._earliest is not None:
-            self._search.forget(self._earliest)
+            self._background.forget(hand_region(self._earliest))

@@ -1,0 +1,91 @@
+"""A finger in one view: what is seen of it, where it is, and whether it has moved."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fingerpost._core import FingerLine, StartPose, Track
+
+Array = NDArray[np.float64]
+
+HALF_WIDTH = 0.115
+"""Half the width of the usual finger, in visible lengths."""
+
+HALF_WIDTH_NAME = "half_width [px]"
+"""The component of the band model's shape vector."""
+
+
+class Sighting(NamedTuple):
+    """A finger that a view may be showing."""
+
+    tip_px: tuple[float, float]
+    angle_rad: float
+    half_width_px: float
+    score: float = 1.0
+    """How like a finger it is, 0 to 1."""
+    foreground: float = np.nan
+    """How like foreground it is, 0 to 1; NaN where no background is known."""
+    colour: tuple[float, float, float] = (np.nan, np.nan, np.nan)
+    """Mean colour of its inside; NaN where that is not known."""
+
+
+def followed(track: Track | None) -> list[Sighting]:
+    """Return the finger that a view follows, if it shows in this frame."""
+    line = track.finger_line if track is not None else None
+    if line is None:
+        return []
+    length = 2.0 * float(np.hypot(*np.subtract(line.tip_px, line.anchor_px)))
+    return [Sighting(line.tip_px, line.angle_rad, HALF_WIDTH * length)]
+
+
+def fitted_half_width_px(track: Track) -> float | None:
+    """Return half a finger's width; None without a fit in a shape space that has one."""
+    shape = track.shape_vector
+    if shape is None or HALF_WIDTH_NAME not in track.shape_names:
+        return None
+    return float(shape[track.shape_names.index(HALF_WIDTH_NAME)])
+
+
+def are_near(one: StartPose, other: StartPose, reach_px: float, turn_rad: float) -> bool:
+    """Tell whether two poses have about the same tip and direction."""
+    turned = (one.angle_rad - other.angle_rad + np.pi) % (2 * np.pi) - np.pi
+    apart = np.hypot(*np.subtract(one.tip_px, other.tip_px))
+    return bool(apart < reach_px and abs(turned) < turn_rad)
+
+
+PROVEN_MOTION = 2.0
+"""A finger that has moved by so many half-widths is no edge of the table."""
+
+
+def has_moved(before: FingerLine, now: FingerLine) -> bool:
+    """Tell whether a finger has moved by more than an edge of the table ever seems to."""
+    return _motion(before, now) > PROVEN_MOTION
+
+
+STILL = 0.3
+LATELY = 3
+"""A finger whose tip has moved by less than so many half-widths in the last frames keeps still."""
+
+
+def moves(lines: Sequence[FingerLine]) -> bool:
+    """Tell whether a finger that was followed through these lines is moving in the end."""
+    return _motion(lines[max(len(lines) - LATELY, 0)], lines[-1]) > STILL
+
+
+def _motion(before: FingerLine, now: FingerLine) -> float:
+    """Return how far a tip has moved [half-widths]."""
+    length_px = 2.0 * np.hypot(*np.subtract(before.tip_px, before.anchor_px))
+    moved_px = np.hypot(*np.subtract(now.tip_px, before.tip_px))
+    return float(moved_px / (HALF_WIDTH * length_px))
+
+
+def hand_region(line: FingerLine) -> tuple[Array, Array, float]:
+    """Return the part of the image that a finger and its hand cover: a segment and a radius."""
+    tip, anchor = np.array(line.tip_px), np.array(line.anchor_px)
+    # The anchor is the finger's middle; hand and wrist lie within thrice its length.
+    finger = 2.0 * (tip - anchor)
+    return tip + 0.2 * finger, tip - 3.0 * finger, 0.8 * float(np.hypot(*finger))

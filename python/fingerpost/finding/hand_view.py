@@ -1,0 +1,272 @@
+"""One view of the hand: what it follows, what it looks for, and when it lets go."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fingerpost._core import Background, ContourTracker, StartPose, Template, Track
+from fingerpost.capture import Frame
+from fingerpost.config import View
+from fingerpost.finding.first_hand import FirstHand
+from fingerpost.finding.foreground import is_background
+from fingerpost.finding.one_finger import Shared
+from fingerpost.finding.pairs import Viewpoint
+from fingerpost.finding.search import HandSearch
+from fingerpost.pointing import PlaneView, Status
+
+ViewFrame = tuple[
+    ContourTracker, NDArray[np.uint8], float, NDArray[np.uint8] | None, Background | None
+]
+"""A tracker, and the frame to update it with: grey levels, capture time [s], colours if there are
+any, and what is behind the hand if that is known."""
+
+BACKGROUND_FRAMES = 8
+"""A finger that has been background for so many frames is none."""
+
+DOUBTED_FRAMES = 20
+"""Views that have given no point for so many frames follow different things."""
+
+
+class HandView:
+    """One view of the hand: its tracker, its search for the hand, and how it sees the plane.
+
+    A view with a start pose waits there for the hand until it has followed one. A view without,
+    and any view that has lost the hand, looks everywhere; see `fingerpost.finding`.
+
+    Parameters
+    ----------
+    view
+        The view of the rig.
+    plane_points : (N, 2)
+        The plane's reference points.
+    tracker_options
+        What differs from the tracker's defaults; see `fingerpost.ContourTracker`.
+    reference_sigma_px
+        Standard deviation of reference points that come without a covariance [px], > 0.
+    """
+
+    def __init__(
+        self,
+        view: View,
+        plane_points: Sequence[tuple[float, float]],
+        tracker_options: Mapping[str, Any] | None,
+        reference_sigma_px: float,
+    ) -> None:
+        self.name = view.name
+        self.plane_view = PlaneView.from_reference_points(
+            plane_points,
+            view.reference_points_px,
+            view.reference_covariances(reference_sigma_px),
+            view.lens,
+        )
+        self.viewpoint = Viewpoint(self.plane_view, np.full(3, np.nan))
+        self._size_px: tuple[int, int] | None = None
+        self.search = HandSearch(tracker_options)
+        self._tracker: ContourTracker | None = None
+        self._track: Track | None = None
+        self._background_frames = 0
+        self._is_table = False
+        self._table_frames = 0
+        self._doubts = 0
+        self._has_come_elsewhere = False
+        self._is_backed = False
+        self.missing = Status.ACQUIRING
+        """What it is while it follows nothing: looking for its first hand, or for a lost one."""
+        self._first_hand: FirstHand | None = None
+        if view.start is not None:
+            template = Template.pistol(view.start.thumb)
+            tip_px, angle_deg = view.start.tip_px, view.start.angle_deg
+            start = StartPose(tip_px, np.radians(angle_deg), view.start.length_px)
+            waiting = partial(ContourTracker, template, start, tracker_options)
+            self._tracker = waiting()
+            self._first_hand = FirstHand(self.search.background, start, waiting)
+
+    @property
+    def is_searching(self) -> bool:
+        """Whether the hand may be anywhere: it is neither followed for good nor waited for.
+
+        A hand that another view has seen come has passed a template that still waits for it.
+        """
+        if self._tracker is None or self._misses_hand:
+            return True
+        return self._track is not None and self._track.status == "lost"
+
+    @property
+    def _misses_hand(self) -> bool:
+        """Whether a hand has come to another view that this one has not found where it waits."""
+        return self._has_come_elsewhere and not (self._is_sure or self._shows_finger)
+
+    @property
+    def _shows_finger(self) -> bool:
+        return self._track is not None and self._track.finger_line is not None
+
+    def hear(self, others: Sequence[HandView]) -> None:
+        """Take notice of a hand that has come to another view."""
+        self._has_come_elsewhere = any(other.has_newcomer for other in others)
+
+    @property
+    def tracker(self) -> ContourTracker | None:
+        """What follows: the view's tracker, or that of the trial that is believed."""
+        return self.search.found.tracker if self.search.found is not None else self._tracker
+
+    @property
+    def track(self) -> Track | None:
+        """What the view's tracker, or the trial that is believed, made of the last frame."""
+        return self.search.found.track if self.search.found is not None else self._track
+
+    @property
+    def has_newcomer(self) -> bool:
+        """Whether it has followed a hand that came after the table was known."""
+        first = self._first_hand
+        return self._tracker is not None if first is None else first.is_newcomer
+
+    @property
+    def has_rival(self) -> bool:
+        """Whether it has found something else beside what it follows."""
+        return self._first_hand is not None and self._first_hand.has_rival
+
+    @property
+    def _is_sure(self) -> bool:
+        """Whether what is followed, if anything, is a hand and not perhaps the table."""
+        return self._first_hand is None or self._first_hand.is_proven
+
+    def view_frame(self, frame: Frame) -> ViewFrame | None:
+        """Return what the view's tracker is to be updated with; None while there is none."""
+        background = self.search.look_behind(frame)
+        self._welcome(frame)
+        if self._tracker is None:
+            return None
+        known = background if self._stands_free else None
+        return self._tracker, frame.grey(), frame.time_s, frame.colour(), known
+
+    def follow(self, frame: Frame, track: Track) -> None:
+        """Take over what the tracker made of the view's frame."""
+        self._track = track
+        if self._first_hand is not None:
+            self._first_hand.prove(frame, track.finger_line)
+
+    @property
+    def may_follow_table(self) -> bool:
+        """Whether what is followed may lie on the table."""
+        return self._first_hand is not None and self._first_hand.may_be_flat
+
+    def look_flat(self, flat: float) -> None:
+        """Take over how flat what is followed looks to others; see `FirstHand.look_flat`."""
+        anew = None if self._first_hand is None else self._first_hand.look_flat(flat)
+        if anew is not None:
+            self._tracker, self._track = anew, None
+
+    def observe(self, frame: Frame | None) -> None:
+        """Learn from a frame that the tracker has had, and look for a hand that it does not follow.
+
+        None stands for a frame that cannot be read.
+        """
+        if frame is None:
+            return
+        height_px, width_px = frame.image.shape[:2]
+        if self._size_px != (width_px, height_px):
+            self._size_px = width_px, height_px
+            self.viewpoint = Viewpoint.of(self.plane_view, self._size_px)
+        self._is_table = self._shows_background(frame)
+        if self._first_hand is None and self._is_table:
+            self._let_go()
+        self.search.learn(frame, self.track if self._is_sure else None)
+        if self.is_searching:
+            self.search.look(frame)
+        else:
+            self.search.rest()
+
+    def _shows_background(self, frame: Frame) -> bool:
+        """Tell whether what is followed has turned out to be the background.
+
+        A tracker that has lost a hand may hold on to an edge of the table.
+        """
+        line = self._track.finger_line if self._track is not None else None
+        if line is None:
+            return False
+        self._background_frames += 1
+        if not is_background(self.search.background, frame, line):
+            self._background_frames = 0
+        return self._background_frames >= BACKGROUND_FRAMES
+
+    def _welcome(self, frame: Frame) -> None:
+        """Follow the hand that has come to where the template waits, if it is seen beside another.
+
+        What has been followed there may be the table.
+        """
+        if self._first_hand is None:
+            return
+        track = None if self._is_table else self._track
+        line = track.finger_line if track is not None else None
+        second = self._first_hand.welcome(frame, line, is_backed=self._is_backed)
+        self._tracker = second or self._tracker
+
+    @property
+    def _stands_free(self) -> bool:
+        """Whether what is followed was no part of the background while that was learned."""
+        return self._is_sure or (self._first_hand is not None and self._first_hand.has_come)
+
+    def settle(self) -> None:
+        """Follow for good the hand that the search has found, once it is proven."""
+        found = self.search.found
+        if found is not None and found.is_proven:
+            self._tracker, self._track = found.tracker, found.track
+            if self._first_hand is not None:
+                self._first_hand.believe()
+            self.missing = Status.LOST
+            self.search.rest()
+
+    def doubt(self, others: Sequence[HandView], shared: Shared) -> None:
+        """Count frames in which no other view shows what this one follows; let go after some.
+
+        A hand that the view has found by itself must point at the plane with another view; of one
+        that was held up to it, the other views must follow the same finger.
+        """
+        if self._first_hand is None:
+            is_alone = not any(shared.can_be_one(self, other) for other in others)
+        else:
+            is_alone = all(shared.are_two(self, other) for other in others)
+        self._doubts = self._doubts + 1 if is_alone else 0
+        self._is_backed = self._is_backed_by(others, shared)
+        self._recognise(others, shared)
+        # A hand that has come into another view stands out from the table in this one too.
+        is_table = self._is_table and not self._is_sure and any(o.has_newcomer for o in others)
+        self._table_frames = self._table_frames + 1 if is_table else 0
+        if self._table_frames >= BACKGROUND_FRAMES or self._doubts >= DOUBTED_FRAMES:
+            self._let_go()
+
+    def _is_backed_by(self, others: Sequence[HandView], shared: Shared) -> bool:
+        """Whether another view follows the same finger as this one, and has found nothing else.
+
+        It matters where something else has been found here. A finger that is there but gives no
+        line in a frame, as one that seems bent, is backed.
+        """
+        if not self.has_rival or self._track is None:
+            return False
+        if not self._shows_finger:
+            return self._track.status == "tracking"
+        return any(shared.are_one(self, other) and not other.has_rival for other in others)
+
+    def _recognise(self, others: Sequence[HandView], shared: Shared) -> None:
+        """Take for a hand what was here before the table was known, if another view shows one come.
+
+        What lies on the table is known for it before long.
+        """
+        first = self._first_hand
+        if first is None or first.is_proven or first.waits_beside or self._is_table:
+            return
+        if not self._shows_finger:
+            return
+        if any(other.has_newcomer and shared.can_be_one(self, other) for other in others):
+            first.recognise()
+
+    def _let_go(self) -> None:
+        """Follow nothing any more, and look everywhere."""
+        self._tracker, self._track, self._doubts, self._is_table = None, None, 0, False
+        self.missing = Status.LOST
+        self.search.rest()

@@ -1,0 +1,140 @@
+"""What the pixels about a finger tell: whether it lies in the plane, and has a hand behind."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fingerpost._core import FingerLine
+from fingerpost.finding.finger import Array, Sighting
+from fingerpost.pointing import PlaneView
+
+NOISE_GREY = 4.0
+"""Grey levels that are noise when two pictures are compared."""
+
+ALIKE_IN_PLANE = (0.4, 0.7)
+"""How far the contrasts along a finger's outline, each flank and the end for itself, are those that
+another view shows at the same place of the plane, from where it begins to look flat, and from
+where it is: a print, a pen, a shadow."""
+
+
+def flatness(
+    views: tuple[PlaneView, PlaneView],
+    greys: tuple[NDArray[np.uint8], NDArray[np.uint8]],
+    fingers: Sequence[Sighting],
+) -> Array:
+    """Tell which fingers of the first view lie in the plane, by what the second shows there.
+
+    Parameters
+    ----------
+    views
+        How the two views see the plane.
+    greys
+        What they see.
+    fingers
+        N fingers of the first view.
+
+    Returns
+    -------
+    (N,)
+        0 for what stands above the plane or is not seen by the second view, 1 for what looks the
+        same in both after the map from one to the other through the plane.
+    """
+    flat = np.zeros(len(fingers))
+    for k, finger in enumerate(fingers):
+        e = np.array([np.cos(finger.angle_rad), np.sin(finger.angle_rad)])
+        n = np.array([-e[1], e[0]])
+        # From the tip, in half-widths: inside and outside of left flank, right flank and end.
+        places = _OUTLINE[..., :1] * e + _OUTLINE[..., 1:] * n
+        here = np.array(finger.tip_px) + finger.half_width_px * places
+        on_plane = views[0].back_project(here)
+        seen = np.asarray(np.isfinite(on_plane).all(axis=-1))
+        there = views[1].project(np.where(seen[..., None], on_plane, 0.0))
+        (a_in, a_out), (b_in, b_out) = _shown(greys[0], here), _shown(greys[1], there)
+        a, b = a_in - a_out, np.where(seen.all(axis=0), b_in - b_out, np.nan)
+        if np.isnan(a).any() or np.isnan(b).any():
+            continue
+        alike = (a * b).sum(axis=-1) / (np.maximum(a**2, b**2).sum(axis=-1) + NOISE_GREY**2)
+        low, high = ALIKE_IN_PLANE
+        flat[k] = np.clip((alike.min() - low) / (high - low), 0.0, 1.0)
+    return flat
+
+
+def _outline() -> Array:
+    """Return (2, 3, 8, 2) places inside and outside of the three parts of a finger's outline."""
+    back = -np.linspace(0.9, 4.0, 8)
+    turn = np.linspace(-0.9, 0.9, 8)
+    inside_outside = []
+    for reach in (0.55, 1.5):
+        flanks = [np.stack([back, np.full(8, side * reach)], axis=-1) for side in (-1.0, 1.0)]
+        end = np.stack([reach * np.cos(turn) - 1.0, reach * np.sin(turn)], axis=-1)
+        inside_outside.append([*flanks, end])
+    return np.array(inside_outside)
+
+
+_OUTLINE = _outline()
+
+WIDENS = (4.5, 13.0)
+"""How far behind its tip a finger may widen to its hand [half-widths]; foreshortened, sooner."""
+
+INSIDE_SEEN = 20
+"""Pixels of a finger that tell its colours."""
+
+ALIKE = {1: 6.6, 3: 11.3}
+"""Squared distances from these colours, in standard deviations, below which 99 % of what is of one
+colour lies: a grey level and three channels."""
+
+
+def widening(image: NDArray[np.uint8], line: FingerLine, half_width_px: float) -> float:
+    """Tell how far a finger widens behind, as it does to a hand and a pen does not.
+
+    Parameters
+    ----------
+    image
+        (H, W) grey levels or (H, W, 3) colours.
+    line, half_width_px
+        The finger's axis, and half its width [px].
+
+    Returns
+    -------
+    float
+        The part of what lies behind it and beside its flanks, on the better side, that looks like
+        the finger, 0 to 1: an index finger is at the edge of its hand.
+    """
+    e = np.array([np.cos(line.angle_rad), np.sin(line.angle_rad)])
+    n = np.array([-e[1], e[0]])
+
+    def levels(along: Array, across: Array) -> Array:
+        places = along[:, None, None] * e + across[:, None] * n
+        return _shown(image, line.tip_px + half_width_px * places)
+
+    inside = levels(-np.linspace(1.0, 4.0, 12), np.linspace(-0.5, 0.5, 5))
+    inside = inside.reshape(-1, inside.shape[2] if inside.ndim == 3 else 1)
+    inside = inside[np.isfinite(inside).all(axis=1)]
+    if len(inside) < INSIDE_SEEN:
+        return 0.0
+    channels = inside.shape[1]
+    covariance = np.atleast_2d(np.cov(inside, rowvar=False)) + NOISE_GREY**2 * np.eye(channels)
+    rows = -np.linspace(*WIDENS, 12)
+    alike = []
+    for across in ((-0.6, 0.6), (-3.2, -1.7), (1.7, 3.2)):
+        differs = levels(rows, np.linspace(*across, 4)).reshape(len(rows), 4, channels)
+        differs -= inside.mean(axis=0)
+        square = (differs @ np.linalg.inv(covariance) * differs).sum(axis=-1)
+        # NaN, outside of the picture, is not alike.
+        part = (square < ALIKE[channels]).mean(axis=1)
+        alike.append(np.convolve(part, np.full(4, 0.25), mode="valid"))
+    behind, left, right = alike
+    return float(np.minimum(behind, np.maximum(left, right)).max())
+
+
+def _shown(image: NDArray[np.uint8], places: Array) -> Array:
+    """Return the levels of the nearest pixels, NaN outside the picture."""
+    x, y = np.moveaxis(np.nan_to_num(np.rint(places), nan=-1.0), -1, 0)
+    inside = (x >= 0) & (y >= 0) & (x < image.shape[1]) & (y < image.shape[0])
+    rows, columns = (np.where(inside, c, 0).astype(int) for c in (y, x))
+    levels = np.asarray(image[rows, columns], dtype=float)
+    levels[~inside] = np.nan
+    return levels

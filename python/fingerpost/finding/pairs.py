@@ -1,0 +1,289 @@
+"""Which fingers of two views may be one, by the geometry of the plane.
+
+A finger above the plane that points at it leaves a constraint line for every view: they meet ahead
+of its tip, and the rays through the tip meet in one point above the plane.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from fingerpost.finding.finger import Array, Sighting
+from fingerpost.pointing import PlaneView
+
+FARTHEST = 20.0
+"""The longest focal length [picture widths]."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Viewpoint:
+    """A view of the plane, and about where it is taken from.
+
+    Attributes
+    ----------
+    plane_view
+        How the view sees the plane.
+    centre
+        Centre of the camera (X, Y, height above the plane), in plane units; NaN if not known.
+    """
+
+    plane_view: PlaneView
+    centre: Array
+
+    @classmethod
+    def of(cls, view: PlaneView, size_px: tuple[int, int]) -> Viewpoint:
+        """Tell about where a view with pictures of (width, height) is taken from.
+
+        The homography of a plane and square pixels about a known principal point give the focal
+        length, and with it the camera's pose: the columns h1, h2 of K⁻¹T are orthogonal and of one
+        length. The principal point is the lens's, or the middle of the picture: close enough to
+        tell which tips may be one.
+        """
+        lens = view.lens
+        middle = (lens.cx, lens.cy) if lens else ((size_px[0] - 1) / 2, (size_px[1] - 1) / 2)
+        T = view.image_from_plane.copy()
+        T[:2] -= np.outer(middle, T[2])
+        (h1, h2), z = T[:2, :2].T, T[2, :2]
+        a = np.array([h1 @ h2, h1 @ h1 - h2 @ h2])
+        b = np.array([z[0] * z[1], z[0] ** 2 - z[1] ** 2])
+        inverse_square = -(a @ b) / max(a @ a, np.finfo(float).tiny)
+        f_px = 1.0 / np.sqrt(inverse_square) if inverse_square > 0.0 else np.inf
+        if lens is not None:
+            f_px = lens.fx
+        # Beyond this a view is a parallel projection for what it is needed for.
+        f_px = min(f_px, FARTHEST * max(size_px))
+        T[:2] /= f_px
+        T /= np.sqrt(np.linalg.norm(T[:, 0]) * np.linalg.norm(T[:, 1]))
+        rotation = np.column_stack([T[:, 0], T[:, 1], np.cross(T[:, 0], T[:, 1])])
+        if abs(np.linalg.det(rotation)) < np.finfo(float).eps:
+            return cls(view, np.full(3, np.nan))
+        centre = -np.linalg.solve(rotation, T[:, 2])
+        return cls(view, np.array([centre[0], centre[1], abs(centre[2])]))
+
+
+LEAST_ANGLE_RAD = np.radians(2.0)
+"""Constraint lines that meet at less than this tell no point, whatever they show."""
+
+TIP_SLACK = 3.0
+"""How far behind the tip the target may seem to lie [half-widths]: a fingertip that touches the
+plane points at itself."""
+
+FLAT_ANGLE_RAD = np.radians(6.0)
+FLAT_OFFSET = 1.5
+"""What two views show lies in the plane if its constraint lines meet at less than this angle, and
+each passes the other view's tip at less than this [half-widths]."""
+
+REACH = 1.5
+"""How far from the middle of the reference points one may point [plane sizes]."""
+
+POINT_SPREAD = 1.0
+"""At this distance from there the indicated point costs a pair 40 % of its score [plane sizes]."""
+
+
+def pair_scores(
+    views: tuple[Viewpoint, Viewpoint],
+    fingers: tuple[Sequence[Sighting], Sequence[Sighting]],
+) -> Array:
+    """Tell which fingers of two views may be one that points at the plane.
+
+    Parameters
+    ----------
+    views
+        How the two views see the plane.
+    fingers
+        N fingers of the first view, M of the second.
+
+    Returns
+    -------
+    (N, M)
+        Product of the two scores and of how well their widths and colours agree, and whether they
+        have come into view; 0 for a pair that cannot be one finger above the plane that points
+        at it.
+    """
+    first, second = _carried(views, fingers)
+    point, angle = _meeting(first.line, second.line)
+    possible = angle > LEAST_ANGLE_RAD
+    for view, finger in zip(
+        (views[0].plane_view, views[1].plane_view), (first, second), strict=True
+    ):
+        ahead = ((_projected(view, point) - finger.tip_px) * finger.direction).sum(axis=-1)
+        possible &= ahead > -TIP_SLACK * finger.half_width_px
+    flat = angle < FLAT_ANGLE_RAD
+    for one, other in ((first, second), (second, first)):
+        flat &= _offset(one.line, other.foot) < FLAT_OFFSET * other.width
+    plane = views[0].plane_view
+    away = np.linalg.norm(point - plane.plane_points.mean(axis=0), axis=-1) / plane.plane_size
+    score = first.score * second.score * _alike(first, second)
+    score *= np.exp(-0.5 * np.square(away / POINT_SPREAD))
+    score *= _same_point(first, second, plane.plane_size)
+    return np.asarray(np.where(possible & (away < REACH) & ~flat, score, 0.0))
+
+
+FOOT_SPREAD = 3.0
+"""How far from there a tip above the plane may seem to stand on it: at this distance it costs a
+pair 40 % of its score [plane sizes]."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _OnPlane:
+    """Fingers of one view, and what they are on the plane."""
+
+    tip_px: Array
+    direction: Array
+    half_width_px: Array
+    colour: Array
+    foreground: Array
+    score: Array
+    line: Array
+    foot: Array
+    width: Array
+    ray: Array
+
+    def along(self, axis: int) -> _OnPlane:
+        """Return the same with an axis of length one added for the other view's fingers."""
+        entries = (getattr(self, name) for name in self.__slots__)
+        return _OnPlane(*(np.expand_dims(entry, axis) for entry in entries))
+
+    @classmethod
+    def of(cls, viewpoint: Viewpoint, fingers: Sequence[Sighting]) -> _OnPlane:
+        """Carry fingers to the plane; NaN where they are not on it."""
+        view = viewpoint.plane_view
+        columns = np.array(
+            [[*f.tip_px, f.angle_rad, f.half_width_px, f.score, f.foreground] for f in fingers]
+        ).reshape(-1, 6)
+        shown, (angle, w, score, foreground) = columns[:, :2], columns[:, 2:].T
+        direction = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+        across = np.stack([-direction[:, 1], direction[:, 0]], axis=-1)
+        tip, back = shown, shown - 4.0 * w[:, None] * direction
+        if view.lens is not None:
+            tip, back = view.lens.undistort(tip), view.lens.undistort(back)
+        foot = view.back_project(shown)
+        left, right = (view.back_project(shown + s * w[:, None] * across) for s in (-0.5, 0.5))
+        # A foot far from where one works costs score; one beyond the horizon, all of it.
+        away = np.linalg.norm(foot - view.plane_points.mean(axis=0), axis=-1) / view.plane_size
+        near = np.exp(-0.5 * np.square(away / FOOT_SPREAD))
+        return cls(
+            tip_px=tip,
+            direction=direction,
+            half_width_px=w,
+            colour=np.array([f.colour for f in fingers], dtype=float).reshape(-1, 3),
+            foreground=foreground,
+            score=score * np.nan_to_num(near),
+            line=np.cross(_homogeneous(back), _homogeneous(tip)) @ view.image_from_plane,
+            foot=foot,
+            width=np.linalg.norm(right - left, axis=-1),
+            ray=viewpoint.centre - np.pad(foot, ((0, 0), (0, 1))),
+        )
+
+
+def _carried(
+    views: tuple[Viewpoint, Viewpoint],
+    fingers: tuple[Sequence[Sighting], Sequence[Sighting]],
+) -> tuple[_OnPlane, _OnPlane]:
+    """Carry the fingers of two views to the plane: rows are the first's, columns the second's."""
+    first, second = (_OnPlane.of(view, seen) for view, seen in zip(views, fingers, strict=True))
+    return first.along(1), second.along(0)
+
+
+WIDTH_SPREAD = 0.5
+"""Logarithm of the ratio of the finger's widths on the plane, as two views see it, that costs a
+pair 40 % of its score: the views see it from different heights and sides."""
+
+COLOUR_SPREAD = 0.4
+"""The same for the ratio of its colours: cameras differ in exposure and white balance."""
+
+DARK = 16.0
+"""Grey levels that are added to colours before their ratio: dark ones are mostly noise."""
+
+ODD_MOVER = 0.7
+"""What it costs a pair that one view shows foreground where the other shows background."""
+
+
+def _alike(first: _OnPlane, second: _OnPlane) -> Array:
+    """Return how well widths, colours and foreground agree, 0 to 1; what is not known agrees."""
+    width = np.log(first.width / second.width) / WIDTH_SPREAD
+    colour = np.log((first.colour + DARK) / (second.colour + DARK)) / COLOUR_SPREAD
+    unlike = np.nan_to_num(width) ** 2 + np.nan_to_num(colour**2).mean(axis=-1)
+    odd = np.nan_to_num(np.abs(first.foreground - second.foreground))
+    return np.asarray(np.exp(-0.5 * unlike) * (1.0 - ODD_MOVER * odd))
+
+
+MISS = 0.1
+MISS_PER_HEIGHT = 0.25
+"""How far apart two rays through a tip may pass [plane sizes], and how much further for every plane
+size of height, that it costs a pair 40 %: the cameras are known by the reference points alone."""
+
+HIGHEST = 4.0
+"""No tip is higher above the plane than this [plane sizes]."""
+
+
+def same_tip(
+    views: tuple[Viewpoint, Viewpoint],
+    fingers: tuple[Sequence[Sighting], Sequence[Sighting]],
+) -> Array:
+    """Tell how well the tips of fingers of two views may be one point above the plane.
+
+    Parameters
+    ----------
+    views, fingers
+        As for `pair_scores`.
+
+    Returns
+    -------
+    (N, M)
+        0 to 1; 1 where it is not known.
+    """
+    first, second = _carried(views, fingers)
+    return _same_point(first, second, views[0].plane_view.plane_size)
+
+
+def _same_point(first: _OnPlane, second: _OnPlane, plane_size: float) -> Array:
+    """Return how well two tips may be one point above the plane, 0 to 1; 1 if it is not known.
+
+    The rays lead from where the view shows the tip on the plane to the camera.
+    """
+    p, q = np.broadcast_arrays(first.ray, second.ray)
+    between = np.zeros_like(p)
+    between[..., :2] = second.foot - first.foot
+    pp, qq, pq = ((x * y).sum(axis=-1) for x, y in ((p, p), (q, q), (p, q)))
+    pd, qd = ((x * between).sum(axis=-1) for x in (p, q))
+    # The two points of the rays that are nearest to each other.
+    determinant = np.maximum(pp * qq - pq**2, np.finfo(float).tiny)
+    s, t = (qq * pd - pq * qd) / determinant, (pq * pd - pp * qd) / determinant
+    nearest = s[..., None] * p, between + t[..., None] * q
+    height = 0.5 * (nearest[0] + nearest[1])[..., 2] / plane_size
+    miss = np.linalg.norm(nearest[1] - nearest[0], axis=-1) / plane_size
+    allowed = MISS + MISS_PER_HEIGHT * np.abs(height)
+    fits = np.exp(-0.5 * np.square(miss / allowed))
+    fits = np.where((height > -MISS) & (height < HIGHEST), fits, 0.0)
+    return np.where(np.isfinite(height), fits, 1.0)
+
+
+def _homogeneous(points: Array) -> Array:
+    return np.concatenate([points, np.ones_like(points[..., :1])], axis=-1)
+
+
+def _meeting(first: Array, second: Array) -> tuple[Array, Array]:
+    """Return where constraint lines meet, NaN for parallels, and at what angle."""
+    first, second = np.broadcast_arrays(first, second)
+    meeting = np.cross(first, second)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        point = meeting[..., :2] / meeting[..., 2:]
+    cosine = (first[..., :2] * second[..., :2]).sum(axis=-1)
+    angle = np.arctan2(np.abs(meeting[..., 2]), np.abs(cosine))
+    return np.where(np.isfinite(point), point, np.nan), np.asarray(angle)
+
+
+def _projected(view: PlaneView, point: Array) -> Array:
+    """Return where the ideal pinhole shows points of the plane; NaN beyond the horizon."""
+    x = _homogeneous(point) @ view.image_from_plane.T
+    return x[..., :2] / np.where(x[..., 2:] > 0.0, x[..., 2:], np.nan)
+
+
+def _offset(line: Array, point: Array) -> Array:
+    """Return the distance of points from lines."""
+    across = (line[..., :2] * point).sum(axis=-1) + line[..., 2]
+    return np.asarray(np.abs(across) / np.linalg.norm(line[..., :2], axis=-1))

@@ -1,0 +1,209 @@
+"""The search for a hand in one view: candidates, and the trials that were started at them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from fingerpost._core import (
+    Background,
+    Candidate,
+    ContourTracker,
+    HandFinder,
+    StartPose,
+    Template,
+    Track,
+)
+from fingerpost.capture import Frame
+from fingerpost.finding.finger import Array, Sighting, are_near, hand_region
+from fingerpost.finding.length import lengthen
+from fingerpost.finding.look import widening
+from fingerpost.finding.trial import Trial, distinct
+
+MOST_TRIALS = 8
+"""Trials at a time in one view; each costs about as much as tracking."""
+
+TRY_AGAIN = 6
+"""Frames after which a candidate that the fit has refused is tried again."""
+
+SETTLED_FRAMES = 10
+"""A trial that starts in the background this many frames after that was known is no hand: that
+would have been seen to come."""
+
+UNBELIEVED_FRAMES = 3
+"""What has been found in one view is dropped when no other view has shown it for so many frames."""
+
+FLAT_WORTH = 0.1
+"""What a flat finger is worth."""
+
+
+@dataclass(slots=True)
+class _Refusal:
+    """Where a fit has found no hand, and how many frames ago."""
+
+    start: StartPose
+    frames: int = 0
+
+
+class HandSearch:
+    """The search for a hand in one view.
+
+    Parameters
+    ----------
+    tracker_options
+        What differs from the tracker's defaults.
+
+    Attributes
+    ----------
+    candidates, trials
+        Those of the last frame.
+    found
+        The trial that is believed to be the hand, if any.
+    """
+
+    def __init__(self, tracker_options: Mapping[str, Any] | None = None) -> None:
+        self.background = Background()
+        self.candidates: list[Candidate] = []
+        self.trials: list[Trial] = []
+        self.found: Trial | None = None
+        self._tracker_options = dict(tracker_options or {})
+        self._finder = HandFinder()
+        self._refused: list[_Refusal] = []
+        self._worth = np.empty(0)
+        self._known_frames = 0
+        self._unbelieved_frames = 0
+
+    def look_behind(self, frame: Frame) -> Background:
+        """Return what is behind the hand, as this frame shows it."""
+        self.background.look(frame.grey(), frame.colour())
+        return self.background
+
+    def learn(self, frame: Frame, track: Track | None) -> None:
+        """Learn what is behind the hand; a hand that is tracked is kept out of it.
+
+        The frame is the one that `look_behind` has seen last.
+        """
+        line = track.finger_line if track is not None else None
+        keep_out = None if line is None else hand_region(line)
+        self.background.learn(frame.grey(), frame.colour(), keep_out=keep_out)
+        self._known_frames = self._known_frames + 1 if self.background.is_known else 0
+
+    def look(self, frame: Frame) -> None:
+        """Go on with the trials, and find what else could be tried."""
+        for trial in self.trials:
+            trial.update(frame, self.background)
+        self.candidates = self._finder.find(
+            frame.grey(), frame.colour(), background=self.background
+        )
+        for refusal in self._refused:
+            refusal.frames += 1
+        self._refused = [refusal for refusal in self._refused if refusal.frames < TRY_AGAIN]
+        self.trials = distinct(trial for trial in self.trials if not trial.is_over)
+        if self.found not in self.trials:
+            self.found = None
+
+    def judge(self, flat: Array) -> None:
+        """Take over how flat each candidate is, and what that and the finder say of the trials."""
+        self._worth = 1.0 - (1.0 - FLAT_WORTH) * flat
+        for trial in self.trials:
+            trial.compare(self.candidates, self._worth)
+
+    def rest(self) -> None:
+        """Give up the search: the hand is followed for good, or nothing is seen."""
+        self.candidates, self.trials, self.found = [], [], None
+        self._worth = np.empty(0)
+
+    def is_refused(self, candidate: Candidate) -> bool:
+        """Tell whether a fit has refused a candidate in the last frames."""
+        start, reach_px = candidate.start, candidate.half_width_px
+        return any(are_near(start, r.start, reach_px, 0.25) for r in self._refused)
+
+    def try_out(self, candidate: Candidate, frame: Frame) -> bool:
+        """Start a trial at a candidate of this frame; tell if there was none there already."""
+        start, half_width_px = candidate.start, candidate.half_width_px
+        if any(trial.is_at(start, half_width_px) for trial in self.trials):
+            return False
+        if len(self.trials) >= MOST_TRIALS:
+            worst = min(self.trials, key=lambda trial: (trial is self.found, trial.score))
+            if worst.score >= candidate.score:
+                return False
+            self.trials.remove(worst)
+        tracker = self._tracker_at(start, half_width_px)
+        track = tracker.update(frame.grey(), frame.time_s, frame.colour())
+        if track.finger_line is None:
+            self._refused.append(_Refusal(start))
+            return True
+        place = self.candidates.index(candidate)
+        score, is_late = candidate.score * self._worth[place], self._known_frames > SETTLED_FRAMES
+        self.trials.append(
+            Trial(
+                candidate,
+                tracker,
+                track,
+                score=float(score),
+                foreground=candidate.foreground,
+                hand=widening(frame.image, track.finger_line, candidate.half_width_px),
+                is_late=is_late,
+            )
+        )
+        return True
+
+    def believe(self, trial: Trial | None, frame: Frame) -> None:
+        """Take a trial, if any, for the hand, with a template as long as its finger."""
+        if trial is None:
+            self._unbelieved_frames += 1
+            if self._unbelieved_frames >= UNBELIEVED_FRAMES:
+                self.found = None
+            return
+        self._unbelieved_frames = 0
+        line = trial.track.finger_line
+        if trial is not self.found and line is not None and not trial.has_come:
+            # It was there from the start: what was learned there is the hand.
+            self.background.forget(hand_region(line))
+        self.found = trial
+        if not trial.is_lengthened and line is not None:
+            lengthen(trial, line, frame, self._tracker_at)
+
+    def candidate_sightings(self) -> list[Sighting]:
+        """Return what is seen of the candidates, one for each."""
+        return [
+            Sighting(
+                c.start.tip_px,
+                c.start.angle_rad,
+                c.half_width_px,
+                c.score * float(worth),
+                self._if_known(c.foreground),
+                c.colour,
+            )
+            for c, worth in zip(self.candidates, self._worth, strict=True)
+        ]
+
+    def trial_sightings(self) -> tuple[list[Trial], list[Sighting]]:
+        """Return the trials that hold in this frame, and what is seen of each."""
+        held, seen = [], []
+        for trial in self.trials:
+            line = trial.track.finger_line
+            if line is None:
+                continue
+            width, colour = trial.candidate.half_width_px, trial.candidate.colour
+            foreground = self._if_known(trial.foreground)
+            held.append(trial)
+            seen.append(
+                Sighting(line.tip_px, line.angle_rad, width, trial.score, foreground, colour)
+            )
+        return held, seen
+
+    def _if_known(self, foreground: float) -> float:
+        return foreground if self.background.is_known else np.nan
+
+    def _tracker_at(self, start: StartPose, half_width_px: float) -> ContourTracker:
+        # The range that a template's proportions may have.
+        half_width = min(max(half_width_px / start.length_px, 0.03), 0.4)
+        template = Template.pistol("none", proportions={"half_width": half_width})
+        acquire = {**self._tracker_options.get("acquire", {}), "settle_frames": 1}
+        return ContourTracker.at_hand(
+            template, start, {**self._tracker_options, "acquire": acquire}
+        )

@@ -1,0 +1,159 @@
+"""A trial: a tracker that was started at a candidate, and when a pair of them is believed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from fingerpost._core import Background, Candidate, ContourTracker, StartPose, Track
+from fingerpost.capture import Frame
+from fingerpost.finding.finger import PROVEN_MOTION, Array, are_near, fitted_half_width_px
+from fingerpost.finding.foreground import IN_FOREGROUND
+from fingerpost.finding.look import widening
+
+MISSES = 2
+"""Frames in a row without an accepted fit that end a trial."""
+
+FORGET = 0.8
+"""What a trial's score keeps from frame to frame; the rest is what the finder says of it now."""
+
+PROVEN_FRAMES = 10
+"""A finger that has been foreground for so many frames is followed for good."""
+
+
+@dataclass(slots=True)
+class Trial:
+    """A tracker that was started at a candidate, and how it fares.
+
+    Attributes
+    ----------
+    candidate
+        What it was started at.
+    tracker, track
+        The tracker, and what it made of the last frame.
+    score, foreground
+        What the finder has said of it lately.
+    hand
+        How far it has widened to a hand behind the finger lately, 0 to 1.
+    is_late
+        Whether it was started when the background had long been known.
+    frames, misses
+        Frames in a row with an accepted fit, and without.
+    is_lengthened
+        Whether a template as long as its finger has taken over.
+    """
+
+    candidate: Candidate
+    tracker: ContourTracker
+    track: Track
+    score: float
+    foreground: float
+    hand: float
+    is_late: bool
+    frames: int = 1
+    misses: int = 0
+    is_lengthened: bool = False
+
+    @property
+    def is_over(self) -> bool:
+        """Whether it has lost what it followed."""
+        return self.misses >= MISSES or self.track.status != "tracking"
+
+    @property
+    def has_come(self) -> bool:
+        """Whether it is foreground."""
+        return self.foreground >= IN_FOREGROUND
+
+    @property
+    def half_width_px(self) -> float:
+        """Half the finger's width, by the fit if its shape space has one."""
+        return fitted_half_width_px(self.track) or self.candidate.half_width_px
+
+    @property
+    def is_proven(self) -> bool:
+        """Whether it has moved, or has stood before the background for a while."""
+        line = self.track.finger_line
+        if line is None:
+            return False
+        moved = np.hypot(*np.subtract(line.tip_px, self.candidate.start.tip_px))
+        return bool(
+            moved > PROVEN_MOTION * self.candidate.half_width_px
+            or (self.has_come and self.frames >= PROVEN_FRAMES)
+        )
+
+    def update(self, frame: Frame, background: Background) -> None:
+        """Follow for one frame; before the background, if the finger stands out from it."""
+        self.track = self.tracker.update(
+            frame.grey(),
+            frame.time_s,
+            frame.colour(),
+            background=background if self.has_come else None,
+        )
+        if self.track.finger_line is None:
+            self.misses, self.frames = self.misses + 1, 0
+        else:
+            self.misses, self.frames = 0, self.frames + 1
+            seen = widening(frame.image, self.track.finger_line, self.half_width_px)
+            self.hand += (1.0 - FORGET) * (seen - self.hand)
+
+    def compare(self, candidates: Sequence[Candidate], worth: Array) -> None:
+        """Take over what the finder says of the place where it is now.
+
+        `worth` are the factors of the candidates' scores.
+        """
+        self.score *= FORGET
+        for candidate, factor in zip(candidates, worth, strict=True):
+            if self.is_at(candidate.start, candidate.half_width_px):
+                self.score += (1.0 - FORGET) * candidate.score * float(factor)
+                self.foreground += (1.0 - FORGET) * (candidate.foreground - self.foreground)
+                return
+
+    def is_at(self, start: StartPose, half_width_px: float) -> bool:
+        """Tell whether it follows what a candidate would."""
+        line = self.track.finger_line
+        if line is None:
+            return False
+        there = StartPose(line.tip_px, line.angle_rad, start.length_px)
+        return are_near(start, there, 2.0 * half_width_px, 0.5)
+
+
+def distinct(trials: Iterator[Trial]) -> list[Trial]:
+    """Return the trials without those that have run into an older one."""
+    kept: list[Trial] = []
+    for trial in trials:
+        line, candidate = trial.track.finger_line, trial.candidate
+        here = line and StartPose(line.tip_px, line.angle_rad, candidate.start.length_px)
+        if here is None or not any(k.is_at(here, candidate.half_width_px) for k in kept):
+            kept.append(trial)
+    return kept
+
+
+FRAMES_TO_TRUST = {True: (3.0, 10.0), False: (5.0, 14.0)}
+"""Frames that both trials of a pair must have held, if its score is 1 and if it is 0: for a pair
+that has come into view, and for one that may have been there all the time."""
+
+LEAST_SCORE = {True: 0.15, False: 0.4}
+"""The least score of a pair that is believed, in the same two cases."""
+
+HAND_SEEN = 0.5
+"""A pair that may have been there all the time is worth in full from where its fingers widen that
+much to a hand in both views [0 to 1]: what stands on the table, as a bottle or a pen, does not."""
+
+STAYS = 1.25
+"""How much better another pair must be than the one that is followed already."""
+
+
+def belief(score: float, trials: Sequence[Trial], stays: bool) -> float:
+    """Return how much a pair with these trials is worth; 0 if it is not to be believed yet."""
+    has_come = all(trial.has_come for trial in trials)
+    if not has_come:
+        score *= min(min(trial.hand for trial in trials) / HAND_SEEN, 1.0)
+    worth = score if has_come else 0.5 * score
+    if stays:
+        return STAYS * worth
+    least, most = FRAMES_TO_TRUST[has_come]
+    too_new = min(trial.frames for trial in trials) < score * least + (1.0 - score) * most
+    too_late = not has_come and any(trial.is_late for trial in trials)
+    return 0.0 if too_new or too_late or score < LEAST_SCORE[has_come] else worth

@@ -1,0 +1,180 @@
+"""The search for a hand in all views: a pair of trials that agree on a finger above the plane."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import combinations
+from typing import Protocol
+
+import numpy as np
+
+from fingerpost.capture import Frame
+from fingerpost.finding.finger import Array, Sighting, fitted_half_width_px, followed
+from fingerpost.finding.look import flatness
+from fingerpost.finding.one_finger import FollowingView, gives_point
+from fingerpost.finding.pairs import pair_scores
+from fingerpost.finding.search import HandSearch
+from fingerpost.finding.trial import Trial, belief
+
+
+class SearchingView(FollowingView, Protocol):
+    """What `find_hand` needs of a view."""
+
+    search: HandSearch
+
+    @property
+    def is_searching(self) -> bool:
+        """Whether the hand may be anywhere in it."""
+
+
+def find_hand(views: Sequence[SearchingView], frames: Sequence[Frame | None]) -> None:
+    """Go on with the search for the hand in all views that are searching.
+
+    Pairs of trials that have held long enough, and trials that agree with a view that follows the
+    hand already, are believed, the best first. Then the likeliest pairs of candidates are tried.
+
+    Parameters
+    ----------
+    views
+        All views, each after it has observed its frame.
+    frames
+        Their frames, in the same order; None where there is none.
+    """
+    for k, view in enumerate(views):
+        if view.is_searching and frames[k] is not None:
+            starts = [(c.start, c.half_width_px) for c in view.search.candidates]
+            seen = [Sighting(s.tip_px, s.angle_rad, half_px) for s, half_px in starts]
+            view.search.judge(_flatness(views, frames, k, seen))
+    _believe(views, frames)
+    for i, j in combinations(range(len(views)), 2):
+        searching = [k for k in (i, j) if views[k].is_searching and frames[k] is not None]
+        if searching:
+            _try_out(views, frames, (i, j), searching)
+
+
+NEW_TRIALS = 4
+"""Pairs of candidates that are tried anew, per frame."""
+
+
+def _try_out(
+    views: Sequence[SearchingView],
+    frames: Sequence[Frame | None],
+    pair: tuple[int, int],
+    searching: Sequence[int],
+) -> None:
+    """Start trials at the likeliest pairs of candidates of two views."""
+    seen = [
+        views[k].search.candidate_sightings() if k in searching else followed(views[k].track)
+        for k in pair
+    ]
+    i, j = pair
+    scores = pair_scores((views[i].viewpoint, views[j].viewpoint), (seen[0], seen[1]))
+    worth = scores * _worth(seen[0])[:, None] * _worth(seen[1])
+    started = 0
+    for places in _best_first(worth):
+        chosen = {
+            k: views[k].search.candidates[place]
+            for k, place in zip(pair, places, strict=True)
+            if k in searching
+        }
+        if any(views[k].search.is_refused(candidate) for k, candidate in chosen.items()):
+            continue
+        new = False
+        for k, candidate in chosen.items():
+            frame = frames[k]
+            new |= frame is not None and views[k].search.try_out(candidate, frame)
+        started += new
+        if started == NEW_TRIALS:
+            return
+
+
+def _worth(seen: Sequence[Sighting]) -> Array:
+    """Return what fingers are worth trying: those that have come into view go first."""
+    return np.array([0.5 + 0.5 * np.nan_to_num(finger.foreground, nan=1.0) for finger in seen])
+
+
+def _best_first(scores: Array) -> Iterator[tuple[int, int]]:
+    """Yield the places of the entries above 0, in falling order."""
+    for place in np.argsort(-scores, axis=None, kind="stable"):
+        row, column = np.unravel_index(place, scores.shape)
+        if scores[row, column] <= 0.0:
+            return
+        yield int(row), int(column)
+
+
+def _believe(views: Sequence[SearchingView], frames: Sequence[Frame | None]) -> None:
+    """Let views follow the best pairs of trials that have held long enough."""
+    pairs: list[tuple[float, dict[int, Trial]]] = []
+    for i, j in combinations(range(len(views)), 2):
+        if not (views[i].is_searching or views[j].is_searching):
+            continue
+        (tried_i, seen_i), (tried_j, seen_j) = _tried(views[i]), _tried(views[j])
+        scores = pair_scores((views[i].viewpoint, views[j].viewpoint), (seen_i, seen_j))
+        for a, b in _best_first(scores):
+            both = ((i, tried_i[a]), (j, tried_j[b]))
+            trials = {k: trial for k, trial in both if trial is not None}
+            stays = all(views[k].search.found is trial for k, trial in trials.items())
+            worth = belief(float(scores[a, b]), list(trials.values()), stays)
+            if worth > 0.0 and not stays and not _point_at_plane(views, trials, (i, j)):
+                continue
+            if worth > 0.0:
+                pairs.append((worth, trials))
+    believed: dict[int, Trial] = {}
+    for _, trials in sorted(pairs, key=lambda pair: -pair[0]):
+        if all(believed.get(k, trial) is trial for k, trial in trials.items()):
+            believed.update(trials)
+    for k, (view, frame) in enumerate(zip(views, frames, strict=True)):
+        if frame is not None:
+            view.search.believe(believed.get(k), frame)
+
+
+def _tried(view: SearchingView) -> tuple[Sequence[Trial | None], Sequence[Sighting]]:
+    """Return the trials of a view; None for the hand that it follows."""
+    if view.is_searching:
+        return view.search.trial_sightings()
+    seen = followed(view.track)
+    return [None] * len(seen), seen
+
+
+def _point_at_plane(
+    views: Sequence[SearchingView], trials: Mapping[int, Trial], pair: tuple[int, int]
+) -> bool:
+    """Tell whether the finger lines of two views give a point, with what is known of their errors.
+
+    A thumb leads up and away from the plane: its lines meet behind it, or hardly meet.
+    """
+    tracks = [trials[k].track if k in trials else views[k].track for k in pair]
+    return gives_point([views[k].viewpoint.plane_view for k in pair], tracks)
+
+
+def how_flat(
+    views: Sequence[SearchingView], frames: Sequence[Frame | None], k: int
+) -> float | None:
+    """Tell how flat what a view follows looks to the others; None if it follows nothing.
+
+    See `flatness`, and `find_hand` for the arguments; `k` is the view's place among all.
+    """
+    track = views[k].track
+    seen = followed(track)
+    if track is None or not seen:
+        return None
+    half_width_px = fitted_half_width_px(track)
+    if half_width_px is not None:
+        seen = [seen[0]._replace(half_width_px=half_width_px)]
+    return float(_flatness(views, frames, k, seen)[0])
+
+
+def _flatness(
+    views: Sequence[SearchingView],
+    frames: Sequence[Frame | None],
+    k: int,
+    seen: Sequence[Sighting],
+) -> Array:
+    """Return how flat fingers in a view look to the others."""
+    one = frames[k]
+    flat = np.zeros(len(seen))
+    for other, frame in zip(views, frames, strict=True):
+        if one is not None and frame is not None and other is not views[k]:
+            plane_views = views[k].viewpoint.plane_view, other.viewpoint.plane_view
+            flat = np.maximum(flat, flatness(plane_views, (one.grey(), frame.grey()), seen))
+    return flat
