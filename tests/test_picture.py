@@ -18,9 +18,17 @@ from fingerpost.errors import InvalidInputError
 from fingerpost.lens import Lens
 from fingerpost.pointing import Fix, PlaneView, Status, indicated_point
 from fingerpost.recording.picture import (
+    MAX_WIDTH_PX,
+    Composition,
+    Plan,
+    RobotMarks,
+    SearchMarks,
+    draw_plan,
+    draw_view,
+)
+from fingerpost.recording.picture.palette import (
     BLOCK,
     INK,
-    MAX_WIDTH_PX,
     NORMAL,
     PANEL,
     POINT,
@@ -28,12 +36,6 @@ from fingerpost.recording.picture import (
     ROBOT,
     STATUSES,
     VIEWS,
-    Composition,
-    Plan,
-    RobotMarks,
-    SearchMarks,
-    draw_plan,
-    draw_view,
 )
 from fingerpost.uncertainty import UNBOUNDED
 

@@ -18,7 +18,16 @@ from numpy.typing import NDArray
 from fingerpost.advise.moves import Bearings
 from fingerpost.experiment.table import number
 from fingerpost.recording import write_picture
-from fingerpost.recording.picture import GRID, INK, MUTED, PAGE, PANEL, PLANE, STATUSES, VIEWS
+from fingerpost.recording.picture.palette import (
+    GRID,
+    INK,
+    MUTED,
+    PAGE,
+    PANEL,
+    PLANE,
+    STATUSES,
+    VIEWS,
+)
 from fingerpost.recording.sheet import Colour, Sheet
 
 if TYPE_CHECKING:

@@ -1,0 +1,188 @@
+"""The picture of one view."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from fingerpost.lines import clip_to_rectangle, line_at_angle
+from fingerpost.pointing import ConstraintLine, FingerLine, Fix, PlaneView
+from fingerpost.recording.picture.marks import Observed, RobotMarks, SearchMarks, status_of
+from fingerpost.recording.picture.on_plane import between, draw_fix, draw_references, draw_robot
+from fingerpost.recording.picture.palette import INK, MUTED, PANEL, STATUSES, colour_of
+from fingerpost.recording.picture.search import draw_search
+from fingerpost.recording.sheet import Image, Points, Sheet
+
+# Dash and gap of an outline [px]; a tracked one is solid.
+_DASHES = {"acquiring": (7.0, 5.0), "lost": (0.5, 6.5)}
+
+# Points of an outline further apart than so many of its usual steps belong to different fingers.
+_OUTLINE_GAP = 5.0
+
+
+def draw_view(
+    observed: Observed,
+    plane_views: Sequence[PlaneView],
+    index: int,
+    fix: Fix,
+    *,
+    size_px: tuple[int, int],
+    truth: ArrayLike | None = None,
+    edges: bool = False,
+    robot: RobotMarks | None = None,
+) -> Image:
+    """Draw one view: figure 2a of the paper, with the ellipse of figure 4.
+
+    The frame, scaled to fit; the reference points with their numbers; the template's outline in
+    the colour of its status; the finger line; the indicated point and its 95 % ellipse, projected
+    back; and, thin, the other views' constraint lines, which cross the finger line there.
+
+    Parameters
+    ----------
+    observed
+        What the view saw.
+    plane_views
+        How all views see the plane.
+    index
+        Which of them this view is.
+    fix
+        Where the hand points.
+    size_px
+        Width and height of the picture, 1 to 32767; a frame of other proportions leaves bars.
+    truth : (2,)
+        Where the hand truly points [plane units], if known.
+    edges
+        Whether to mark where the tracker looked for edges, those that it chose and those that it
+        rejected; magnified in a corner where the hand is small.
+    robot
+        Marked if it is `in_views`.
+
+    Returns
+    -------
+    (height, width, 3) of uint8
+        Blue-green-red.
+
+    Raises
+    ------
+    InvalidInputError
+        An image that is not uint8 of one or three channels, a size out of range, or a truth that
+        is no point.
+    """
+    sheet = Sheet.blank(size_px, PANEL)
+    if observed.frame is None or observed.frame.image.size == 0:
+        sheet.text("no frame", np.array(size_px) / 2, 18, MUTED, anchor=0.5)
+        return sheet.pixels
+    view = plane_views[index]
+    image = observed.frame.image
+    sheet = sheet.with_image(image)
+    draw_references(sheet, view.plane_points, view.project)
+    if robot is not None and robot.in_views:
+        draw_robot(sheet, robot, view.project)
+    for k, line in enumerate(fix.constraint_lines):
+        if line is not None and k != index:
+            sheet.line(view.project(_near_references(line, view.plane_points)), colour_of(k), 1)
+    status = status_of(observed)
+    outline = _with_gaps(observed.contour_px)
+    sheet.line(outline, STATUSES[status], 2, dash=_DASHES.get(status), cased=True)
+    closeup = _closeup(sheet, image, observed.search) if edges else None
+    if edges and closeup is None:
+        draw_search(sheet, observed.search)
+    if isinstance(observed.finger, FingerLine):
+        sheet.line(_ahead(observed.finger, sheet.corners()), colour_of(index), 2, cased=True)
+    draw_fix(sheet, fix, truth, view.project)
+    if closeup is not None:
+        point = [] if fix.point is None else [view.project(fix.point)]
+        _draw_closeup(sheet, image, closeup, observed, point)
+    return sheet.pixels
+
+
+def _ahead(finger: FingerLine, corners: Points) -> Points:
+    """Give the finger line from the tip on, as far as it lies between two corners."""
+    ends = clip_to_rectangle(line_at_angle(finger.anchor_px, finger.angle_rad), *corners)
+    if ends is None:
+        return np.empty((0, 2))
+    along = np.array([math.cos(finger.angle_rad), math.sin(finger.angle_rad)])
+    reach = np.sort((ends - finger.anchor_px) @ along)
+    tip = float((finger.tip_px - finger.anchor_px) @ along)
+    if reach[1] <= tip:
+        return np.empty((0, 2))
+    return np.asarray(finger.anchor_px + np.outer([max(tip, reach[0]), reach[1]], along))
+
+
+def _near_references(line: ConstraintLine, plane_points: Points) -> Points:
+    """Give the part of a constraint line around the reference points, in small steps."""
+    lower, upper = plane_points.min(axis=0), plane_points.max(axis=0)
+    border = 0.25 * (upper - lower)
+    ends = clip_to_rectangle(line.line, lower - border, upper + border)
+    return np.empty((0, 2)) if ends is None else between(ends, 65)
+
+
+def _with_gaps(outline: Points) -> Points:
+    """Put a row of NaN between two fingers of an outline, so that no line joins them."""
+    if len(outline) < 3:
+        return outline
+    steps = np.hypot(*np.diff(outline, axis=0).T)
+    jumps = np.flatnonzero(steps > _OUTLINE_GAP * np.median(steps)) + 1
+    return np.insert(outline, jumps, np.nan, axis=0)
+
+
+# A search is magnified if it grows by this factor at least: the part of the frame around it, by a
+# factor and a length wider than the search, to this share of the picture's shorter side.
+_MAGNIFIED = 1.5
+_CLOSEUP_BORDER = 1.15
+_CLOSEUP_LEAST_PX = 16
+_CLOSEUP_SHARE = 0.48
+_CLOSEUP_MARGIN_PX = 8
+
+
+def _closeup(sheet: Sheet, image: Image, search: SearchMarks) -> tuple[slice, slice] | None:
+    """Give the rows and columns of an image that show a search; None if it needs no magnifier."""
+    size = np.array(image.shape[1::-1])
+    places = np.concatenate([search.lines_px.mean(axis=1), search.edges_px])
+    places = places[((places >= 0.0) & (places < size)).all(axis=1)]  # false for NaN
+    if not len(places):
+        return None
+    lower, upper = places.min(axis=0), places.max(axis=0)
+    side = round(_CLOSEUP_BORDER * float((upper - lower).max())) + _CLOSEUP_LEAST_PX
+    ends = sheet.place(np.array([[0.0, 0.0], [side, 0.0]]))
+    if _MAGNIFIED * (ends[1, 0] - ends[0, 0]) > _closeup_px(sheet) or side > size.min():
+        return None
+    x, y = np.clip(np.rint((lower + upper - side) / 2).astype(int), 0, size - side).tolist()
+    return slice(y, y + side), slice(x, x + side)
+
+
+def _draw_closeup(
+    sheet: Sheet,
+    image: Image,
+    part: tuple[slice, slice],
+    observed: Observed,
+    points: Sequence[Points],
+) -> None:
+    """Draw a search magnified, in the corner furthest from it and from other points."""
+    rows, columns = part
+    side_px, status = _closeup_px(sheet), status_of(observed)
+    origin = np.array([columns.start, rows.start])
+    blank = Sheet.blank((side_px, side_px), PANEL)
+    inset = blank.with_image(image[part], origin)
+    outline = _with_gaps(observed.contour_px)
+    inset.line(outline, STATUSES[status], 1, dash=_DASHES.get(status))
+    draw_search(inset, observed.search)
+    corners = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
+    around = corners[[0, 1, 2, 3, 0]]
+    blank.line(around * (side_px - 1), INK, 1)
+    length = columns.stop - columns.start
+    sheet.line(origin - 0.5 + around * length, INK, 1, cased=True)
+
+    room = np.array(sheet.size_px) - side_px - 2 * _CLOSEUP_MARGIN_PX
+    begins = _CLOSEUP_MARGIN_PX + corners * room
+    kept_clear = sheet.place(np.array([origin + length / 2.0, *points]))
+    away = np.linalg.norm(begins[:, None] + side_px / 2.0 - kept_clear, axis=-1)
+    x, y = begins[np.nanmin(away, axis=1).argmax()].astype(int).tolist()
+    sheet.pixels[y : y + side_px, x : x + side_px] = inset.pixels
+
+
+def _closeup_px(sheet: Sheet) -> int:
+    return int(_CLOSEUP_SHARE * min(sheet.size_px))
