@@ -20,6 +20,7 @@ from fingerpost.experiment import (
     run_experiment,
     run_recording,
 )
+from fingerpost.experiment.bench import Bench
 from fingerpost.experiment.bound import edge_information, line_bound, point_bound
 from fingerpost.experiment.summary import binomial_band, summarise
 from fingerpost.experiment.trial import line_error, paper_ellipse
@@ -370,6 +371,16 @@ def test_trackers_are_compared_on_the_same_poses_and_seeds_change_them(small):
     for k in range(2):
         assert other_tracker.trials[k].target.tolist() == result.trials[k].target.tolist()
         assert other_seed.trials[k].target.tolist() != result.trials[k].target.tolist()
+
+
+def test_repeats_of_a_target_differ_by_noise_alone():
+    bench = Bench(ExperimentOptions(targets=1, reference_noise_px=3.0))
+    once, twice, again = bench.trial(1), bench.trial(1, repeat=1), bench.trial(1, repeat=1)
+    np.testing.assert_array_equal(once.target, twice.target)
+    np.testing.assert_array_equal(twice.point, again.point)
+    apart = twice.point - once.point
+    # Both have the same wrong reference points, which cost more than the noise of the pictures.
+    assert 0.0 < np.hypot(*apart) < 0.2 * once.error
 
 
 def test_the_paper_reaches_its_accuracy_over_the_workspace():

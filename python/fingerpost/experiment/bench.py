@@ -83,7 +83,7 @@ class Bench:
         """Side of the working plane [mm]."""
         return self._exact_views[0].plane_size
 
-    def trial(self, index: int) -> Trial:
+    def trial(self, index: int, repeat: int = 0) -> Trial:
         """Point at one target.
 
         Parameters
@@ -91,6 +91,8 @@ class Bench:
         index
             Number of the target, ≥ 0. Everything random about it comes from the experiment's seed
             and this number alone.
+        repeat
+            The same pose and start are pictured with other noise for every number ≥ 0.
         """
         rng = np.random.default_rng([self._options.seed, index])
         device = self._device(rng)
@@ -102,8 +104,9 @@ class Bench:
             pointing_options=self._options.pointing,
             reference_sigma_px=max(self._options.reference_noise_px, _EXACT_PX),
         )
+        noise = rng if repeat == 0 else np.random.default_rng([self._options.seed, index, repeat])
         # Of all the frames only the last one's answer counts.
-        *_, last = steps(pointer, self._frames(pose, device, rng))
+        *_, last = steps(pointer, self._frames(pose, device, noise))
         bounds = self._line_bounds(pose, device, fingers)
         known = [bound for bound in bounds if bound is not None]
         return trial_of(
