@@ -19,7 +19,7 @@
 
 use crate::simd::{Isa, Work, each};
 use crate::{Error, Result};
-use nalgebra::{Cholesky, SMatrix, SVector};
+use nalgebra::{SMatrix, SVector};
 
 /// How gross errors are kept from the solution.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -71,22 +71,26 @@ impl Default for FitOptions {
 
 /// An equation with a robust weight beyond this agrees with the solution.
 const INLIER_WEIGHT: f64 = 0.1;
-/// The first weighting has no solution to trust yet, so its cutoff is this much wider.
+/// Where the residual offsets' root mean square exceeds their robust scale this much, gross errors
+/// pull at the plain solution. The first weighting cannot trust it then, so its cutoff is so much
+/// wider.
+const GROSS_RMS: f64 = 1.5;
 const FIRST_CUTOFF_FACTOR: f64 = 3.0;
+/// A step is lengthened by no more than this: where gross errors abound, the loss is not convex.
+const MOST_RELAXED: f64 = 1.5;
 /// Turns the median absolute deviation of a normal distribution into its standard deviation.
 const MAD_TO_SIGMA: f64 = 1.4826;
 /// Reweighting has settled when the step moves by less than this part of its own sigma. The moves
 /// shrink: what is left is a thousandth of the variance on average, and next to never a fifth of
 /// the sigma (`tests/fit.rs`). A contour that is searched for again goes on from there.
-const SETTLED: f64 = 0.1;
-/// Solutions before that: of all equations alike, with the first cutoff, with the final one.
-const MIN_ITERATIONS: usize = 3;
+const SETTLED: f64 = 0.2;
 /// A direction is determined if its pivot exceeds this, every component scaled to unit information
 /// of its own.
 const RANK_TOLERANCE: f64 = 1e-9;
 
-/// Equations that are worked on side by side.
+/// Equations that are worked on side by side, and sizes of their residuals that are counted so.
 const LANES: usize = 4;
+const SIZES: usize = 64;
 /// One number of each of them.
 type Lanes = [f64; LANES];
 
@@ -190,9 +194,6 @@ impl<const D: usize> Equations<'_, D> {
         rows.zip(&self.0.offsets_px).map(|(rows, offsets_px)| Group { rows, offsets_px })
     }
 
-    fn variances_px2(&self) -> &[f64] {
-        &self.0.variances_px2.as_flattened()[..self.0.count]
-    }
 }
 
 /// Some equations, lane by lane.
@@ -270,8 +271,9 @@ pub struct Fitter {
     /// Weights over variances: what the equations count.
     precisions: Vec<Lanes>,
     residuals: Vec<Lanes>,
-    /// Sizes of the residuals, in single precision, as bit patterns: they have the same order.
-    sizes: Vec<[i32; LANES]>,
+    /// Sizes of the residuals, as the upper halves of bit patterns in single precision: they have
+    /// the same order.
+    sizes: Vec<[i16; SIZES]>,
     isa: Isa,
 }
 
@@ -302,7 +304,7 @@ impl Fitter {
             weights: buffer(),
             precisions: buffer(),
             residuals: buffer(),
-            sizes: Vec::with_capacity(groups),
+            sizes: Vec::with_capacity(USUAL_EQUATIONS.div_ceil(SIZES)),
             isa: Isa::detect(),
         })
     }
@@ -367,13 +369,15 @@ impl Fitter {
         self.residuals.extend_from_slice(&equations.0.offsets_px);
         self.weights.resize(self.residuals.len(), [0.0; LANES]);
         self.precisions.resize(self.residuals.len(), [0.0; LANES]);
-        self.sizes.resize(self.residuals.len(), [0; LANES]);
+        self.sizes.clear();
+        self.sizes.resize(self.count.div_ceil(SIZES), [0; SIZES]);
         self.weigh(equations, f64::INFINITY);
         if prior.is_none() && equations.len() < D {
             return self.undetermined(equations, Outcome::TooFewEquations, SMatrix::zeros(), 0);
         }
+        let measured_px2 = mean_variance(equations);
         let mut step = SVector::zeros();
-        let mut iteration = 0;
+        let (mut iteration, mut relaxation, mut is_final) = (0, 1.0, false);
         loop {
             iteration += 1;
             let normal = self.normal_equations(equations, prior);
@@ -384,28 +388,30 @@ impl Fitter {
                     return self.undetermined(equations, outcome, normal.information, rank);
                 }
             };
-            let previous = step;
-            step = match self.options.solve {
+            let solution = match self.options.solve {
                 Solve::Joint => factor.solve(&normal.right),
                 Solve::TwoStage => two_stage(&normal),
             };
+            let moved = (solution - step) * relaxation;
+            step += moved;
             if !step.iter().all(|s| s.is_finite()) {
                 let outcome = Outcome::Undetermined;
                 return self.undetermined(equations, outcome, normal.information, 0);
             }
-            self.update_residuals(equations, &step);
-            let moved = step - previous;
+            let rms_px = self.update_residuals(equations, &step);
             let settled = moved.dot(&(normal.information * moved)) < SETTLED * SETTLED * D as f64;
             if self.options.loss == Loss::None
-                || (iteration >= MIN_ITERATIONS && settled)
+                || (is_final && settled)
                 || iteration >= self.options.max_iterations
             {
                 return self.determined(equations, step, &factor, normal.information, iteration);
             }
             let scale_px = self.residual_scale();
-            let widened = if iteration == 1 { FIRST_CUTOFF_FACTOR } else { 1.0 };
-            self.misfit_px2 = misfit(equations, scale_px).max(least_misfit_px2);
-            self.weigh(equations, widened * scale_px.min(max_scale_px).max(min_scale_px));
+            self.misfit_px2 = (scale_px * scale_px - measured_px2).max(least_misfit_px2);
+            let scale_px = scale_px.min(max_scale_px).max(min_scale_px);
+            is_final = iteration > 1 || rms_px <= GROSS_RMS * scale_px;
+            let widened = if is_final { 1.0 } else { FIRST_CUTOFF_FACTOR };
+            relaxation = self.weigh(equations, widened * scale_px);
         }
     }
 
@@ -430,13 +436,18 @@ impl Fitter {
         NormalEquations { information, right }
     }
 
+    /// Takes over what a step leaves of the offsets; its root mean square \[px\].
     fn update_residuals<const D: usize>(
         &mut self,
         equations: &Equations<'_, D>,
         step: &SVector<f64, D>,
-    ) {
+    ) -> f64 {
         let Self { residuals, sizes, .. } = self;
-        self.isa.run(LeftOver { equations, step, residuals, sizes });
+        let mut squares_px2 = [0.0; LANES];
+        let sizes = sizes.as_flattened_mut();
+        let squares = &mut squares_px2;
+        self.isa.run(LeftOver { equations, step, residuals, sizes, squares_px2: squares });
+        (total(&squares_px2) / equations.len().max(1) as f64).sqrt()
     }
 
     /// Robust standard deviation of the residual offsets \[px\].
@@ -444,16 +455,19 @@ impl Fitter {
         if self.count == 0 {
             return 0.0;
         }
-        let sizes = self.sizes.as_flattened();
-        // Lanes without an equation have the smallest size there is.
-        let rank = sizes.len() - self.count + self.count / 2;
+        // Places without an equation have the smallest size there is.
+        let empty = self.sizes.len() * SIZES - self.count;
+        let rank = empty + self.count / 2;
         let mut median = 0.0;
-        self.isa.run(Select { sizes, rank: rank as i32, selected: &mut median });
+        let sizes = self.sizes.as_flattened();
+        self.isa.run(Select { sizes, rank, selected: &mut median });
         MAD_TO_SIGMA * f64::from(median)
     }
 
-    /// Weighs the equations by their residual offsets, for these have such a scale \[px\].
-    fn weigh<const D: usize>(&mut self, equations: &Equations<'_, D>, scale_px: f64) {
+    /// Weighs the equations by their residual offsets, for these have such a scale \[px\]. How many
+    /// times farther than the solution of the weighted equations is the loss's least value, if it is
+    /// about what a parabola would make of it.
+    fn weigh<const D: usize>(&mut self, equations: &Equations<'_, D>, scale_px: f64) -> f64 {
         let limit_px = match self.options.loss {
             Loss::None => f64::INFINITY,
             Loss::Tukey { cutoff } => cutoff * scale_px,
@@ -462,14 +476,22 @@ impl Fitter {
         let misfit_px2 = *misfit_px2;
         // Of a scale of zero, which exact data may have, zero residuals are within.
         let per_limit = limit_px.recip().min(f64::MAX);
-        self.isa.run(Weigh { equations, misfit_px2, residuals, per_limit, weights, precisions });
+        let (mut weight, mut within) = ([0.0; LANES], [0.0; LANES]);
+        let sums = (&mut weight, &mut within);
+        self.isa.run(Weigh { equations, misfit_px2, residuals, per_limit, weights, precisions, sums });
+        // Reweighting takes w for the slope of ψ(r) = w r, which is w (5 √w − 4) / √w. Lanes without
+        // an equation have weights of one.
+        let empty = (residuals.len() * LANES - equations.len()) as f64;
+        let (weight, within) = (total(&weight) - empty, total(&within) - empty);
+        let slope = 5.0 * weight - 4.0 * within;
+        if slope * MOST_RELAXED > weight { weight / slope } else { MOST_RELAXED }
     }
 
     fn determined<const D: usize>(
         &mut self,
         equations: &Equations<'_, D>,
         step: SVector<f64, D>,
-        factor: &Cholesky<f64, nalgebra::Const<D>>,
+        factor: &Factor<D>,
         information: SMatrix<f64, D, D>,
         iterations: usize,
     ) -> FitReport<D> {
@@ -522,11 +544,13 @@ impl Fitter {
     }
 }
 
-/// What the residual offsets scatter beyond their measurements \[px²\].
-fn misfit<const D: usize>(equations: &Equations<'_, D>, scale_px: f64) -> f64 {
-    let variances = equations.variances_px2();
-    let measured = variances.iter().sum::<f64>() / variances.len().max(1) as f64;
-    (scale_px * scale_px - measured).max(0.0)
+/// Mean variance of the offsets \[px²\].
+fn mean_variance<const D: usize>(equations: &Equations<'_, D>) -> f64 {
+    let (variances_px2, count) = (&equations.0.variances_px2, equations.len());
+    let sums = variances_px2.iter().fold([0.0; LANES], |sums, lanes| each(|j| sums[j] + lanes[j]));
+    // Lanes without an equation have a variance of one.
+    let empty = variances_px2.len() * LANES - count;
+    (total(&sums) - empty as f64) / count.max(1) as f64
 }
 
 struct NormalEquations<const D: usize> {
@@ -622,48 +646,69 @@ struct LeftOver<'a, const D: usize> {
     equations: &'a Equations<'a, D>,
     step: &'a SVector<f64, D>,
     residuals: &'a mut [Lanes],
-    sizes: &'a mut [[i32; LANES]],
+    sizes: &'a mut [i16],
+    squares_px2: &'a mut Lanes,
 }
 
 impl<const D: usize> Work for LeftOver<'_, D> {
     #[inline(always)]
     fn run(self) {
-        let Self { equations, step, residuals, sizes } = self;
+        let Self { equations, step, residuals, sizes, squares_px2 } = self;
         // A copy, which nothing that is written here can change.
         let step = *step;
+        let sizes = sizes.as_chunks_mut::<LANES>().0;
+        let mut squares = [0.0; LANES];
         for ((residuals, sizes), group) in residuals.iter_mut().zip(sizes).zip(equations.groups()) {
             let moved = group.moved_by(&step);
-            *residuals = each(|j| group.offsets_px[j] - moved[j]);
-            *sizes = each(|j| (residuals[j] as f32).abs().to_bits() as i32);
+            let left: Lanes = each(|j| group.offsets_px[j] - moved[j]);
+            squares = plus_product(&squares, &left, &left);
+            *residuals = left;
+            *sizes = each(|j| ((left[j] as f32).abs().to_bits() >> 16) as i16);
         }
+        *squares_px2 = squares;
     }
 }
 
-/// The number at a place in the order of some numbers that are not negative, given as bit
-/// patterns: to a thousandth of itself, from below.
+/// The number at a place in the order of some numbers that are not negative, given as the upper
+/// halves of their bit patterns in single precision: to 1/256 of itself.
 struct Select<'a> {
-    sizes: &'a [i32],
-    rank: i32,
+    sizes: &'a [i16],
+    rank: usize,
     selected: &'a mut f32,
-}
-
-impl Select<'_> {
-    /// The bits that are told: all but the sign and the last of the mantissa.
-    const BITS: std::ops::Range<u32> = 13..31;
 }
 
 impl Work for Select<'_> {
     #[inline(always)]
     fn run(self) {
-        // Bisection: sorting would guess at branches, and miss.
-        let mut selected = 0;
-        for bit in Self::BITS.rev() {
-            let larger = selected | 1 << bit;
-            let below: i32 = self.sizes.iter().map(|&size| i32::from(size < larger)).sum();
-            selected = if below <= self.rank { larger } else { selected };
+        // By fours: sorting would guess at branches, and miss. The sign is known, so the first two
+        // fours are two.
+        let [fewer, ..] = below(self.sizes, [1 << 14; 3]);
+        let mut selected = i16::from(fewer <= self.rank) << 14;
+        for place in [12, 10, 8, 6, 4, 2, 0] {
+            let fewer = below(self.sizes, [1, 2, 3].map(|part| selected | (part << place)));
+            selected |= fewer.iter().map(|&fewer| i16::from(fewer <= self.rank)).sum::<i16>() << place;
         }
-        *self.selected = f32::from_bits(selected as u32);
+        // What was cut off is half of the last place on average.
+        let bits = (u32::from(selected.cast_unsigned()) << 16) | 0x8000;
+        *self.selected = if selected == 0 { 0.0 } else { f32::from_bits(bits) };
     }
+}
+
+/// How many sizes are below each of three.
+#[inline(always)]
+fn below(sizes: &[i16], [low, middle, high]: [i16; 3]) -> [usize; 3] {
+    let mut all = [0; 3];
+    // As many as can be counted in 16 bits.
+    for sizes in sizes.chunks(1 << 14) {
+        let mut counts = [0_i16; 3];
+        for &size in sizes {
+            counts[0] += i16::from(size < low);
+            counts[1] += i16::from(size < middle);
+            counts[2] += i16::from(size < high);
+        }
+        all = each(|i| all[i] + counts[i] as usize);
+    }
+    all
 }
 
 /// Tukey's weights, and what equations of such weights count.
@@ -675,23 +720,31 @@ struct Weigh<'a, const D: usize> {
     per_limit: f64,
     weights: &'a mut [Lanes],
     precisions: &'a mut [Lanes],
+    /// Of the weights, and of their square roots.
+    sums: (&'a mut Lanes, &'a mut Lanes),
 }
 
 impl<const D: usize> Work for Weigh<'_, D> {
     #[inline(always)]
     fn run(self) {
-        let Self { equations, misfit_px2, residuals, per_limit, weights, precisions } = self;
+        let Self { equations, misfit_px2, residuals, per_limit, weights, precisions, sums } = self;
+        let (mut all_weights, mut all_within) = ([0.0; LANES], [0.0; LANES]);
         let weighted = weights.iter_mut().zip(precisions).zip(residuals);
         for (((weights, precisions), residuals), variances_px2) in
             weighted.zip(&equations.0.variances_px2)
         {
-            *weights = each(|j| {
+            let within: Lanes = each(|j| {
                 let t = residuals[j] * per_limit;
                 let within = 1.0 - t * t;
-                if within > 0.0 { within * within } else { 0.0 }
+                if within > 0.0 { within } else { 0.0 }
             });
-            *precisions = each(|j| weights[j] / (variances_px2[j] + misfit_px2));
+            let weight: Lanes = each(|j| within[j] * within[j]);
+            *precisions = each(|j| weight[j] / (variances_px2[j] + misfit_px2));
+            all_weights = each(|j| all_weights[j] + weight[j]);
+            all_within = each(|j| all_within[j] + within[j]);
+            *weights = weight;
         }
+        (*sums.0, *sums.1) = (all_weights, all_within);
     }
 }
 
@@ -727,27 +780,99 @@ impl Work for Tally<'_> {
     }
 }
 
+/// L D Lᵀ of an information matrix. Its quotients and their chain are as few as can be: a solution
+/// waits for them.
+struct Factor<const D: usize> {
+    /// Below the diagonal, L, whose diagonal are ones.
+    lower: SMatrix<f64, D, D>,
+    /// One over the pivots.
+    per_pivot: SVector<f64, D>,
+    /// The product of the pivots, each in units of its component's own information.
+    determinant: f64,
+}
+
+impl<const D: usize> Factor<D> {
+    /// None if a pivot is not positive.
+    fn of(matrix: &SMatrix<f64, D, D>) -> Option<Self> {
+        let mut lower = *matrix;
+        let mut per_pivot = SVector::zeros();
+        let mut determinant = 1.0;
+        for k in 0..D {
+            let pivot = lower[(k, k)];
+            if pivot <= 0.0 || !pivot.is_finite() {
+                return None;
+            }
+            per_pivot[k] = pivot.recip();
+            determinant *= pivot / matrix[(k, k)];
+            for j in k + 1..D {
+                let scaled = lower[(j, k)] * per_pivot[k];
+                for i in j..D {
+                    lower[(i, j)] -= lower[(i, k)] * scaled;
+                }
+            }
+            for i in k + 1..D {
+                lower[(i, k)] *= per_pivot[k];
+            }
+        }
+        Some(Self { lower, per_pivot, determinant })
+    }
+
+    fn solve(&self, right: &SVector<f64, D>) -> SVector<f64, D> {
+        let Self { lower, per_pivot, .. } = self;
+        let mut x = *right;
+        for k in 0..D {
+            for i in k + 1..D {
+                x[i] -= lower[(i, k)] * x[k];
+            }
+        }
+        x.component_mul_assign(per_pivot);
+        for k in (0..D).rev() {
+            for i in 0..k {
+                x[i] -= lower[(k, i)] * x[k];
+            }
+        }
+        x
+    }
+
+    /// The inverse of the matrix.
+    fn inverse(&self) -> SMatrix<f64, D, D> {
+        let Self { lower, per_pivot, .. } = self;
+        // L⁻¹ column by column, then L⁻ᵀ D⁻¹ L⁻¹.
+        let mut inverted = SMatrix::<f64, D, D>::identity();
+        for column in 0..D {
+            for k in column..D {
+                for i in k + 1..D {
+                    inverted[(i, column)] -= lower[(i, k)] * inverted[(k, column)];
+                }
+            }
+        }
+        let mut inverse = SMatrix::zeros();
+        for a in 0..D {
+            for b in a..D {
+                let sum = (b..D).map(|k| inverted[(k, a)] * per_pivot[k] * inverted[(k, b)]).sum();
+                (inverse[(a, b)], inverse[(b, a)]) = (sum, sum);
+            }
+        }
+        inverse
+    }
+}
+
 /// The factor of an information matrix that determines all directions; otherwise, how many it
 /// does.
 fn determined<const D: usize>(
     information: &SMatrix<f64, D, D>,
-) -> std::result::Result<Cholesky<f64, nalgebra::Const<D>>, usize> {
-    let factor = Cholesky::new(*information);
-    if let Some(factor) = factor {
-        // With every component scaled to unit information of its own, the eigenvalues add up to D.
-        // All but the least of them then multiply to no more than e, so the least is no less than
-        // the determinant over e, and no pivot is less than that.
-        let pivots = factor.l_dirty().diagonal().component_mul(&factor.l_dirty().diagonal());
-        let determinant = pivots.component_div(&information.diagonal()).product();
-        if determinant > std::f64::consts::E * RANK_TOLERANCE {
-            return Ok(factor);
-        }
-        match rank(information) {
-            rank if rank == D => return Ok(factor),
-            rank => return Err(rank),
-        }
+) -> std::result::Result<Factor<D>, usize> {
+    let Some(factor) = Factor::of(information) else { return Err(rank(information)) };
+    // With every component scaled to unit information of its own, the eigenvalues add up to D. All
+    // but the least of them then multiply to no more than e, so the least is no less than the
+    // determinant over e, and no pivot is less than that.
+    if factor.determinant > std::f64::consts::E * RANK_TOLERANCE {
+        return Ok(factor);
     }
-    Err(rank(information))
+    match rank(information) {
+        rank if rank == D => Ok(factor),
+        rank => Err(rank),
+    }
 }
 
 /// How many directions an information matrix determines: Cholesky with complete pivoting, each
@@ -784,7 +909,7 @@ fn two_stage<const D: usize>(normal: &NormalEquations<D>) -> SVector<f64, D> {
                 own[(i, j)] = information[(i, j)];
             }
         }
-        if let Some(factor) = Cholesky::new(own) {
+        if let Some(factor) = Factor::of(&own) {
             step += factor.solve(&own_right);
         }
     }
