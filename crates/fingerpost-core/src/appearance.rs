@@ -137,16 +137,17 @@ impl Appearance {
 
     /// Counts the pixel at (x, y), if it lies in the frame, as the hand or as what is behind it.
     pub fn observe(&mut self, frame: &Frame<'_>, x: f64, y: f64, is_hand: bool) {
-        self.observe_all(frame, SidedPixel::at(x, y, is_hand).as_slice());
+        self.observe_all(frame, SidedPixel::at(x, y, is_hand).as_slice(), 1.0);
     }
 
-    /// Counts pixels, all that lie in the frame.
-    pub(crate) fn observe_all(&mut self, frame: &Frame<'_>, pixels: &[SidedPixel]) {
+    /// Counts pixels, all that lie in the frame, `times` times each.
+    pub(crate) fn observe_all(&mut self, frame: &Frame<'_>, pixels: &[SidedPixel], times: f64) {
         let mut counts = [0_u32; 2];
+        let once = times as f32;
         let mut count = |bin: Option<usize>, is_hand: bool| {
             let side = if is_hand { &mut self.hand } else { &mut self.background };
             if let Some(seen) = bin.and_then(|bin| side.bins.get_mut(bin)) {
-                *seen += 1.0;
+                *seen += once;
                 counts[usize::from(is_hand)] += 1;
             }
         };
@@ -161,8 +162,8 @@ impl Appearance {
                 count(image.pixel(x as usize, y as usize).map(grey_bin), is_hand);
             }
         }
-        self.background.total += f64::from(counts[0]);
-        self.hand.total += f64::from(counts[1]);
+        self.background.total += times * f64::from(counts[0]);
+        self.hand.total += times * f64::from(counts[1]);
     }
 
     /// Works the votes out anew from the histograms, each smoothed by (1 2 1)/4 along every axis.

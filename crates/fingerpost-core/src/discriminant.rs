@@ -67,12 +67,13 @@ impl Counts {
 }
 
 impl Class {
-    fn add(&mut self, counts: &Counts) {
-        self.weight += counts.pixels as f64;
-        self.sum += Vector3::from(counts.sum.map(|c| c as f64));
-        self.squares += Matrix3::from(counts.squares.map(|row| row.map(|c| c as f64)));
-        self.grey += counts.grey as f64;
-        self.grey_squares += counts.grey_squares as f64;
+    fn add(&mut self, counts: &Counts, times: f64) {
+        let many = |count: u64| times * count as f64;
+        self.weight += many(counts.pixels);
+        self.sum += Vector3::from(counts.sum.map(many));
+        self.squares += Matrix3::from(counts.squares.map(|row| row.map(many)));
+        self.grey += many(counts.grey);
+        self.grey_squares += many(counts.grey_squares);
     }
 
     fn fade(&mut self, keep: f64) {
@@ -152,11 +153,11 @@ impl Discriminant {
 
     /// Counts the pixel nearest to (u, v), if it lies in the frame and that has colours.
     pub fn observe(&mut self, frame: &Frame<'_>, u: f64, v: f64, is_hand: bool) {
-        self.observe_all(frame, SidedPixel::at(u, v, is_hand).as_slice());
+        self.observe_all(frame, SidedPixel::at(u, v, is_hand).as_slice(), 1.0);
     }
 
-    /// Counts pixels, all that lie in the frame, if it has colours.
-    pub(crate) fn observe_all(&mut self, frame: &Frame<'_>, pixels: &[SidedPixel]) {
+    /// Counts pixels, all that lie in the frame, `times` times each, if it has colours.
+    pub(crate) fn observe_all(&mut self, frame: &Frame<'_>, pixels: &[SidedPixel], times: f64) {
         let Some(colours) = frame.colour() else { return };
         let mut counts = [Counts::default(); 2];
         for &SidedPixel { x, y, is_hand } in pixels {
@@ -165,8 +166,8 @@ impl Discriminant {
                 counts[usize::from(is_hand)].add(colour, grey);
             }
         }
-        self.background.add(&counts[0]);
-        self.hand.add(&counts[1]);
+        self.background.add(&counts[0], times);
+        self.hand.add(&counts[1], times);
     }
 
     /// Works the mixture out anew.

@@ -193,7 +193,6 @@ impl<const D: usize> Equations<'_, D> {
         let rows = self.0.rows.as_chunks::<D>().0.iter();
         rows.zip(&self.0.offsets_px).map(|(rows, offsets_px)| Group { rows, offsets_px })
     }
-
 }
 
 /// Some equations, lane by lane.
@@ -478,7 +477,15 @@ impl Fitter {
         let per_limit = limit_px.recip().min(f64::MAX);
         let (mut weight, mut within) = ([0.0; LANES], [0.0; LANES]);
         let sums = (&mut weight, &mut within);
-        self.isa.run(Weigh { equations, misfit_px2, residuals, per_limit, weights, precisions, sums });
+        self.isa.run(Weigh {
+            equations,
+            misfit_px2,
+            residuals,
+            per_limit,
+            weights,
+            precisions,
+            sums,
+        });
         // Reweighting takes w for the slope of ψ(r) = w r, which is w (5 √w − 4) / √w. Lanes without
         // an equation have weights of one.
         let empty = (residuals.len() * LANES - equations.len()) as f64;
@@ -686,7 +693,8 @@ impl Work for Select<'_> {
         let mut selected = i16::from(fewer <= self.rank) << 14;
         for place in [12, 10, 8, 6, 4, 2, 0] {
             let fewer = below(self.sizes, [1, 2, 3].map(|part| selected | (part << place)));
-            selected |= fewer.iter().map(|&fewer| i16::from(fewer <= self.rank)).sum::<i16>() << place;
+            selected |=
+                fewer.iter().map(|&fewer| i16::from(fewer <= self.rank)).sum::<i16>() << place;
         }
         // What was cut off is half of the last place on average.
         let bits = (u32::from(selected.cast_unsigned()) << 16) | 0x8000;

@@ -245,7 +245,7 @@ impl ContourTracker {
         let mut told = self.told_apart(frame);
         for _ in 0..BED_IN_ROUNDS {
             self.hand.looks = None;
-            self.learn_looks(frame)?;
+            self.learn_looks(frame, 1)?;
             let (Shape::Ribbon(x), true) = (self.hand.shape, self.hand.is_mixed()) else {
                 return Ok(());
             };

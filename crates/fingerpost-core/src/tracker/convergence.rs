@@ -19,10 +19,10 @@ use crate::simd::Isa;
 use crate::template::{Part, TemplateSample};
 use nalgebra::{Matrix2, Point2, SMatrix, SVector, Vector3};
 
-/// The contour has converged when no sample moves further than this \[px\].
-pub(super) const CONVERGED_PX: f64 = 0.02;
+/// The contour has converged when no sample moves further than this \[px\]: what is left is a tenth.
+pub(super) const CONVERGED_PX: f64 = 0.05;
 /// The same where another shape space takes over and converges itself.
-pub(super) const TAKEN_OVER_PX: f64 = 0.25;
+pub(super) const TAKEN_OVER_PX: f64 = 2.0;
 /// What the search lines shrink by once a step stays well inside them, and how short they get.
 const SHRINK: f64 = 0.7;
 pub(super) const MIN_HALF_LENGTH_PX: f64 = 5.0;
@@ -257,11 +257,11 @@ impl Convergence {
         samples: usize,
         frame: &Scene<'_>,
         finger: &Silhouette,
-        keep: f64,
+        weights: (f64, f64),
     ) -> Result<()> {
         self.gather_agreeing(samples);
         self.leave_out_covered(looks, frame)?;
-        looks.learn(frame, &mut self.image, &self.agreeing, finger, keep)
+        looks.learn(frame, &mut self.image, &self.agreeing, finger, weights)
     }
 
     /// How well the inside of a finger of which nothing is known differs from its outside, by the edges
@@ -347,6 +347,7 @@ impl Convergence {
     ) -> Result<Converged<D>> {
         let mut half_length_px = attempt.half_length_px;
         let mut at = Converged::at(x);
+        let mut last = None;
         while at.iterations < self.max_iterations {
             at.iterations += 1;
             let pose = space.pose(&at.x);
@@ -363,13 +364,8 @@ impl Convergence {
                 return Ok(Converged { fit: None, ..at });
             }
             let moved_px = equations.largest_motion(&fit.step);
-            self.mark_agreeing();
             at.x += fit.step;
-            let support = self.support(attempt.samples);
-            let own_only = attempt.own_only;
-            let by_looks = attempt.sight.cue.appearance().is_some();
-            at.fit =
-                Some(Fit { own_only, by_looks, ..self.summarise(space, &at.x, &fit, support) });
+            last = Some(fit);
             if moved_px < attempt.rest_px {
                 break;
             }
@@ -380,10 +376,8 @@ impl Convergence {
                 half_length_px = shrunk_px.min(left_px).max(MIN_HALF_LENGTH_PX);
             }
         }
-        if let Some(fit) = &mut at.fit {
-            // Counted already: that neighbours share pixels.
-            fit.line_covariance *= (self.alike(attempt.samples) / self.correlation).max(1.0);
-        }
+        self.mark_agreeing();
+        at.fit = last.map(|fit| self.summarise(space, &at.x, &fit, attempt));
         Ok(at)
     }
 
@@ -534,12 +528,14 @@ impl Convergence {
     }
 
     fn summarise<S: ShapeSpace<D>, const D: usize>(
-        &self,
+        &mut self,
         space: &S,
         x: &SVector<f64, D>,
         fit: &FitReport<D>,
-        support: Support,
+        attempt: &Attempt<'_>,
     ) -> Fit {
+        // Counted already: that neighbours share pixels.
+        let alike = (self.alike(attempt.samples) / self.correlation).max(1.0);
         let covariance = fit.covariance * self.correlation;
         let pose = space.pose(x);
         let j = space.axis_jacobian(&pose);
@@ -553,14 +549,14 @@ impl Convergence {
         Fit {
             shape,
             axis: pose.axis(),
-            line_covariance: j * covariance * j.transpose(),
+            line_covariance: j * covariance * j.transpose() * alike,
             seen: Seen { visible: self.lines.len(), hits: fit.equations, inliers: fit.inliers },
             agreement: fit.inliers as f64 / self.lines.len().max(1) as f64,
-            support,
+            support: self.support(attempt.samples),
             residual_rms_px: fit.residual_rms_px,
             rank: fit.rank,
-            own_only: false,
-            by_looks: false,
+            own_only: attempt.own_only,
+            by_looks: attempt.sight.cue.appearance().is_some(),
         }
     }
 }

@@ -103,21 +103,21 @@ impl Looks {
         self.discriminant.relight(gain);
     }
 
-    /// Takes over what a frame shows on either side of a finger's contour; what was known keeps a
-    /// part `keep` of its weight.
+    /// Takes over what a frame shows on either side of a finger's contour, `times` times; what was
+    /// known keeps a part `keep` of its weight.
     pub fn learn(
         &mut self,
         frame: &Frame<'_>,
         image: &mut DiscriminantImage,
         contour: &[PlacedSample],
         finger: &Silhouette,
-        keep: f64,
+        (keep, times): (f64, f64),
     ) -> Result<()> {
         self.gather(contour, finger, AHEAD_WIDTHS);
         self.plain.fade(keep as f32);
         self.discriminant.fade(keep);
-        self.plain.observe_all(frame, &self.pixels);
-        self.discriminant.observe_all(frame, &self.pixels);
+        self.plain.observe_all(frame, &self.pixels, times);
+        self.discriminant.observe_all(frame, &self.pixels, times);
         self.plain.learn();
         // The image that the frame was searched in is there already.
         let searched = self.discriminant.mixture().copied();
@@ -129,7 +129,7 @@ impl Looks {
                 region_about(self.pixels.iter().map(|p| (p.middle(), 0.0))),
             )?;
             self.mixed.fade(keep as f32);
-            self.mixed.observe_all(&shown, &self.pixels);
+            self.mixed.observe_all(&shown, &self.pixels, times);
             self.mixed.learn();
         }
         self.finer = self.mixed.separation() > self.plain.separation();
@@ -146,7 +146,7 @@ impl Looks {
     ) -> f64 {
         self.gather(contour, finger, 0.0);
         self.plain.fade(0.0);
-        self.plain.observe_all(frame, &self.pixels);
+        self.plain.observe_all(frame, &self.pixels, 1.0);
         self.plain.learn();
         self.plain.separation()
     }

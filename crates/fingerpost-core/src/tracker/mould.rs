@@ -211,7 +211,13 @@ impl Mould<'_> {
         let mut looks = Looks::new(frame.colour().is_some());
         let reach_px = self.options.acquire.reach_px(self.waiting[3]);
         for _ in 0..LED_ROUNDS {
-            convergence.teach(&mut looks, samples.len(), frame, &Silhouette::of_band(&x), 0.0)?;
+            convergence.teach(
+                &mut looks,
+                samples.len(),
+                frame,
+                &Silhouette::of_band(&x),
+                (0.0, 1.0),
+            )?;
             let Some(votes) = looks.sight(frame, Lead::Votes, polarity) else { break };
             let Some(edges) = looks.sight(frame, Lead::HandEdges, polarity) else { break };
             // In the end by edges alone, as it was: what looks lead to is no more of a hand for that.

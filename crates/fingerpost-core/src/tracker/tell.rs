@@ -24,6 +24,9 @@ const BEYOND_OUTLINE: f64 = 0.07;
 /// Both go round the tip to this part of the half-width beyond the middle of its round end.
 const CAP: f64 = 0.7;
 
+/// Looks change slowly: a frame in so many teaches them, and counts as often.
+const FRAMES_A_LESSON: usize = 3;
+
 impl ContourTracker {
     /// The story of a frame whose fit was accepted, with the finger line.
     pub(super) fn tracked(
@@ -116,22 +119,26 @@ impl ContourTracker {
         self.refiner.bend(&shown, &finger, sight.polarity, sight.cue.appearance())
     }
 
-    /// Takes over what a fit that counts shows of the hand. Where its looks did not lead to it, the
-    /// light has changed: it looks as it looks now.
+    /// Takes over what a fit that counts shows of the hand, now and then. Where its looks did not lead
+    /// to it, the light has changed: it looks as it looks now.
     pub(super) fn take_over_looks(&mut self, frame: &Scene<'_>, found: &Found) -> Result<()> {
         let is_relit = self.hand.votes_in(frame) && found.fit.is_some_and(|fit| !fit.by_looks);
         if is_relit {
             self.hand.looks = None;
+        } else if self.hand.votes_in(frame)
+            && !self.hand.straight_frames.is_multiple_of(FRAMES_A_LESSON)
+        {
+            return Ok(());
         }
-        self.learn_looks(frame)?;
+        self.learn_looks(frame, FRAMES_A_LESSON)?;
         if let Some(looks) = self.hand.looks.as_mut().filter(|_| is_relit) {
             looks.anchor();
         }
         Ok(())
     }
 
-    /// Takes over what the last accepted fit saw on either side of the contour.
-    pub(super) fn learn_looks(&mut self, frame: &Scene<'_>) -> Result<()> {
+    /// Takes over what the last accepted fit saw on either side of the contour, for so many frames.
+    pub(super) fn learn_looks(&mut self, frame: &Scene<'_>, frames: usize) -> Result<()> {
         let coloured = frame.colour().is_some();
         let known = self.hand.looks.as_ref().map(Looks::is_coloured);
         if known == Some(true) && !coloured {
@@ -141,8 +148,8 @@ impl ContourTracker {
             self.hand.looks = None;
         }
         let (samples, finger) = (self.hand.fingers(&self.samples), self.hand.shape.silhouette());
-        let keep = 1.0 - self.options.track.appearance_rate;
+        let keep = (1.0 - self.options.track.appearance_rate).powi(frames as i32);
         let looks = self.hand.looks.get_or_insert_with(|| Looks::new(coloured));
-        self.convergence.teach(looks, samples, frame, &finger, keep)
+        self.convergence.teach(looks, samples, frame, &finger, (keep, frames as f64))
     }
 }
