@@ -365,15 +365,23 @@ impl<const N: usize> Lanes<N> {
         let (mut best, mut at) = ([f32::NEG_INFINITY; N], [i32::from(NONE); N]);
         let sums = self.votes[1..].windows(2 * reach + 2);
         for (i, (three, sums)) in (1_i32..).zip(self.answers.windows(3).zip(sums)) {
+            let all = |answers: &[i16; N]| -> [i16; N] { each(|j| strength(answers[j])) };
+            let (before, here, after) = (all(&three[0]), all(&three[1]), all(&three[2]));
+            // All bits of a peak: in as many as the answers have, they are compared side by side.
+            let peaks: [i16; N] = each(|j| {
+                -i16::from(
+                    (here[j] >= before[j]) & (here[j] > after[j]) & (here[j] >= kernel.least),
+                )
+            });
+            // Peaks are few, and those of neighbouring lines lie side by side.
+            if peaks == [0; N] {
+                continue;
+            }
             let [a, b, c, d] = [0, reach, reach + 1, 2 * reach + 1].map(|k| &sums[k]);
             for j in 0..N {
-                let before = strength(three[0][j]);
-                let here = strength(three[1][j]);
-                let after = strength(three[2][j]);
-                let peak = (here >= before) & (here > after) & (here >= kernel.least);
                 let separation = (b[j] - a[j] - d[j] + c[j]) as f32 * unit;
-                let score = separation + strength_say * ln(f32::from(here.max(1)));
-                let better = peak & (separation >= min_separation) & (score > best[j]);
+                let score = separation + strength_say * ln(f32::from(here[j].max(1)));
+                let better = (peaks[j] != 0) & (separation >= min_separation) & (score > best[j]);
                 best[j] = if better { score } else { best[j] };
                 at[j] = if better { i } else { at[j] };
             }
