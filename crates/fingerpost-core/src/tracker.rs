@@ -77,7 +77,7 @@ use exposure::Exposure;
 use hand::{Hand, MOST_COVERED_FRAMES, Waiting};
 pub use line::{FingerLine, LineSource};
 use mould::Kind;
-use nalgebra::Point2;
+use nalgebra::{Point2, Vector2};
 pub use options::{
     AcceptOptions, AcquireOptions, DynamicsOptions, Model, TrackOptions, TrackerOptions,
 };
@@ -187,6 +187,8 @@ impl ContourTracker {
             kind: waiting.kind(&options),
             moulded: Vec::with_capacity(samples.len()),
             looks: None,
+            taught_at_px: Vector2::zeros(),
+            untaught_frames: 0,
             thumb_missed: 0,
             posture: Posture::Straight,
             bent_frames: 0,

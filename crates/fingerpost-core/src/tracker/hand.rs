@@ -13,6 +13,7 @@ use crate::shape_space::{
     AffineMap, BandMeasure, PlacedSample, Pose, RIBBON_DOF, Ribbon, RibbonVector, ShapeSpace,
 };
 use crate::template::{Part, Template, TemplateSample};
+use nalgebra::Vector2;
 
 /// Part of a change of width or taper that is taken over per accepted frame.
 const HELD_RATE: f64 = 0.05;
@@ -46,6 +47,9 @@ pub(super) struct Hand {
     pub(super) moulded: Vec<TemplateSample>,
     /// What it looks like, once it was seen.
     pub(super) looks: Option<Looks>,
+    /// Where it was when they were last learned \[px\], and the frames that it was tracked since.
+    pub(super) taught_at_px: Vector2<f64>,
+    pub(super) untaught_frames: usize,
     /// Frames in a row in which its thumb was not seen.
     pub(super) thumb_missed: usize,
     /// Whether its finger is straight, for how many frames in a row it has not been, and how often

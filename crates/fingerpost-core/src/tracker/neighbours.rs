@@ -24,13 +24,18 @@ pub(super) fn alike(residuals: &[(Part, f64)]) -> f64 {
         return 1.0;
     }
     let farthest = (WITHIN * residuals.len() as f64).round() as usize;
-    let shared: f64 = (1..=farthest)
-        .map(|lag| {
-            let pairs = residuals.iter().zip(residuals.iter().skip(lag));
-            let together: f64 = pairs.filter(|(a, b)| a.0 == b.0).map(|(a, b)| a.1 * b.1).sum();
-            together * (1.0 - lag as f64 / (farthest + 1) as f64)
+    // Neighbour by neighbour of each, so that the sums need not wait for each other; the window's
+    // heights are in units of the last one.
+    let shared: f64 = residuals
+        .iter()
+        .enumerate()
+        .map(|(i, (part, residual))| {
+            let ahead = residuals[i + 1..].iter().zip((1..=farthest).rev());
+            let same = ahead.filter(|((other, _), _)| other == part);
+            residual * same.map(|((_, other), height)| other * height as f64).sum::<f64>()
         })
         .sum();
+    let shared = shared / (farthest + 1) as f64;
     (1.0 + 2.0 * shared / square).max(1.0)
 }
 

@@ -24,8 +24,10 @@ const BEYOND_OUTLINE: f64 = 0.07;
 /// Both go round the tip to this part of the half-width beyond the middle of its round end.
 const CAP: f64 = 0.7;
 
-/// Looks change slowly: a frame in so many teaches them, and counts as often.
+/// Looks change slowly where a hand stays: one frame in so many teaches them, and counts as often.
+/// One that has moved by more than this part of its half-width is before something else, and smeared.
 const FRAMES_A_LESSON: usize = 3;
+const STAYS: f64 = 0.5;
 
 impl ContourTracker {
     /// The story of a frame whose fit was accepted, with the finger line.
@@ -123,14 +125,17 @@ impl ContourTracker {
     /// to it, the light has changed: it looks as it looks now.
     pub(super) fn take_over_looks(&mut self, frame: &Scene<'_>, found: &Found) -> Result<()> {
         let is_relit = self.hand.votes_in(frame) && found.fit.is_some_and(|fit| !fit.by_looks);
+        let place = self.hand.shape.placement().xy();
+        let stays = (place - self.hand.taught_at_px).norm() <= STAYS * self.hand.acquired[3];
+        self.hand.untaught_frames += 1;
         if is_relit {
             self.hand.looks = None;
-        } else if self.hand.votes_in(frame)
-            && !self.hand.straight_frames.is_multiple_of(FRAMES_A_LESSON)
+        } else if self.hand.votes_in(frame) && stays && self.hand.untaught_frames < FRAMES_A_LESSON
         {
             return Ok(());
         }
-        self.learn_looks(frame, FRAMES_A_LESSON)?;
+        self.learn_looks(frame, self.hand.untaught_frames)?;
+        (self.hand.taught_at_px, self.hand.untaught_frames) = (place, 0);
         if let Some(looks) = self.hand.looks.as_mut().filter(|_| is_relit) {
             looks.anchor();
         }
