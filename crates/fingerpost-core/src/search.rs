@@ -157,8 +157,10 @@ struct Kernel {
 
 /// A coarse kernel is this much larger than the fine one.
 const COARSE: f64 = 2.5;
-/// Lines that are searched side by side: 16-bit numbers in a vector of AVX2, or in two of SSE2.
-const LANES: usize = 16;
+/// Lines that are searched side by side: 16-bit numbers in a vector of AVX2, and in one of the
+/// baseline.
+const WIDE: usize = 16;
+const NARROW: usize = 8;
 
 /// The kernels, and the buffers that a search reuses: nothing is allocated while searching.
 #[derive(Debug, Clone)]
@@ -166,7 +168,8 @@ pub struct EdgeSearch {
     kernels: [Kernel; 2],
     options: SearchOptions,
     isa: Isa,
-    together: Lanes<LANES>,
+    wide: Lanes<WIDE>,
+    narrow: Lanes<NARROW>,
     alone: Lanes<1>,
 }
 
@@ -192,7 +195,8 @@ impl EdgeSearch {
             kernels,
             options,
             isa: Isa::detect(),
-            together: Lanes::with_capacity(samples),
+            wide: Lanes::with_capacity(samples),
+            narrow: Lanes::with_capacity(samples),
             alone: Lanes::with_capacity(samples),
         })
     }
@@ -230,7 +234,7 @@ impl EdgeSearch {
     ) -> Result<()> {
         let image = frame.image();
         check_size(frame)?;
-        let Self { kernels, options, isa, together, alone } = self;
+        let Self { kernels, options, isa, wide, narrow, alone } = self;
         let kernel = &kernels[scale as usize];
         let ballot = cue.appearance().map(|appearance| appearance.ballot(frame));
         let by_votes = matches!(cue, Cue::Votes(_));
@@ -238,27 +242,16 @@ impl EdgeSearch {
         let pass = Pass { kernel, variance_px2, isa: *isa, image, ballot, by_votes };
         measurements.clear();
         measurements.reserve(lines.len());
-        let reach = kernel.reach() as i32;
-        let mut batch = Batch::default();
-        for line in lines {
-            let wanted = whole_half_length(line)? + reach;
-            let key = (Span { from: -wanted, to: wanted }, line.polarity);
-            if *isa == Isa::Scalar {
-                pass.measure(alone, &Batch::of_one(key, &line.sample), measurements);
-                continue;
-            }
-            if batch.is_full() || (batch.key != key && !batch.is_empty()) {
-                pass.measure(together, &batch, measurements);
-                batch.count = 0;
-            }
-            batch.key = key;
-            batch.push(&line.sample);
+        match isa {
+            Isa::Avx2 => pass.measure_all(wide, lines, measurements)?,
+            Isa::Baseline => pass.measure_all(narrow, lines, measurements)?,
+            Isa::Scalar => pass.measure_all(alone, lines, measurements)?,
         }
-        pass.measure(together, &batch, measurements);
         if !measurements.contains(&Err(Miss::OutOfImage)) {
             return Ok(());
         }
         // What is out of the image may be inside in part.
+        let reach = kernel.reach() as i32;
         for (i, line) in lines.iter().enumerate() {
             if matches!(measurements[i], Err(Miss::OutOfImage)) {
                 let wanted = whole_half_length(line)? + reach;
@@ -380,6 +373,29 @@ struct Pass<'a> {
 }
 
 impl Pass<'_> {
+    /// Searches all lines, those that follow each other and can be side by side.
+    fn measure_all<const N: usize>(
+        &self,
+        lanes: &mut Lanes<N>,
+        lines: &[SearchLine],
+        measurements: &mut Vec<EdgeMeasurement>,
+    ) -> Result<()> {
+        let reach = self.kernel.reach() as i32;
+        let mut batch = Batch::default();
+        for line in lines {
+            let wanted = whole_half_length(line)? + reach;
+            let key = (Span { from: -wanted, to: wanted }, line.polarity);
+            if batch.is_full() || (batch.key != key && !batch.is_empty()) {
+                self.measure(lanes, &batch, measurements);
+                batch.count = 0;
+            }
+            batch.key = key;
+            batch.push(&line.sample);
+        }
+        self.measure(lanes, &batch, measurements);
+        Ok(())
+    }
+
     /// Searches the lines of a batch, if there are any, and adds what they find.
     fn measure<const N: usize>(
         &self,
