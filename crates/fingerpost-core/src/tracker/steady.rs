@@ -12,6 +12,10 @@
 //! independent ones of (1 + ρ) / (1 − ρ) times the variance. And a line that is surer than what is
 //! known counts as it is: a finger before an even background gains nothing from the frames before,
 //! nor does it lose.
+//!
+//! How far the lines scatter about what is known tells besides what their covariances are worth: the
+//! variance of unit weight, χ² per degree of freedom. Where it is more than 1, here as after any
+//! adjustment by least squares, all are that much less sure.
 
 use super::line::{CONTRADICTION, FingerLine};
 use crate::image::GrayView;
@@ -38,6 +42,11 @@ const OTHER: f64 = 100.0;
 /// As long as a finger has not gone so far, in half-widths, its lines are one look at it, and the last
 /// counts: the surest of several that err alike would be chosen by chance.
 const ONE_LOOK_WIDTHS: f64 = 0.5;
+/// Lines are believed to scatter as they say by so many frames, in degrees of freedom two each; each
+/// that is fresh changes that by one part in so many more, but at least by this. The more so if it
+/// contradicts what is known, but no more than that.
+const BELIEVED_FRAMES: f64 = 8.0;
+const SCATTER_RATE: f64 = 0.05;
 /// Skin that has not been found in so many frames in a row is learned anew.
 const MOST_MISSED: usize = 5;
 /// The part of the template's length that is skin for certain.
@@ -56,6 +65,9 @@ struct Known {
     /// skin's middle, and angle \[rad\].
     line: Vector2<f64>,
     covariance: Matrix2<f64>,
+    /// The variance of unit weight, and of how many frames it is.
+    scatter: f64,
+    frames: f64,
     /// How the skin lay first and last, and when.
     first: Axis,
     lay: Axis,
@@ -101,7 +113,7 @@ impl Steady {
         }
         let missed = known.missed + 1;
         self.known = (missed < MOST_MISSED).then_some(Known { missed, ..known });
-        line
+        known.weighed(line)
     }
 
     fn begin(&mut self, image: &GrayView<'_>, time_s: f64, line: &FingerLine, shown: &Shown) {
@@ -112,6 +124,8 @@ impl Steady {
         self.known = is_seen.then(|| Known {
             line: Vector2::zeros(),
             covariance: line.told_at(&lay).covariance,
+            scatter: 1.0,
+            frames: BELIEVED_FRAMES,
             first: lay,
             lay,
             is_moved: false,
@@ -134,9 +148,11 @@ impl Steady {
         let look = Look::of(line, &lie, &known, gone)?;
         let together = look.together()?;
         let counts = known.is_moved && spread(&together) <= spread(&look.line);
-        self.known = Some(if counts { known.taught(&look)? } else { known.replaced(&look) });
+        let known = if counts { known.taught(&look)? } else { known.replaced(&look) };
+        let known = known.scattered(&look);
+        self.known = Some(known);
         self.skin.learn(&lie);
-        Some(if counts { together } else { look.line })
+        Some(known.weighed(if counts { together } else { look.line }))
     }
 
     /// Where the skin would lie if this line were right.
@@ -177,6 +193,22 @@ impl Known {
         Some(Self { line, covariance: (Matrix2::identity() - gain) * before, ..self })
     }
 
+    /// With how far a look lies from what was known.
+    fn scattered(self, look: &Look) -> Self {
+        if !self.is_moved {
+            return self;
+        }
+        let frames = self.frames + look.freshness;
+        let rate = look.freshness * (1.0 / frames).max(SCATTER_RATE);
+        let scatter = self.scatter + rate * (look.scatter.min(0.5 * CONTRADICTION) - self.scatter);
+        Self { scatter, frames, ..self }
+    }
+
+    /// A line with the covariance that it has if it scatters as all do.
+    fn weighed(&self, line: FingerLine) -> FingerLine {
+        FingerLine { covariance: line.covariance * self.scatter.max(1.0), ..line }
+    }
+
     /// As a look alone has it.
     fn replaced(self, look: &Look) -> Self {
         let covariance = look.measured.covariance + look.lie.covariance;
@@ -199,6 +231,9 @@ struct Look {
     foretold: Matrix2<f64>,
     told: Matrix2<f64>,
     doubt: f64,
+    /// χ² of its difference from what is known per degree of freedom, and how much of it is news, 0–1.
+    scatter: f64,
+    freshness: f64,
 }
 
 impl Look {
@@ -211,6 +246,7 @@ impl Look {
         let correlation = MOST_CORRELATED.min((-gone / FRESH_WIDTHS).exp());
         let told = measured.covariance * ((1.0 + correlation) / (1.0 - correlation));
         let foretold = known.covariance + lie.covariance;
+        let apart = (foretold + measured.covariance).try_inverse()? * surprise;
         let contradiction = surprise.dot(&((foretold + told).try_inverse()? * surprise));
         let doubt = (contradiction / CONTRADICTION).max(1.0);
         let doubted = |line: FingerLine| FingerLine { covariance: line.covariance * doubt, ..line };
@@ -223,6 +259,8 @@ impl Look {
             foretold: foretold * doubt,
             told: told * doubt,
             doubt,
+            scatter: 0.5 * surprise.dot(&apart),
+            freshness: 1.0 - correlation,
         })
     }
 
@@ -359,6 +397,16 @@ mod tests {
             );
         }
         assert!(steady.known.is_none());
+    }
+
+    #[test]
+    fn lines_that_scatter_by_more_than_they_say_are_told_to() {
+        let told = followed(60, 1.0, 20.0, [0.15, 0.01]);
+        let boasting = followed(60, 1.0, 20.0, [0.05, 0.0033]);
+        let sigma = |told: &[[f64; 2]]| rms(told[30..].iter().map(|t| t[1]));
+        let off = rms(boasting[30..].iter().map(|t| t[0]));
+        assert!(off < 1.5 * sigma(&boasting), "{off} {}", sigma(&boasting));
+        assert!(sigma(&boasting) > 0.5 * sigma(&told), "{} {}", sigma(&boasting), sigma(&told));
     }
 
     #[test]
