@@ -159,8 +159,13 @@ pub struct PhotometricReport {
     pub residual_grey: f64,
     /// Standard deviation of the blur \[px\].
     pub blur_px: f64,
-    /// How much the medial line is bent: half its sagitta, about \[px\].
+    /// Half the length of finger in use \[px\].
+    pub half_length_px: f64,
+    /// How much the medial line is bent over that length: the coefficient of P₂, two thirds of its
+    /// sagitta \[px\].
     pub bend_px: f64,
+    /// Standard deviation of the bend \[px\].
+    pub bend_sigma_px: f64,
     /// Contrast at either flank, finger minus background, 2 px inside the edge, where it shows even
     /// of a finger whose limb is dark \[grey levels\].
     pub contrast_grey: [f64; 2],

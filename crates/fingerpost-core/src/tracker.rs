@@ -13,7 +13,9 @@
 //! fitted afterwards and does not turn it, and is left out once it has not been seen for a while.
 //! The finger line comes from the pixels about the flanks where they can be believed
 //! ([`crate::refine`]), else from the contour; the lines of the frames before have a say in it where
-//! they tell it better, carried along by the finger's skin. The paper's model keeps the settled
+//! they tell it better, carried along by the finger's skin. It is told for one stretch of the finger,
+//! whatever part of the flanks a frame shows, and its covariance counts how bent the finger is and how
+//! the lines of its frames scatter. The paper's model keeps the settled
 //! size; rigid motion and one shear remain (rigid motion alone where the template has no thumb:
 //! nothing but the thumb shows the shear). A Kalman filter with constant velocity
 //! ([`DynamicsOptions`]) foretells place and angle, what both models share, and how far along each
@@ -54,6 +56,7 @@ mod mould;
 mod neighbours;
 mod options;
 mod pace;
+mod sagitta;
 mod scene;
 mod seek;
 mod settle;
@@ -82,6 +85,7 @@ pub use options::{
     AcceptOptions, AcquireOptions, DynamicsOptions, Model, TrackOptions, TrackerOptions,
 };
 use pace::Pace;
+use sagitta::Sagitta;
 use scene::Scene;
 use seek::Seek;
 use shape::Shape;
@@ -130,8 +134,9 @@ pub struct ContourTracker {
     /// How a tracked hand moves.
     dynamics: Option<Dynamics<3>>,
     pace: Pace,
-    /// What the frames so far have told of its line.
+    /// What the frames so far have told of its line, and of its bend.
     steady: Steady,
+    sagitta: Sagitta,
     last_time_s: Option<f64>,
     /// The light in which the hand's looks are known.
     exposure: Exposure,
@@ -206,6 +211,7 @@ impl ContourTracker {
             dynamics: None,
             pace: Pace::unknown(),
             steady: Steady::new(),
+            sagitta: Sagitta::default(),
             last_time_s: None,
             exposure: Exposure::new(),
             template,

@@ -9,14 +9,14 @@ import numpy as np
 from fingerpost.checks import in_range
 from fingerpost.errors import InvalidInputError
 from fingerpost.pipeline import DEFAULT_REFERENCE_SIGMA_PX
-from fingerpost.pointing import BARE_HAND, PointingOptions
+from fingerpost.pointing import UNSEEN_HAND, PointingOptions
 from fingerpost.simulate import PoseLimits
 
 UNITS_MM = {"µm": 1e-3, "mm": 1.0, "cm": 10.0, "dm": 100.0, "m": 1000.0, "in": 25.4, "inch": 25.4}
 """Names of plane units whose length is known [mm]."""
 
 
-STRICT = replace(BARE_HAND, max_sigma=0.05)
+STRICT = replace(UNSEEN_HAND, max_sigma=0.05)
 """Cameras should stand better than the least with which a hand can be followed."""
 
 

@@ -70,7 +70,7 @@ def advise(
 def _options(device: str, settings: dict[str, Any]) -> AdviceOptions:
     """Lay what was given over the defaults, which stand where the options are defined."""
     from fingerpost.advise import AdviceOptions
-    from fingerpost.pointing import BARE_HAND, DEFAULT_OPTIONS
+    from fingerpost.pointing import DEFAULT_OPTIONS, UNSEEN_HAND
     from fingerpost.simulate import PoseLimits
 
     given = {name: value for name, value in settings.items() if value is not None}
@@ -82,7 +82,7 @@ def _options(device: str, settings: dict[str, Any]) -> AdviceOptions:
     renamed = taken(
         length_mm="length", blur_px="blur", reference_sigma_px="reference_noise", unit_mm="unit_mm"
     )
-    pointing = BARE_HAND if device == "hand" else DEFAULT_OPTIONS
+    pointing = UNSEEN_HAND if device == "hand" else DEFAULT_OPTIONS
     return AdviceOptions(poses=poses, pointing=pointing, **renamed, **given)
 
 

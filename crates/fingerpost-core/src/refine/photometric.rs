@@ -126,6 +126,7 @@ struct Normal {
 /// How a fit ended.
 struct Ending {
     residual_grey: f64,
+    bend_sigma_px: f64,
     iterations: usize,
     converged: bool,
 }
@@ -231,8 +232,12 @@ impl Photometric {
             if settled || iteration >= self.options.max_iterations {
                 let settled = settled || motion < NEARLY_SETTLED * self.options.tolerance_px;
                 let covariance = covariance(&factor, &normal.tally, freedom)?;
-                let ending =
-                    Ending { residual_grey: scale, iterations: iteration, converged: settled };
+                let ending = Ending {
+                    residual_grey: scale,
+                    bend_sigma_px: covariance[(2, 2)].sqrt(),
+                    iterations: iteration,
+                    converged: settled,
+                };
                 let report = self.report(sketch, &x, &normal.tally, &ending);
                 return straight(&x, &covariance, sketch.half_length_px, report);
             }
@@ -353,7 +358,7 @@ impl Photometric {
         tally: &Tally,
         ending: &Ending,
     ) -> PhotometricReport {
-        let Ending { residual_grey, iterations, converged } = *ending;
+        let Ending { residual_grey, bend_sigma_px, iterations, converged } = *ending;
         let pixels = self.pixels();
         let blocks: usize = self.flanks.iter().map(|f| f.strip.blocks.len()).sum();
         let sigma = |effect: usize| [0, 1].map(|f| self.flanks[f].variances[effect].sqrt());
@@ -369,7 +374,9 @@ impl Photometric {
             outside_grey: sigma(OUTSIDE_EFFECT),
             edge_px: sigma(EDGE_EFFECT),
             blur_px: x.blur_px(),
+            half_length_px: sketch.half_length_px,
             bend_px: x.0[BEND],
+            bend_sigma_px,
             iterations,
             converged,
         }

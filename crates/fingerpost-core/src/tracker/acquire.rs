@@ -8,6 +8,7 @@ use super::looks::Lead;
 use super::mould::{Kind, Mould, STANDS_OUT};
 use super::options::{AcquireOptions, Model};
 use super::pace::Pace;
+use super::sagitta::Sagitta;
 use super::scene::Scene;
 use super::shape::Shape;
 use super::track::{Track, track};
@@ -288,6 +289,7 @@ impl ContourTracker {
         self.dynamics = Some(Dynamics::start(components, gap_s, time_s, &at, &misfit())?);
         self.pace = Pace::unknown();
         self.steady.forget();
+        self.sagitta = Sagitta::default();
         self.hand.usual_px = found.fit.map_or(f64::INFINITY, |fit| fit.residual_rms_px);
         self.hand.partly_frames = MOST_COVERED_FRAMES;
         self.hand.count_partly(found);

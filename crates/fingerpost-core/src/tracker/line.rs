@@ -80,8 +80,13 @@ impl FingerLine {
     /// The same line, when what covers the finger in part may have led it astray by so much at either
     /// end: of what is no noise nothing averages out.
     pub(super) fn misled(self, by_px: f64) -> Self {
-        let turn = by_px * 3.0_f64.sqrt() / self.half_length_px;
-        let doubt = Matrix2::from_diagonal(&Vector2::new(by_px, turn).map(|s| s * s));
+        self.misled_by_part(by_px / self.half_length_px)
+    }
+
+    /// The same by a part of the half-length, which a bend may do.
+    pub(super) fn misled_by_part(self, part: f64) -> Self {
+        let doubt = Vector2::new(part * self.half_length_px, part * 3.0_f64.sqrt());
+        let doubt = Matrix2::from_diagonal(&doubt.map(|s| s * s));
         Self { covariance: self.covariance + doubt, ..self }
     }
 

@@ -66,11 +66,16 @@ impl ContourTracker {
             (Some(refined), Some(contour)) => Some(contour.doubted(&refined.axis)),
             (None, contour) | (_, contour @ None) => contour,
         };
+        if let Some(refined) = refined.filter(|_| !beside_cover) {
+            self.sagitta.learn(&refined);
+        }
         let finger_line = match self.hand.shape {
             Shape::Ribbon(x) if self.options.refine => finger_line.map(|line| {
                 let length_px = self.waiting.measure.length_px;
                 let shown = Shown { half_width_px: x[3], taper: x[4], length_px };
-                self.steady.follow(frame.image(), time_s, line, &shown)
+                let line = self.sagitta.told(line, x[3]);
+                let line = self.steady.follow(frame.image(), time_s, line, &shown);
+                line.misled_by_part(self.sagitta.misleads())
             }),
             _ => finger_line,
         };
