@@ -16,6 +16,7 @@
 use crate::frame::{Frame, SidedPixel};
 use crate::logarithm::ln;
 use crate::simd::{Isa, Work};
+use nalgebra::{Point2, Vector2};
 use std::array::from_fn;
 
 /// Bins per colour channel: 16 grey levels wide.
@@ -26,6 +27,13 @@ const GRAY_BINS: usize = 64;
 const MAX_VOTE: f32 = 3.0;
 /// Every bin starts with this part of an even distribution.
 const PRIOR_WEIGHT: f32 = 0.5;
+/// What is inside of an edge is the hand if its pixels in these places \[px\] vote for that by this
+/// much on average, and what is outside of it is behind the hand if its pixels vote for that by this
+/// much: motion smears the hand farther than light does.
+pub(crate) const INSIDE_PX: [f64; 3] = [2.0, 3.0, 4.0];
+const OUTSIDE_PX: [f64; 3] = [4.0, 6.0, 8.0];
+const OWN_VOTE: f32 = 0.5;
+const BEHIND_VOTE: f32 = 0.25;
 
 /// A vote's unit is one over this.
 pub(crate) const VOTE_UNIT: f32 = 1024.0;
@@ -205,6 +213,25 @@ impl Appearance {
     #[must_use]
     pub fn vote(&self, frame: &Frame<'_>, u: f64, v: f64) -> f32 {
         self.bin(frame, u, v).map_or(0.0, |bin| f32::from(self.votes[bin]) / VOTE_UNIT)
+    }
+
+    /// Whether what is inside of an edge looks like the hand, and what is outside of it, in the
+    /// direction of the unit vector `normal`, like what has been seen behind that: what covers a hand
+    /// in part has an edge as well.
+    pub(crate) fn is_own_edge(
+        &self,
+        frame: &Frame<'_>,
+        edge: Point2<f64>,
+        normal: Vector2<f64>,
+    ) -> bool {
+        let mean = |outward_px: [f64; 3]| {
+            let votes = outward_px.map(|px| {
+                let place = edge + normal * px;
+                self.vote(frame, place.x, place.y)
+            });
+            votes.iter().sum::<f32>() / votes.len() as f32
+        };
+        mean(INSIDE_PX.map(|px| -px)) >= OWN_VOTE && mean(OUTSIDE_PX) <= -BEHIND_VOTE
     }
 
     /// The pixels of `frame` that vote, and how.

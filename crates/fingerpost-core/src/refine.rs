@@ -42,6 +42,7 @@
 //!     taper: 0.0,
 //!     flanks: [stretch; 2],
 //!     round_end_px: Some(30.0),
+//!     girth: None,
 //! };
 //! let mut refiner = Refiner::new(RefineOptions::default())?;
 //! let refined = refiner.refine(&frame, &finger, Polarity::Bright, None, None)?;
@@ -53,6 +54,7 @@
 //! ```
 
 mod background;
+mod bare;
 mod bisector;
 mod block;
 mod blur;
@@ -81,6 +83,7 @@ use crate::search::{Cue, Polarity};
 use crate::shape_space::Axis;
 use crate::simd::Isa;
 use crate::{Error, Result};
+use bare::Bare;
 use bisector::{Bisector, BisectorFit};
 use nalgebra::Matrix2;
 use noise::NoiseEstimator;
@@ -120,6 +123,22 @@ pub struct Finger {
     /// The middle of the finger's round end, in px along the axis from its anchor; `None` if the
     /// end is not to be seen.
     pub round_end_px: Option<f64>,
+    /// How wide it is known to be, if something may cover it in part: then what does not look like the
+    /// hand before what has been behind it is left out. `None` if nothing covers it.
+    pub girth: Option<Girth>,
+}
+
+/// How wide a finger is that something covers in part, as it was when it was seen whole.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Girth {
+    /// Half its width at the anchor of its axis \[px\], positive.
+    pub half_width_px: f64,
+    /// Growth of the half-width per px towards the tip.
+    pub taper: f64,
+    /// Standard deviation of the half-width \[px\], positive.
+    pub half_width_sigma_px: f64,
+    /// Standard deviation of the taper, positive.
+    pub taper_sigma: f64,
 }
 
 /// Where a refined line comes from.
@@ -213,6 +232,7 @@ pub struct Refiner {
     photometric: Photometric,
     straightness: Straightness,
     noise: NoiseEstimator,
+    bare: Bare,
 }
 
 impl Refiner {
@@ -227,6 +247,7 @@ impl Refiner {
             photometric: Photometric::new(options.photometric),
             straightness: Straightness::new(options.bisector)?,
             noise: NoiseEstimator::new(),
+            bare: Bare::default(),
             options,
         })
     }
@@ -276,11 +297,12 @@ impl Refiner {
         let Some(sketch) = Sketch::of(finger)? else { return Ok(None) };
         let Some(noise_grey) = self.noise.estimate(image, &sketch) else { return Ok(None) };
         let cue = appearance.map_or(Cue::Edges, Cue::HandEdges);
-        let bisector = self.bisector.fit(frame, cue, polarity, noise_grey, &sketch)?;
+        self.bare.look(frame, appearance, &sketch);
+        let bisector = self.bisector.fit(frame, cue, polarity, noise_grey, &sketch, &self.bare)?;
         let start = bisector.map_or(sketch, |b| b.sketch);
         let known = background.and_then(|known| self.fit_before(image, known, &start));
         let photometric = known.or_else(|| {
-            let fit = self.photometric.fit(image, None, noise_grey, &start)?;
+            let fit = self.photometric.fit(image, None, noise_grey, &start, &self.bare)?;
             Some((fit, noise_grey))
         });
         Ok(self.believed(noise_grey, &start, bisector, photometric))
@@ -312,7 +334,7 @@ impl Refiner {
     ) -> Option<(PhotometricFit, f64)> {
         let image = known.image().unwrap_or(image);
         let noise_grey = self.noise.estimate(image, start)?;
-        let fit = self.photometric.fit(image, Some(known), noise_grey, start)?;
+        let fit = self.photometric.fit(image, Some(known), noise_grey, start, &self.bare)?;
         self.options.believes_pixels(&fit.report, noise_grey).then_some((fit, noise_grey))
     }
 

@@ -200,6 +200,7 @@ impl ContourTracker {
             straight_frames: 0,
             usual_px: f64::INFINITY,
             partly_frames: MOST_COVERED_FRAMES,
+            is_covered: false,
         };
         Ok(Self {
             convergence: Convergence::new(&options)?,

@@ -8,7 +8,7 @@ use common::{BentFinger, Canvas, Noise, Picture, Shape};
 use fingerpost_core::appearance::Appearance;
 use fingerpost_core::nalgebra::{Matrix2, Matrix4, Point2, Vector2, Vector3, Vector4};
 use fingerpost_core::refine::{
-    Finger, KnownBackground, RefineOptions, Refined, Refiner, Source, Stretch,
+    Finger, Girth, KnownBackground, RefineOptions, Refined, Refiner, Source, Stretch,
 };
 use fingerpost_core::search::Polarity;
 use fingerpost_core::shape_space::Axis;
@@ -101,6 +101,7 @@ impl Cone {
             taper: (w1 - w0) / length,
             flanks: [stretch, stretch],
             round_end_px: Some(0.5 * length + error * noise.normal()),
+            girth: None,
         }
     }
 
@@ -558,7 +559,14 @@ fn the_line_of_a_bent_finger_is_that_of_least_squares_through_its_stretch() {
         ([whole, Stretch { from_px: -10.0, ..whole }], 5.0, 25.0),
     ] {
         let axis = Axis::of_finger(anchor, e.y.atan2(e.x), 40.0);
-        let finger = Finger { axis, half_width_px: 7.0, taper: 0.0, flanks, round_end_px: None };
+        let finger = Finger {
+            axis,
+            half_width_px: 7.0,
+            taper: 0.0,
+            flanks,
+            round_end_px: None,
+            girth: None,
+        };
         let refined = refine(&mut refiner(), &picture, &finger).unwrap();
         assert_eq!(refined.source, Source::Photometric);
         let Stretch { from_px, to_px } = refined.stretch;
@@ -704,6 +712,16 @@ fn numbers_that_are_none_are_refused() {
         );
     }
     assert!(matches!(refused(Finger { taper: f64::NAN, ..finger }), Error::NotFinite { .. }));
+    let girth =
+        Girth { half_width_px: 7.0, taper: 0.0, half_width_sigma_px: 0.1, taper_sigma: 0.01 };
+    for girth in [
+        Girth { half_width_px: f64::NAN, ..girth },
+        Girth { taper: f64::INFINITY, ..girth },
+        Girth { half_width_sigma_px: 0.0, ..girth },
+        Girth { taper_sigma: -0.1, ..girth },
+    ] {
+        refused(Finger { girth: Some(girth), ..finger });
+    }
     let end = Finger { round_end_px: Some(f64::NAN), ..finger };
     assert!(matches!(refused(end), Error::NotFinite { .. }));
     let stretch = Stretch { from_px: f64::NAN, to_px: 1.0 };
@@ -881,8 +899,14 @@ fn bent_finger(bend_rad: f64, noise: &mut Noise) -> (BentFinger, Finger) {
     let axis = Axis::of_finger(finger.joint_px, angle_rad, 36.0);
     let stretch = Stretch { from_px: -25.0, to_px: 31.0 };
     let flanks = [stretch; 2];
-    let believed =
-        Finger { axis, half_width_px: 7.2, taper: 0.0, flanks, round_end_px: Some(29.0) };
+    let believed = Finger {
+        axis,
+        half_width_px: 7.2,
+        taper: 0.0,
+        flanks,
+        round_end_px: Some(29.0),
+        girth: None,
+    };
     (finger, believed)
 }
 
@@ -958,6 +982,69 @@ fn a_half_that_does_not_show_does_not_bend() {
         let bend = refiner.bend(&frame, &believed, Polarity::Bright, None).unwrap();
         assert_eq!(bend, None, "{bend_rad}");
     }
+}
+
+/// Something round before a finger.
+struct Disc {
+    middle: Point2<f64>,
+    radius_px: f64,
+}
+
+impl Shape for Disc {
+    fn depth(&self, at: Point2<f64>) -> (f64, Vector2<f64>) {
+        let from_middle = at - self.middle;
+        let away = from_middle.norm();
+        (self.radius_px - away, from_middle / away.max(f64::MIN_POSITIVE))
+    }
+}
+
+/// A disc before the right (1) or the left (−1) flank of a straight finger.
+fn disc_over(finger: &BentFinger, side: f64, along_px: f64, radius_px: f64) -> Disc {
+    let (sin, cos) = finger.angle_rad.sin_cos();
+    let aside = Vector2::new(-sin, cos) * (side * (finger.half_width_px + 1.0));
+    Disc { middle: finger.joint_px + Vector2::new(cos, sin) * along_px + aside, radius_px }
+}
+
+#[test]
+fn a_finger_that_is_covered_in_part_is_told_by_its_bare_stretches() {
+    let mut noise = Noise::new(0x6261_7265);
+    let mut refiner = refiner();
+    let [mut bare, mut all, mut told] = [0.0; 3];
+    let mut count = 0.0;
+    for cover in [20.0, TABLE + 75.0, 200.0, 235.0] {
+        for k in 0..12 {
+            let (finger, believed) = bent_finger(0.0, &mut noise);
+            let discs = [1.0, -1.0].map(|side| {
+                let along_px = side * noise.between(4.0, 16.0);
+                disc_over(&finger, side, along_px, noise.between(8.0, 11.0))
+            });
+            let canvas = Canvas::new(SIZE, SIZE, TABLE).paint(&finger, TABLE + 80.0);
+            let whole = canvas.clone().blur(0.96).take(2.0, &mut noise);
+            let looks = looks(&Frame::gray(whole.view()), &finger);
+            let picture = discs.iter().fold(canvas, |canvas, disc| canvas.paint(disc, cover));
+            let picture = picture.blur(0.96).take(2.0, &mut noise);
+            let frame = Frame::gray(picture.view());
+            let girth = Some(Girth {
+                half_width_px: 7.0 + 0.04 * noise.normal(),
+                taper: 0.003 * noise.normal(),
+                half_width_sigma_px: 0.04,
+                taper_sigma: 0.003,
+            });
+            let mut turned = |finger_of: &Finger| {
+                let refined =
+                    refiner.refine(&frame, finger_of, Polarity::Bright, Some(&looks), None);
+                refined.unwrap().map(|r| ((r.axis.angle_rad - finger.angle_rad).sin(), r))
+            };
+            let (turn, refined) = turned(&Finger { girth, ..believed }).unwrap();
+            assert_eq!(refined.source, Source::Photometric, "{cover} {k}");
+            let (bare_here, sigma2) = (turn * turn, refined.covariance[(1, 1)]);
+            assert!(bare_here < 25.0 * sigma2, "{cover} {k}: {turn} {}", sigma2.sqrt());
+            all += turned(&believed).map_or(0.0, |(turn, _)| turn * turn);
+            (bare, told, count) = (bare + bare_here, told + bare_here / sigma2, count + 1.0);
+        }
+    }
+    assert!(bare < 0.1 * all, "{} {}", (bare / count).sqrt(), (all / count).sqrt());
+    assert!((0.5..2.0).contains(&(told / count)), "{}", told / count);
 }
 
 #[test]

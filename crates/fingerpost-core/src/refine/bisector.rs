@@ -6,8 +6,9 @@
 //! is the axis whatever the taper and the perspective. Light from the side moves both edges the same
 //! way, and with them the bisector; the photometric line does not suffer from that.
 
+use super::bare::Bare;
 use super::sketch::{FlankLines, SIDES, Sketch};
-use super::{BisectorOptions, BisectorReport};
+use super::{BisectorOptions, BisectorReport, Girth};
 use crate::Result;
 use crate::fit::{EquationBuffer, FitOptions, Fitter, Loss, Outcome, Prior, Solve};
 use crate::frame::Frame;
@@ -107,6 +108,7 @@ impl Bisector {
         polarity: Polarity,
         noise_grey: f64,
         sketch: &Sketch,
+        bare: &Bare,
     ) -> Result<Option<BisectorFit>> {
         let mut at = *sketch;
         // Not so far that one flank finds the other.
@@ -114,6 +116,9 @@ impl Bisector {
         let mut last = None;
         for pass in 0..self.options.max_passes {
             self.measure(frame, cue, polarity, noise_grey, &at, half_length_px)?;
+            for (flank, stations) in self.flanks.iter_mut().enumerate() {
+                stations.retain(|s| bare.flank(flank).is_bare(s.p));
+            }
             if pass == 0 {
                 for stations in &mut self.flanks {
                     consensus(stations, self.options.consensus_px);
@@ -188,14 +193,21 @@ impl Bisector {
                 equations.push(&row(side, s), s.offset_px, s.variance_px2)?;
             }
         }
+        let known = at.girth.unwrap_or(Girth {
+            half_width_px: at.half_width_px,
+            taper: at.taper,
+            half_width_sigma_px: SKETCH_SIGMA_PX,
+            taper_sigma: SKETCH_TAPER_SIGMA,
+        });
         let sigma = [
             SKETCH_SIGMA_PX,
             SKETCH_END_SIGMA_PX / at.half_length_px,
-            SKETCH_SIGMA_PX,
-            SKETCH_TAPER_SIGMA,
+            known.half_width_sigma_px,
+            known.taper_sigma,
         ];
+        let (wider_px, opened) = (known.half_width_px - at.half_width_px, known.taper - at.taper);
         let prior = Prior {
-            mean: SVector::zeros(),
+            mean: SVector::from([0.0, 0.0, wider_px, opened]),
             information: SMatrix::from_diagonal(&SVector::from(sigma.map(|s| s.powi(-2)))),
         };
         let fit = self.fitter.solve(&equations, Some(&prior));

@@ -28,6 +28,7 @@
     reason = "what is inlined into a function with wider instructions is compiled for them"
 )]
 
+use super::bare::Bare;
 use super::block::{Deviations, EDGE_EFFECT, Evidence, INSIDE_EFFECT, OUTSIDE_EFFECT};
 use super::blur::BlurTable;
 use super::gram::{Gram, Weighed, Weighing};
@@ -35,8 +36,8 @@ use super::pixels::{Doubles, LANES, Lanes, Strip, USUAL_BLOCKS, USUAL_PIXELS, to
 use super::profile::{CLEAR, RoundEnd};
 use super::sketch::{FlankLines, Sketch};
 use super::unknowns::{
-    self, BEND, BLUR_SIGMA_PX, BULGE, Factors, FlankEquations, FlankStep, Information,
-    LEAST_CONTRAST_GREY, OFFSET, SLOPE, UNKNOWNS, Unknowns, Vector,
+    self, BEND, BLUR_SIGMA_PX, BULGE, Factors, FlankEquations, FlankStep, HALF_WIDTH, Information,
+    LEAST_CONTRAST_GREY, OFFSET, SLOPE, TAPER, UNKNOWNS, Unknowns, Vector,
 };
 use super::{KnownBackground, PhotometricOptions, PhotometricReport, Stretch};
 use crate::image::GrayView;
@@ -182,9 +183,17 @@ impl Photometric {
         background: Option<&KnownBackground<'_>>,
         noise_grey: f64,
         sketch: &Sketch,
+        bare: &Bare,
     ) -> Option<PhotometricFit> {
         for (index, flank) in self.flanks.iter_mut().enumerate() {
-            flank.strip.gather(image, background, noise_grey, sketch, index, &self.options);
+            flank.strip.gather(
+                image,
+                background,
+                noise_grey,
+                sketch,
+                &bare.flank(index),
+                &self.options,
+            );
             flank.weighed.resize(flank.strip.most_pixels(), Weighed::default());
             flank.deviations.clear();
             flank.deviations.extend(flank.strip.groups.iter().map(Deviations::none));
@@ -198,8 +207,13 @@ impl Photometric {
         let pixels = self.pixels() as f64;
         let contrast = [0, 1].map(|f| self.flanks[f].strip.contrast_grey(x.contrast_grey(f)).abs());
         let contrast = contrast[0].max(contrast[1]);
-        let prior = unknowns::prior(&self.options, sketch.half_width_px, contrast);
-        let mean = x;
+        let mut prior = unknowns::prior(&self.options, sketch.half_width_px, contrast);
+        let mut mean = x;
+        if let Some(girth) = sketch.girth {
+            (mean.0[HALF_WIDTH], mean.0[TAPER]) = (girth.half_width_px, girth.taper);
+            prior[HALF_WIDTH] = girth.half_width_sigma_px.powi(-2);
+            prior[TAPER] = girth.taper_sigma.powi(-2);
+        }
         let mut scale = (FIRST_SCALE * contrast.max(LEAST_CONTRAST_GREY)).max(noise_grey);
         let mut iteration = 0;
         loop {

@@ -17,6 +17,7 @@
     reason = "what is inlined into a function with wider instructions is compiled for them"
 )]
 
+use super::bare::BareFlank;
 use super::sketch::{SIDES, Sketch};
 use super::{KnownBackground, PhotometricOptions, Stretch};
 use crate::image::GrayView;
@@ -203,18 +204,23 @@ impl Strip {
         self.blocks.iter().map(|b| b.pixels).sum()
     }
 
-    /// Collects the pixels of flank `flank` (0 right, 1 left) near where the sketch has it.
+    /// Collects the pixels of a flank near where the sketch has it and where it is bare.
     pub fn gather(
         &mut self,
         image: &GrayView<'_>,
         background: Option<&KnownBackground<'_>>,
         noise_grey: f64,
         sketch: &Sketch,
-        flank: usize,
+        flank: &BareFlank<'_>,
         options: &PhotometricOptions,
     ) {
+        let (bare, flank) = (flank, flank.index);
         self.see(image, sketch, flank, options);
         self.divide(sketch.flanks[flank].from_px, options.block_px);
+        if bare.is_partly_covered() {
+            let Self { blocks, seen, .. } = self;
+            seen.retain(|s| bare.is_bare(blocks[s.block].p));
+        }
         if let Some(known) = background {
             self.hear(image, known, sketch, flank);
             self.light(noise_grey as f32);

@@ -2,7 +2,7 @@
 //!
 //! p runs along the finger from the middle of the stretch in use, q to the right of it, both in px.
 
-use super::{Finger, Stretch};
+use super::{Finger, Girth, Stretch};
 use crate::{Error, Result};
 use nalgebra::{Point2, Vector2};
 
@@ -28,6 +28,8 @@ pub(super) struct Sketch {
     /// p of the anchor and of the tip of the axis that the sketch was made of.
     pub anchor_px: f64,
     pub tip_px: f64,
+    /// As the finger's, but of p = 0.
+    pub girth: Option<Girth>,
 }
 
 impl Sketch {
@@ -36,7 +38,7 @@ impl Sketch {
     /// # Errors
     /// When a number is not finite or the half-width not positive.
     pub fn of(finger: &Finger) -> Result<Option<Self>> {
-        let Finger { axis, half_width_px, taper, flanks, round_end_px } = finger;
+        let Finger { axis, half_width_px, taper, flanks, round_end_px, girth } = finger;
         Error::finite("axis of the finger [px]", axis.anchor.coords.sum() + axis.tip.coords.sum())?;
         Error::finite("angle of the finger [rad]", axis.angle_rad)?;
         Error::within("half-width of the finger [px]", *half_width_px, "positive", |w| w > 0.0)?;
@@ -46,6 +48,12 @@ impl Sketch {
         }
         if let Some(end) = round_end_px {
             Error::finite("middle of the round end [px]", *end)?;
+        }
+        if let Some(girth) = girth {
+            Error::finite("girth of the finger", girth.half_width_px + girth.taper)?;
+            for sigma in [girth.half_width_sigma_px, girth.taper_sigma] {
+                Error::within("uncertainty of the girth", sigma, "positive", |s| s > 0.0)?;
+            }
         }
         let seen = flanks.iter().filter(|s| s.length_px() > 0.0);
         let (from, to) = seen.fold((f64::INFINITY, f64::NEG_INFINITY), |(from, to), s| {
@@ -66,6 +74,7 @@ impl Sketch {
             half_length_px: 0.5 * (to - from),
             anchor_px: -middle,
             tip_px: along.dot(&(axis.tip - axis.anchor)) - middle,
+            girth: girth.map(|g| Girth { half_width_px: g.half_width_px + g.taper * middle, ..g }),
         };
         // A taper that closes the finger within the stretch describes no finger.
         let ends = [-sketch.half_length_px, sketch.half_length_px];

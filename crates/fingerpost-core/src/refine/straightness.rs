@@ -13,6 +13,7 @@
 //!
 //! A finger that bends towards the camera or away from it only gets shorter, and no view shows it.
 
+use super::bare::Bare;
 use super::bisector::{Bisector, BisectorFit, STATION_PX};
 use super::sketch::Sketch;
 use super::{BisectorOptions, BisectorReport, Finger, Stretch};
@@ -65,6 +66,8 @@ const BEHIND: [f64; 2] = [-3.0, -0.6];
 /// A finger that does not end where its round end was thought to be goes on from here to there,
 /// counted from the middle of that end \[half-widths\].
 const AHEAD: [f64; 2] = [0.8, 3.0];
+/// Of the flanks of what may be covered, at least this part is its own.
+const OWN_PART: f64 = 0.5;
 /// The image noise that edges are found with; what counts is how they scatter \[grey levels\].
 const NOISE_GREY: f64 = 1.0;
 
@@ -72,6 +75,7 @@ const NOISE_GREY: f64 = 1.0;
 #[derive(Debug, Clone)]
 pub(super) struct Straightness {
     bisector: Bisector,
+    bare: Bare,
 }
 
 /// What a half is looked for in, and how.
@@ -85,12 +89,12 @@ impl Straightness {
     pub fn new(options: BisectorOptions) -> Result<Self> {
         let (half_length_px, min_edges) = (HALF_LENGTH_PX, LEAST_EDGES);
         let bisector = Bisector::new(BisectorOptions { half_length_px, min_edges, ..options })?;
-        Ok(Self { bisector })
+        Ok(Self { bisector, bare: Bare::default() })
     }
 
     /// The same with another instruction set.
     pub fn with_isa(self, isa: Isa) -> Self {
-        Self { bisector: self.bisector.with_isa(isa) }
+        Self { bisector: self.bisector.with_isa(isa), ..self }
     }
 
     /// The bend of a finger that is believed to be near `finger`; `None` if a half does not tell.
@@ -171,7 +175,8 @@ impl Straightness {
         for turn_rad in TURNS_RAD {
             let angle_rad = other.along.y.atan2(other.along.x) + turn_rad;
             let axis = Axis::of_finger(joint, angle_rad, 0.0);
-            let part = Finger { axis, half_width_px, flanks, round_end_px: None, ..*finger };
+            let (round_end_px, girth) = (None, None);
+            let part = Finger { axis, half_width_px, flanks, round_end_px, girth, ..*finger };
             let Some(sketch) = Sketch::of(&part)? else { continue };
             if least <= 0.0 || vote(&sketch) <= 0.0 {
                 continue;
@@ -191,8 +196,11 @@ impl Straightness {
         }
         let Some(sketch) = Sketch::of(part)? else { return Ok(None) };
         let Look { frame, cue, polarity } = *look;
-        let fit = self.bisector.fit(frame, cue, polarity, NOISE_GREY, &sketch)?;
-        Ok(fit.filter(|fit| is_finger(&sketch, fit)))
+        let fit = self.bisector.fit(frame, cue, polarity, NOISE_GREY, &sketch, &Bare::default())?;
+        let Some(fit) = fit.filter(|fit| is_finger(&sketch, fit)) else { return Ok(None) };
+        // Where the part was looked for nothing may be bare: it is bent away from there.
+        self.bare.look(frame, cue.appearance(), &fit.sketch);
+        Ok((self.bare.least_part() >= OWN_PART).then_some(fit))
     }
 }
 

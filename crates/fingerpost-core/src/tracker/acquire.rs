@@ -292,6 +292,7 @@ impl ContourTracker {
         self.sagitta = Sagitta::default();
         self.hand.usual_px = found.fit.map_or(f64::INFINITY, |fit| fit.residual_rms_px);
         self.hand.partly_frames = MOST_COVERED_FRAMES;
+        self.hand.is_covered = false;
         self.hand.count_partly(found);
         self.hand.thumb_missed = 0;
         self.hand.posture = posture;

@@ -21,8 +21,6 @@ const UNLIKE: f64 = 0.3;
 /// What an edge counts that does not look like the hand inside, beside one that does: in a new light
 /// none does.
 const OTHERS_SAY: f64 = 0.1;
-/// An edge is the hand's own only within so many of the largest scales of its residual offsets.
-const OWN_SCALES: f64 = 1.5;
 /// Once the votes have been sought, their changes are looked for this part of the way, for the hand
 /// may have turned besides.
 const SOUGHT: f64 = 0.5;
@@ -76,9 +74,11 @@ impl ContourTracker {
         let reach_px = reach_px.min(MAX_HALF_LENGTH_PX as f64);
         let window = foretold.map(|f| f.window);
         let near = self.settle(frame, predicted, Scale::Fine, window)?;
+        self.hand.is_covered = false;
         if self.is_plain(&near, foretold)? {
             return Ok(near);
         }
+        self.hand.is_covered = foretold.is_some() && self.hand.is_known_whole();
         let near = self.weighed(frame, near, (predicted, Scale::Fine, window), foretold)?;
         let steady = match foretold {
             Some(f) if self.hand.is_known_whole() => {
@@ -148,7 +148,7 @@ impl ContourTracker {
         };
         let samples = self.hand.fingers(&self.samples);
         let sight = self.hand.sight(frame, Lead::HandEdges, self.options.polarity);
-        let within_px = OWN_SCALES * self.hand.most_scale_px();
+        let within_px = self.hand.support_px();
         let own = self.convergence.own_share(frame, &sight, samples, within_px)?;
         Ok(Way { found, path, own, cost })
     }

@@ -6,7 +6,7 @@ use super::options::{AcceptOptions, TrackerOptions};
 use super::scene::Scene;
 use super::{MAX_DOF, SearchedLine, ShapeEstimate};
 use crate::Result;
-use crate::appearance::Appearance;
+use crate::appearance::{Appearance, INSIDE_PX};
 use crate::background::Background;
 use crate::discriminant::{DiscriminantImage, Mixture, region_about};
 use crate::dynamics::{Expectation, Gate};
@@ -34,8 +34,9 @@ const FAR_SCALE: f64 = 0.2;
 /// Motion smears a large finger as it does a small one, in proportion: residual offsets up to this part
 /// of its half-width are no reason to refuse it.
 const RESIDUAL_SHARE: f64 = 0.2;
-/// A sample supports a fit when its residual offset is below this \[px\].
-const SUPPORT_PX: f64 = 1.5;
+/// A sample supports a fit when its residual offset is below this \[px\]; of a hand whose edges
+/// usually scatter less, it must be below less.
+pub(super) const SUPPORT_PX: f64 = 1.5;
 /// What a hand does besides moving and turning shifts its edges by this, as a standard deviation
 /// \[px\].
 const BESIDES_PX: f64 = 1.0;
@@ -58,6 +59,8 @@ pub(super) struct Attempt<'a> {
     pub own_only: bool,
     /// The residual offsets' scale near the hand's edges is at most this \[px\].
     pub most_scale_px: f64,
+    /// A sample of the finger supports a fit when its residual offset is below this \[px\].
+    pub support_px: f64,
 }
 
 /// Where a hand that moved on is expected, and how far from there its edges are looked for.
@@ -482,7 +485,6 @@ impl Convergence {
         samples: usize,
         within_px: f64,
     ) -> Result<f64> {
-        let within_px = within_px.min(SUPPORT_PX);
         let shown = self.image.shown(frame, sight.mixture, || region(&self.lines))?;
         let mut residuals = self.fitter.residuals().iter();
         let (mut own, mut visible) = (0_usize, 0_usize);
@@ -514,14 +516,16 @@ impl Convergence {
     }
 
     /// Which samples the last solution explains: those whose edge it leaves close by.
-    fn support(&self, samples: &[TemplateSample]) -> Support {
+    fn support(&self, attempt: &Attempt<'_>) -> Support {
         let mut support = Support::default();
         let mut residuals = self.fitter.residuals().iter();
         for (&i, found) in self.visible.iter().zip(&self.measurements) {
-            let part = samples[i].part() as usize;
-            support.visible[part] += 1;
-            if found.is_ok() && residuals.next().is_some_and(|r| r.abs() < SUPPORT_PX) {
-                support.supported[part] += 1;
+            let part = attempt.samples[i].part();
+            // A thumb bends, whatever is usual of the finger.
+            let within_px = if part == Part::Thumb { SUPPORT_PX } else { attempt.support_px };
+            support.visible[part as usize] += 1;
+            if found.is_ok() && residuals.next().is_some_and(|r| r.abs() < within_px) {
+                support.supported[part as usize] += 1;
             }
         }
         support
@@ -552,7 +556,7 @@ impl Convergence {
             line_covariance: j * covariance * j.transpose() * alike,
             seen: Seen { visible: self.lines.len(), hits: fit.equations, inliers: fit.inliers },
             agreement: fit.inliers as f64 / self.lines.len().max(1) as f64,
-            support: self.support(attempt.samples),
+            support: self.support(attempt),
             residual_rms_px: fit.residual_rms_px,
             rank: fit.rank,
             own_only: attempt.own_only,
@@ -561,30 +565,15 @@ impl Convergence {
     }
 }
 
-/// An edge is the background's if these places inside of it \[px\] are hardly foreground.
-const INSIDE_PX: [f64; 3] = [2.0, 3.0, 4.0];
+/// An edge is the background's if [`INSIDE_PX`] of it is hardly foreground.
 const HARDLY: f64 = 0.3;
 /// The hand's own edge is looked for so far from where it begins to differ from the background
 /// \[px\].
 const BEGINS_WITHIN_PX: f64 = 4.0;
 
-/// What is inside of an edge is the hand if its pixels vote for that by this much on average, and what
-/// is outside of it is behind the hand if its pixels vote for that by this much.
-const OWN_VOTE: f32 = 0.5;
-const BEHIND_VOTE: f32 = 0.25;
-/// What is outside is looked at in these places \[px\]: motion smears the hand farther than light does.
-const OUTSIDE_PX: [f64; 3] = [4.0, 6.0, 8.0];
-
-/// Whether what is inside of an edge looks like the hand, and what is outside of it like what has
-/// been seen behind that: before a hand that is covered in part, the cover has an edge as well.
+/// Whether an edge is the hand's own.
 fn is_own(frame: &Frame<'_>, looks: &Appearance, edge: &PlacedSample) -> bool {
-    let vote = |outward_px: f64| {
-        let place = edge.position + edge.normal * outward_px;
-        looks.vote(frame, place.x, place.y)
-    };
-    let mean = |votes: [f32; 3]| votes.iter().sum::<f32>() / votes.len() as f32;
-    mean(INSIDE_PX.map(|inside_px| vote(-inside_px))) >= OWN_VOTE
-        && mean(OUTSIDE_PX.map(vote)) <= -BEHIND_VOTE
+    looks.is_own_edge(frame, edge.position, edge.normal)
 }
 
 /// A sample of the contour moved to its edge.

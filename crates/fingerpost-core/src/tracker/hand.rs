@@ -1,6 +1,6 @@
 //! The hand as it is known: its shape, its looks, and what is usual of it.
 
-use super::convergence::{Attempt, CONVERGED_PX, Fit, Window};
+use super::convergence::{Attempt, CONVERGED_PX, Fit, SUPPORT_PX, Window};
 use super::found::Found;
 use super::looks::{Lead, Looks, Sight};
 use super::mould::{Kind, finger_samples};
@@ -22,6 +22,11 @@ const HELD_RATE: f64 = 0.05;
 const USUAL_TIMES: f64 = 2.0;
 const USUAL_LEAST_PX: f64 = 0.2;
 const USUAL_RATE: f64 = 0.1;
+/// An edge is its own only within so many of the largest scales of its residual offsets.
+const OWN_SCALES: f64 = 1.5;
+/// What is covered changes its dimensions by no more than this part of what it may while it is seen
+/// whole. From one frame to the next a hand of constant size has hardly any change at all.
+const COVERED_SLACK: f64 = 0.1;
 /// What has not been seen whole for so many frames may be no hand that is covered in part, but none.
 pub(super) const MOST_COVERED_FRAMES: usize = 90;
 /// A fit that explains this part of the contour needs no second look from afar.
@@ -62,6 +67,8 @@ pub(super) struct Hand {
     pub(super) usual_px: f64,
     /// Frames since nearly all of its contour was last explained.
     pub(super) partly_frames: usize,
+    /// Whether something may cover it in part, for all that is known of it.
+    pub(super) is_covered: bool,
 }
 
 /// How far a convergence looks along the normals, and whether by the pixels' votes or by edges.
@@ -100,11 +107,13 @@ impl Hand {
         if self.moulded.is_empty() { samples } else { &self.moulded }
     }
 
-    /// Lets the dimensions that a hand cannot change follow slowly: it may come nearer.
+    /// Lets the dimensions that a hand cannot change follow slowly, for it may come nearer; what covers
+    /// it hardly has a say.
     pub(super) fn grow(&mut self) {
         if let Shape::Ribbon(x) = self.shape {
+            let rate = if self.is_covered { self.slack() * HELD_RATE } else { HELD_RATE };
             for k in [3, 4, 8] {
-                self.acquired[k] += HELD_RATE * (x[k] - self.acquired[k]);
+                self.acquired[k] += rate * (x[k] - self.acquired[k]);
             }
         }
     }
@@ -161,7 +170,18 @@ impl Hand {
         let Look { half_length_px, scale, lead, window, rest_px, own_only } = look;
         let sight = self.sight(frame, lead, polarity);
         let most_scale_px = if own_only { self.most_scale_px() } else { f64::INFINITY };
-        Attempt { samples, sight, scale, half_length_px, window, rest_px, own_only, most_scale_px }
+        let support_px = self.support_px();
+        Attempt {
+            samples,
+            sight,
+            scale,
+            half_length_px,
+            window,
+            rest_px,
+            own_only,
+            most_scale_px,
+            support_px,
+        }
     }
 
     /// Whether it was seen whole of late: what never was may be none, and moves as it likes.
@@ -195,6 +215,19 @@ impl Hand {
     /// What its edges scatter at most about a fit in its place \[px\].
     pub(super) fn most_scale_px(&self) -> f64 {
         (USUAL_TIMES * self.usual_px).max(USUAL_LEAST_PX)
+    }
+
+    /// An edge supports a fit, and may be its own, only this near to it \[px\].
+    pub(super) fn support_px(&self) -> f64 {
+        (OWN_SCALES * self.most_scale_px()).min(SUPPORT_PX)
+    }
+
+    /// How freely its dimensions change, in parts of how freely they do while all of it is seen: what
+    /// covers it makes it neither wider nor slimmer, but the longer it lasts the more they may have
+    /// changed.
+    pub(super) fn slack(&self) -> f64 {
+        let since = self.partly_frames as f64 / MOST_COVERED_FRAMES as f64;
+        (COVERED_SLACK + (1.0 - COVERED_SLACK) * since).min(1.0)
     }
 
     /// How to look for it in a frame.

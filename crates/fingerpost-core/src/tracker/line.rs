@@ -62,14 +62,6 @@ impl FingerLine {
         self.told_along((other.axis.anchor - self.axis.anchor).dot(&self.axis.direction()))
     }
 
-    /// Whether two lines of one finger lie farther apart than their covariances say.
-    pub(super) fn contradicts(&self, other: &Self) -> bool {
-        let other = other.told_beside(self);
-        let apart = self.apart(&other.axis);
-        let inverse = (self.covariance + other.covariance).try_inverse();
-        inverse.is_none_or(|inverse| apart.dot(&(inverse * apart)) > CONTRADICTION)
-    }
-
     /// The same line, when another look at the finger has its axis elsewhere: which of them is wrong
     /// is not known, and it may be wrong by as much as they differ.
     pub(super) fn doubted(self, other: &Axis) -> Self {

@@ -10,6 +10,7 @@ use super::shape::Shape;
 use super::{ContourTracker, NEAR_PX};
 use crate::Result;
 use crate::fit::Prior;
+use crate::refine::Girth;
 use crate::search::Scale;
 use crate::shape_space::{
     Affine, AffineMap, PlanarSpace, RIBBON_DOF, Ribbon, RibbonVector, Rigid, RigidShear,
@@ -64,7 +65,8 @@ impl ContourTracker {
                 let belief = window.and_then(|w| w.belief());
                 let turned =
                     self.run_ribbon::<3>(frame, &x, Limb::Finger, before_others, belief.as_ref())?;
-                let mut held = self.held::<5>(&x, 1.0);
+                let slack = if own_only { self.hand.slack() } else { 1.0 };
+                let mut held = self.held::<5>(&x, slack);
                 if let Some(Prior { mean, information }) = belief {
                     held.mean.fixed_rows_mut::<3>(0).copy_from(&mean);
                     held.information.fixed_view_mut::<3, 3>(0, 0).copy_from(&information);
@@ -198,6 +200,17 @@ impl ContourTracker {
 
     pub(super) fn ribbon<const D: usize>(&self, about: &RibbonVector) -> Result<Ribbon<D>> {
         Ribbon::about(about, &self.waiting.measure.with_thumb(self.hand.kind.has_thumb))
+    }
+
+    /// How wide a finger is that something may cover in part; None of one that nothing does.
+    pub(super) fn girth(&self) -> Option<Girth> {
+        let (acquired, slack) = (&self.hand.acquired, self.hand.slack());
+        self.hand.is_covered.then(|| Girth {
+            half_width_px: acquired[3],
+            taper: acquired[4],
+            half_width_sigma_px: slack * HELD_WIDTH_SIGMA * acquired[3],
+            taper_sigma: slack * HELD_TAPER_SIGMA,
+        })
     }
 
     /// What the hand cannot change: the widths and the taper are those it was acquired with, the

@@ -47,16 +47,7 @@ impl ContourTracker {
         let contour = found.fit.map(|f| {
             FingerLine::of_contour(&f.axis, &f.line_covariance).misled(self.hand.unusual_px(&f))
         });
-        let beside_cover = found.fit.is_some_and(|fit| fit.own_only);
         let finger_line = match (refined, contour) {
-            // What covers a hand has pixels of its own.
-            (Some(refined), Some(contour))
-                if beside_cover
-                    && (refined.source != Source::Photometric
-                        || contour.contradicts(&FingerLine::of_pixels(&refined))) =>
-            {
-                Some(contour)
-            }
             (Some(refined), _) if refined.source == Source::Photometric => {
                 Some(FingerLine::of_pixels(&refined))
             }
@@ -66,7 +57,8 @@ impl ContourTracker {
             (Some(refined), Some(contour)) => Some(contour.doubted(&refined.axis)),
             (None, contour) | (_, contour @ None) => contour,
         };
-        if let Some(refined) = refined.filter(|_| !beside_cover) {
+        // What covers a hand has pixels of its own.
+        if let Some(refined) = refined.filter(|_| !found.fit.is_some_and(|fit| fit.own_only)) {
             self.sagitta.learn(&refined);
         }
         let finger_line = match self.hand.shape {
@@ -114,7 +106,8 @@ impl ContourTracker {
         };
         let flanks = [right, left];
         let axis = self.ribbon::<RIBBON_DOF>(x)?.pose(x).axis();
-        Ok(Some(Finger { axis, half_width_px, taper, flanks, round_end_px: Some(round_end_px) }))
+        let (round_end_px, girth) = (Some(round_end_px), self.girth());
+        Ok(Some(Finger { axis, half_width_px, taper, flanks, round_end_px, girth }))
     }
 
     /// How the finger of a fit that counts is bent, if its flanks tell; never of the paper's model.
