@@ -48,6 +48,8 @@ FPS = 20.0
 SEED = 11
 # What a found hand may be off by; the tracker itself is tested elsewhere.
 ACCURACY_MM = 6.0
+# Frames within which a template has grown as long as its finger: two lengths, each tried for one.
+LOOKED_AT = 4
 # Frames from the hand's full entry, or its return, until there is a point.
 FOUND_WITHIN = 10
 
@@ -328,11 +330,16 @@ def test_a_found_finger_is_seen_at_length_once_a_frame_shows_it_all():
     v, u = np.indices(image.shape)
     behind_px = np.stack([line.tip_px[0] - u, line.tip_px[1] - v], axis=-1) @ ahead
     covered = np.where(behind_px > 3.5 * trial.half_width_px, np.median(image), image)
-    lengths_px = []
-    for shown in (covered.astype(np.uint8), image):
-        search.believe(trial, Frame(0, 0.0, shown))
-        lengths_px.append(np.ptp(trial.tracker.contour() @ ahead))
-    assert lengths_px[1] > 1.2 * lengths_px[0]
+    short_px = np.ptp(trial.tracker.contour() @ ahead)
+    search.believe(trial, Frame(0, 0.0, covered.astype(np.uint8)))
+    assert search.found is None
+    assert np.ptp(trial.tracker.contour() @ ahead) == short_px
+    # The second look is two frames after the first that has failed.
+    for k in (1, 2):
+        trial.update(Frame(k, k / FPS, image), search.background)
+        search.believe(trial, Frame(k, k / FPS, image))
+    assert search.found is trial
+    assert np.ptp(trial.tracker.contour() @ ahead) > 1.2 * short_px
 
 
 def test_a_found_finger_is_as_long_as_its_whole_width_says():
@@ -348,7 +355,9 @@ def test_a_found_finger_is_as_long_as_its_whole_width_says():
     )
     trial.track = trial.tracker.update(image, 0.0)
     slim_px = trial.half_width_px
-    search.believe(trial, Frame(0, 0.0, image))
+    for k in range(LOOKED_AT):
+        search.believe(trial, Frame(k, k / FPS, image))
+        trial.update(Frame(k + 1, (k + 1) / FPS, image), search.background)
     ahead = np.array([np.cos(line.angle_rad), np.sin(line.angle_rad)])
     length_px = np.ptp(trial.tracker.contour() @ ahead)
     assert trial.half_width_px > 1.1 * slim_px

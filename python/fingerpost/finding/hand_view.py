@@ -14,6 +14,7 @@ from fingerpost.capture import Frame
 from fingerpost.config import View
 from fingerpost.finding.first_hand import FirstHand
 from fingerpost.finding.foreground import is_background
+from fingerpost.finding.length import Lengthening
 from fingerpost.finding.one_finger import Shared
 from fingerpost.finding.pairs import Viewpoint
 from fingerpost.finding.search import HandSearch
@@ -77,6 +78,7 @@ class HandView:
         self._is_backed = False
         self.missing = Status.ACQUIRING
         """What it is while it follows nothing: looking for its first hand, or for a lost one."""
+        self._lengthening: Lengthening | None = None
         self._first_hand: FirstHand | None = None
         if view.start is not None:
             template = Template.pistol(view.start.thumb)
@@ -147,6 +149,10 @@ class HandView:
     def follow(self, frame: Frame, track: Track) -> None:
         """Take over what the tracker made of the view's frame."""
         self._track = track
+        if self._lengthening is not None and self._tracker is not None:
+            self._tracker, self._track = self._lengthening.look(
+                self._tracker, track, frame, self.search.background
+            )
         if self._first_hand is not None:
             self._first_hand.prove(frame, track.finger_line)
 
@@ -216,6 +222,7 @@ class HandView:
         found = self.search.found
         if found is not None and found.is_proven:
             self._tracker, self._track = found.tracker, found.track
+            self._lengthening = found.lengthening
             if self._first_hand is not None:
                 self._first_hand.believe()
             self.missing = Status.LOST
@@ -268,5 +275,6 @@ class HandView:
     def _let_go(self) -> None:
         """Follow nothing any more, and look everywhere."""
         self._tracker, self._track, self._doubts, self._is_table = None, None, 0, False
+        self._lengthening = None
         self.missing = Status.LOST
         self.search.rest()

@@ -10,34 +10,19 @@ from collections.abc import Callable
 
 import numpy as np
 
-from fingerpost._core import ContourTracker, FingerLine, StartPose, Track
+from fingerpost._core import Background, ContourTracker, FingerLine, StartPose, Track
 from fingerpost.capture import Frame
-from fingerpost.finding.finger import are_near
-from fingerpost.finding.trial import Trial
+from fingerpost.finding.finger import are_near, fitted_half_width_px
 
 TemplateAt = Callable[[StartPose, float], ContourTracker]
 """Makes a tracker that follows a finger from a pose on, of half a width [px]."""
 
-MEASURED = 2
-"""How often the longest is looked for: a trial's template lies near the tip, where a finger is
-slim, and tells too small a width to begin with."""
-
-
-def lengthen(trial: Trial, line: FingerLine, frame: Frame, template_at: TemplateAt) -> None:
-    """Follow with the longest template that this frame shows all of, if there is one."""
-    half_width_px = trial.half_width_px
-    for _ in range(MEASURED):
-        longest = _longest(line, half_width_px, frame, template_at)
-        if longest is None:
-            return
-        trial.tracker, trial.track = longest
-        trial.is_lengthened = True
-        half_width_px = trial.half_width_px
-
-
 LENGTHS = (10.5, 9.0, 8.0, 7.0, 6.0, 5.0)
 """Templates that may follow a found finger, in its fitted half-widths, the longest first: an
 index finger is hardly longer from knuckle to tip."""
+
+LONGER = 1.1
+"""One that is not longer by this factor than what follows already is not worth a change."""
 
 LOOKS = 3
 """How often each of them looks at the frame: its colours, known from the first look, bring out
@@ -47,23 +32,106 @@ SAME_TURN_RAD = 0.2
 """It leads nowhere else: a template turned by more has taken other edges for the finger's."""
 
 
-def _longest(
-    line: FingerLine, half_width_px: float, frame: Frame, template_at: TemplateAt
-) -> tuple[ContourTracker, Track] | None:
-    """Return the longest template on a finger of a width that the frame shows all of."""
-    here = StartPose(line.tip_px, line.angle_rad, half_width_px)
-    for length in LENGTHS:
-        start = StartPose(line.tip_px, line.angle_rad, length * half_width_px)
-        tracker = template_at(start, half_width_px)
-        for _ in range(LOOKS):
-            track = tracker.update(frame.grey(), frame.time_s, frame.colour())
-        found = track.finger_line
-        if found is None or _far_ends_seen(tracker, found) < FAR_END_SEEN:
-            continue
-        there = StartPose(found.tip_px, found.angle_rad, half_width_px)
-        if are_near(here, there, 2.0 * half_width_px, SAME_TURN_RAD):
+class Lengthening:
+    """Has a finger that was found followed by a template as long as it.
+
+    A frame may hide what another shows: a longer template is looked for in every frame until one is
+    as long as a finger, and then at ever longer intervals until none may be longer.
+
+    Parameters
+    ----------
+    template_at
+        Makes a tracker that follows a finger from a pose on, of half a width [px].
+    half_width_px
+        Half the width that the finger was found with.
+    """
+
+    def __init__(self, template_at: TemplateAt, half_width_px: float) -> None:
+        self.is_long = False
+        """Whether the template is as long as a finger."""
+        self._template_at = template_at
+        self._half_width_px = half_width_px
+        self._longer: ContourTracker | None = None
+        self._is_longest = False
+        self._frames, self._interval = 0, 1
+
+    def look(
+        self,
+        tracker: ContourTracker,
+        track: Track,
+        frame: Frame,
+        background: Background | None = None,
+    ) -> tuple[ContourTracker, Track]:
+        """Return a longer template that this frame shows all of, or else what follows already.
+
+        What follows well gives way to what has followed for a frame, too.
+
+        Parameters
+        ----------
+        tracker, track
+            What follows the finger, and what it made of this frame.
+        frame
+            The frame.
+        background
+            What is behind the hand, if that is known.
+        """
+        longer, self._longer = self._longer, None
+        line = track.finger_line
+        if line is None:
             return tracker, track
-    return None
+        if longer is not None:
+            seen = longer.update(frame.grey(), frame.time_s, frame.colour(), background=background)
+            return (longer, seen) if self._is_same(line, seen.finger_line) else (tracker, track)
+        self._frames += 1
+        if self._is_longest or self._frames < self._interval:
+            return tracker, track
+        longest = self._longest(tracker, track, line, frame)
+        self._frames, self._interval = 0, 2 * self._interval if longest is None else 1
+        if not self.is_long:
+            self.is_long, self._interval = self._is_longest or longest is not None, 1
+            return longest or (tracker, track)
+        self._longer = longest[0] if longest is not None else None
+        return tracker, track
+
+    def _longest(
+        self, tracker: ContourTracker, track: Track, line: FingerLine, frame: Frame
+    ) -> tuple[ContourTracker, Track] | None:
+        """Return the longest template that a frame shows all of; None unless it is longer."""
+        self._half_width_px = fitted_half_width_px(track) or self._half_width_px
+        # The width may be another by now: a short template lies near the tip, where it is slim.
+        least = LONGER * _length_px(tracker, line) / self._half_width_px
+        lengths = [length for length in LENGTHS if length > least]
+        self._is_longest = not lengths
+        for length in lengths:
+            start = StartPose(line.tip_px, line.angle_rad, length * self._half_width_px)
+            longer = self._template_at(start, self._half_width_px)
+            for _ in range(LOOKS):
+                seen = longer.update(frame.grey(), frame.time_s, frame.colour())
+            found = seen.finger_line
+            if found is None or _far_ends_seen(longer, found) < FAR_END_SEEN:
+                continue
+            if self._is_same(line, found):
+                return longer, seen
+        return None
+
+    def _is_same(self, line: FingerLine, other: FingerLine | None) -> bool:
+        """Tell whether another template follows the same finger."""
+        if other is None:
+            return False
+        here, there = (
+            StartPose(one.tip_px, one.angle_rad, self._half_width_px) for one in (line, other)
+        )
+        return are_near(here, there, 2.0 * self._half_width_px, SAME_TURN_RAD)
+
+
+SEEN_PART = 0.85
+"""The part of a template's length that its outline covers; the rest is in the fist."""
+
+
+def _length_px(tracker: ContourTracker, line: FingerLine) -> float:
+    """Return the length of the template that follows a finger."""
+    ahead = np.array([np.cos(line.angle_rad), np.sin(line.angle_rad)])
+    return float(np.ptp(tracker.contour() @ ahead)) / SEEN_PART
 
 
 FAR_END = 0.3

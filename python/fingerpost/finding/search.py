@@ -19,7 +19,7 @@ from fingerpost._core import (
 )
 from fingerpost.capture import Frame
 from fingerpost.finding.finger import Array, Sighting, are_near, hand_region
-from fingerpost.finding.length import lengthen
+from fingerpost.finding.length import Lengthening
 from fingerpost.finding.look import widening
 from fingerpost.finding.trial import Trial, distinct
 
@@ -147,6 +147,7 @@ class HandSearch:
                 foreground=candidate.foreground,
                 hand=widening(frame.image, track.finger_line, candidate.half_width_px),
                 is_late=is_late,
+                lengthening=Lengthening(self._tracker_at, half_width_px),
             )
         )
         return True
@@ -163,9 +164,8 @@ class HandSearch:
         if trial is not self.found and line is not None and not trial.has_come:
             # It was there from the start: what was learned there is the hand.
             self.background.forget(hand_region(line))
-        self.found = trial
-        if not trial.is_lengthened and line is not None:
-            lengthen(trial, line, frame, self._tracker_at)
+        trial.tracker, trial.track = trial.lengthening.look(trial.tracker, trial.track, frame)
+        self.found = trial if trial.lengthening.is_long else None
 
     def candidate_sightings(self) -> list[Sighting]:
         """Return what is seen of the candidates, one for each."""

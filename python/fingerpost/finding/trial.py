@@ -11,6 +11,7 @@ from fingerpost._core import Background, Candidate, ContourTracker, StartPose, T
 from fingerpost.capture import Frame
 from fingerpost.finding.finger import PROVEN_MOTION, Array, are_near, fitted_half_width_px
 from fingerpost.finding.foreground import IN_FOREGROUND
+from fingerpost.finding.length import Lengthening
 from fingerpost.finding.look import widening
 
 MISSES = 2
@@ -41,8 +42,8 @@ class Trial:
         Whether it was started when the background had long been known.
     frames, misses
         Frames in a row with an accepted fit, and without.
-    is_lengthened
-        Whether a template as long as its finger has taken over.
+    lengthening
+        What has a template as long as the finger take over.
     """
 
     candidate: Candidate
@@ -52,9 +53,9 @@ class Trial:
     foreground: float
     hand: float
     is_late: bool
+    lengthening: Lengthening
     frames: int = 1
     misses: int = 0
-    is_lengthened: bool = False
 
     @property
     def is_over(self) -> bool:
