@@ -50,6 +50,8 @@ SEED = 11
 ACCURACY_MM = 6.0
 # Frames within which a template has grown as long as its finger: two lengths, each tried for one.
 LOOKED_AT = 4
+# Frames of a moving hand after which a view that stands still is let go.
+LET_GO_WITHIN = 11
 # Frames from the hand's full entry, or its return, until there is a point.
 FOUND_WITHIN = 10
 
@@ -142,6 +144,28 @@ def test_a_hand_is_found_when_it_comes_and_when_it_comes_back(scene):
     # Between its visits the hand is lost, not looked for as for the first time.
     gone = next(s for s in steps[came[0] : came[1]][::-1] if s.fix.point is None)
     assert gone.fix.status is Status.LOST
+
+
+def test_a_view_that_stands_still_while_the_hand_moves_in_another_is_let_go():
+    far = DevicePose.pointing_at((330.0, 300.0), azimuth_deg=35.0, slant_deg=45.0, hover_mm=100.0)
+    motion = (
+        Trajectory.hold(AWAY, 0.4)
+        .then(Trajectory.through([AWAY, OVER_THE_TABLE], 1.2))
+        .then(Trajectory.hold(OVER_THE_TABLE, 0.8))
+        .then(Trajectory.through([OVER_THE_TABLE, far], 0.25))
+    )
+    rig, rng = SCENES["wood and a sheet, in colour"], np.random.default_rng(SEED)
+    pointer, stuck, points = Pointer(described(rig)), None, []
+    stuck_from, frames = 40, int(motion.duration_s * FPS)
+    for k in range(frames):
+        left, right = rig.render(motion, time_s=k / FPS, rng=rng).images
+        if k >= stuck_from:
+            stuck = right = right if stuck is None else stuck
+        fed = [Frame(k, k / FPS, image) for image in (left, right)]
+        points += [step.fix.point is not None for step in pointer.update(fed)]
+    assert frames > stuck_from + LET_GO_WITHIN + 3
+    assert all(points[stuck_from - 5 : stuck_from])
+    assert not any(points[stuck_from + LET_GO_WITHIN :])
 
 
 def test_a_hand_that_waits_in_the_first_frame_is_found():

@@ -76,6 +76,24 @@ def moves(lines: Sequence[FingerLine]) -> bool:
     return _motion(lines[max(len(lines) - LATELY, 0)], lines[-1]) > STILL
 
 
+KEPT_PLACE = 0.5
+MOVED_ON = 3.0
+"""A finger that has stayed within so many half-widths of its place while another view showed its
+tip move by so many is left behind. Real tips do so in no 8 frames in a row of the recordings."""
+
+
+def is_left_behind(lines: Sequence[FingerLine], others: Sequence[FingerLine]) -> bool:
+    """Tell whether a finger has kept its place while another view showed it move.
+
+    Parameters
+    ----------
+    lines, others
+        The finger in the latest frames of the view and of the other one, oldest first.
+    """
+    has_kept = all(_motion(lines[0], line) < KEPT_PLACE for line in lines)
+    return has_kept and _motion(others[0], others[-1]) > MOVED_ON
+
+
 def _motion(before: FingerLine, now: FingerLine) -> float:
     """Return how far a tip has moved [half-widths]."""
     length_px = 2.0 * np.hypot(*np.subtract(before.tip_px, before.anchor_px))

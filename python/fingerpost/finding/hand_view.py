@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any
@@ -9,9 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fingerpost._core import Background, ContourTracker, StartPose, Template, Track
+from fingerpost._core import Background, ContourTracker, FingerLine, StartPose, Template, Track
 from fingerpost.capture import Frame
 from fingerpost.config import View
+from fingerpost.finding.finger import is_left_behind
 from fingerpost.finding.first_hand import FirstHand
 from fingerpost.finding.foreground import is_background
 from fingerpost.finding.length import Lengthening
@@ -31,6 +33,10 @@ BACKGROUND_FRAMES = 8
 
 DOUBTED_FRAMES = 20
 """Views that have given no point for so many frames follow different things."""
+
+
+STOOD_FRAMES = 8
+"""What has stood still for so many frames while another view's finger has moved is no finger."""
 
 
 class HandView:
@@ -70,6 +76,7 @@ class HandView:
         self.search = HandSearch(tracker_options)
         self._tracker: ContourTracker | None = None
         self._track: Track | None = None
+        self._latest: deque[FingerLine] = deque(maxlen=STOOD_FRAMES)
         self._background_frames = 0
         self._is_table = False
         self._table_frames = 0
@@ -153,6 +160,8 @@ class HandView:
             self._tracker, self._track = self._lengthening.look(
                 self._tracker, track, frame, self.search.background
             )
+        if track.finger_line is not None:
+            self._latest.append(track.finger_line)
         if self._first_hand is not None:
             self._first_hand.prove(frame, track.finger_line)
 
@@ -244,8 +253,22 @@ class HandView:
         # A hand that has come into another view stands out from the table in this one too.
         is_table = self._is_table and not self._is_sure and any(o.has_newcomer for o in others)
         self._table_frames = self._table_frames + 1 if is_table else 0
-        if self._table_frames >= BACKGROUND_FRAMES or self._doubts >= DOUBTED_FRAMES:
+        if (
+            self._table_frames >= BACKGROUND_FRAMES
+            or self._doubts >= DOUBTED_FRAMES
+            or self._is_left_behind(others)
+        ):
             self._let_go()
+
+    def _is_left_behind(self, others: Sequence[HandView]) -> bool:
+        """Whether another view's finger has moved while what is followed here has stood still.
+
+        A finger may move towards a camera that sees it still, for once; it is soon found again.
+        """
+        latest = [view._latest for view in (self, *others) if len(view._latest) == STOOD_FRAMES]
+        return len(self._latest) == STOOD_FRAMES and any(
+            is_left_behind(self._latest, other) for other in latest
+        )
 
     def _is_backed_by(self, others: Sequence[HandView], shared: Shared) -> bool:
         """Whether another view follows the same finger as this one, and has found nothing else.
@@ -276,5 +299,6 @@ class HandView:
         """Follow nothing any more, and look everywhere."""
         self._tracker, self._track, self._doubts, self._is_table = None, None, 0, False
         self._lengthening = None
+        self._latest.clear()
         self.missing = Status.LOST
         self.search.rest()
