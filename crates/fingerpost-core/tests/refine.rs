@@ -323,6 +323,26 @@ fn the_covariance_is_that_of_the_errors_and_near_the_bound() {
 }
 
 #[test]
+fn the_bend_of_a_cylinder_is_noise_as_large_as_it_is_told_to_be() {
+    let (mut noise, mut refiner) = (Noise::new(31), refiner());
+    let (mut chi_squared, mut count) = (0.0, 0.0);
+    for _ in 0..30 {
+        let cone = Cone::random(&mut noise, 0.0, 1.0);
+        let canvas = cone.render(&PLAIN, 1, &flat);
+        for _ in 0..8 {
+            let picture = canvas.take(2.0, &mut noise);
+            let refined = refine(&mut refiner, &picture, &cone.believed(&mut noise, 0.3)).unwrap();
+            let report = refined.photometric.unwrap();
+            chi_squared += (report.bend_px / report.bend_sigma_px).powi(2);
+            count += 1.0;
+        }
+    }
+    // The standard error of a mean of χ² of 240 is 9 %.
+    let nees: f64 = chi_squared / count;
+    assert!((0.75..1.25).contains(&nees), "NEES {nees}");
+}
+
+#[test]
 fn sharp_and_soft_pictures_settle_in_a_few_iterations() {
     let (mut noise, mut refiner) = (Noise::new(12), refiner());
     let fingers = 8;
