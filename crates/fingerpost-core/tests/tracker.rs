@@ -595,7 +595,7 @@ fn time_does_not_run_backwards() {
 #[test]
 fn the_same_frames_give_the_same_bits() {
     for model in MODELS {
-        let mut trackers = [tracker(model, Thumb::Right), tracker(model, Thumb::Right)];
+        let mut trackers = [(); 2].map(|()| Box::new(tracker(model, Thumb::Right)));
         let mut noise = Noise::new(0x7361_6d65);
         for k in 0..14 {
             let away = (8..11).contains(&k);
