@@ -272,6 +272,16 @@ def test_one_finger_is_one_and_two_are_seldom():
     assert np.mean(scores[~same] > 0.5) < 0.4
 
 
+def test_tips_that_are_not_one_make_no_finger():
+    rig = SimulatedRig()
+    one, other = sightings(rig, OVER_THE_TABLE)
+    # The lines stay where they are: they alone would still meet in a point.
+    back_px = 110.0 * np.array([np.cos(other.angle_rad), np.sin(other.angle_rad)])
+    slid = other._replace(tip_px=tuple(np.subtract(other.tip_px, back_px)))
+    assert score(rig, one, other) > 0.5
+    assert score(rig, one, slid) == 0.0
+
+
 def test_what_lies_on_the_table_is_no_finger():
     rig = SimulatedRig()
     ends = np.array([[100.0, 120.0], [180.0, 150.0]])

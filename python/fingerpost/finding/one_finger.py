@@ -9,7 +9,7 @@ import numpy as np
 
 from fingerpost._core import Track
 from fingerpost.finding.finger import followed
-from fingerpost.finding.pairs import Viewpoint, same_tip
+from fingerpost.finding.pairs import OTHER_TIP, Viewpoint, same_tip
 from fingerpost.pointing import (
     FingerLine,
     PlaneView,
@@ -21,10 +21,6 @@ from fingerpost.pointing import (
 MAY_POINT = PointingOptions(max_sigma=0.12)
 """What a pair of finger lines must tell of their point before it is believed: templates that have
 just been started are short, and their lines less sure than those of a hand that is followed."""
-
-OTHER_TIP = 0.8
-"""Two tips that are one point with less than this, by `MISS`, may be those of two fingers [0 to 1].
-Rays that pass so far apart are no proof alone: the lines must contradict each other besides."""
 
 
 class FollowingView(Protocol):
@@ -56,14 +52,17 @@ def gives_point(views: Sequence[PlaneView], tracks: Sequence[Track | None]) -> b
 
 
 def can_be_one(views: Pair) -> bool:
-    """Tell whether what two views follow may be one finger; so it is while one follows nothing."""
-    return gives_point([v.viewpoint.plane_view for v in views], [v.track for v in views])
+    """Tell whether what two views follow may be one finger; so it is while one follows nothing.
+
+    Then their lines give a point, and their tips may be one.
+    """
+    same = _same_followed_tip(views)
+    return (same is None or same >= OTHER_TIP) and _give_point(views)
 
 
 def are_one(views: Pair) -> bool:
-    """Tell whether two views follow one finger: their lines give a point, and they have one tip."""
-    same = _same_followed_tip(views)
-    return same is not None and same >= OTHER_TIP and can_be_one(views)
+    """Tell whether two views follow one finger."""
+    return _same_followed_tip(views) is not None and can_be_one(views)
 
 
 def are_two(views: Pair) -> bool:
@@ -72,10 +71,12 @@ def are_two(views: Pair) -> bool:
     Then their lines give no point, and their tips are hardly one; a hand that points nowhere has
     one tip.
     """
-    if can_be_one(views):
-        return False
     same = _same_followed_tip(views)
-    return same is not None and same < OTHER_TIP
+    return same is not None and same < OTHER_TIP and not _give_point(views)
+
+
+def _give_point(views: Pair) -> bool:
+    return gives_point([v.viewpoint.plane_view for v in views], [v.track for v in views])
 
 
 def _same_followed_tip(views: Pair) -> float | None:

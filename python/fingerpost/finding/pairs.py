@@ -79,6 +79,10 @@ each passes the other view's tip at less than this [half-widths]."""
 REACH = 1.5
 """How far from the middle of the reference points one may point [plane sizes]."""
 
+OTHER_TIP = 0.8
+"""Two tips that are one point with less than this, by `MISS`, are those of two fingers [0 to 1];
+one tip reaches 0.96 in every frame of the recordings."""
+
 POINT_SPREAD = 1.0
 """At this distance from there the indicated point costs a pair 40 % of its score [plane sizes]."""
 
@@ -118,7 +122,9 @@ def pair_scores(
     away = np.linalg.norm(point - plane.plane_points.mean(axis=0), axis=-1) / plane.plane_size
     score = first.score * second.score * _alike(first, second)
     score *= np.exp(-0.5 * np.square(away / POINT_SPREAD))
-    score *= _same_point(first, second, plane.plane_size)
+    same = _same_point(first, second, plane.plane_size)
+    possible &= same >= OTHER_TIP
+    score *= same
     return np.asarray(np.where(possible & (away < REACH) & ~flat, score, 0.0))
 
 
