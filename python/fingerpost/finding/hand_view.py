@@ -160,10 +160,11 @@ class HandView:
             self._tracker, self._track = self._lengthening.look(
                 self._tracker, track, frame, self.search.background
             )
-        if track.finger_line is not None:
-            self._latest.append(track.finger_line)
         if self._first_hand is not None:
             self._first_hand.prove(frame, track.finger_line)
+        # What leaves the table for the hand that has come has not moved like one.
+        if track.finger_line is not None and self._is_sure:
+            self._latest.append(track.finger_line)
 
     @property
     def may_follow_table(self) -> bool:

@@ -52,17 +52,14 @@ def gives_point(views: Sequence[PlaneView], tracks: Sequence[Track | None]) -> b
 
 
 def can_be_one(views: Pair) -> bool:
-    """Tell whether what two views follow may be one finger; so it is while one follows nothing.
-
-    Then their lines give a point, and their tips may be one.
-    """
-    same = _same_followed_tip(views)
-    return (same is None or same >= OTHER_TIP) and _give_point(views)
+    """Tell whether what two views follow may be one finger; so it is while one follows nothing."""
+    return gives_point([v.viewpoint.plane_view for v in views], [v.track for v in views])
 
 
 def are_one(views: Pair) -> bool:
-    """Tell whether two views follow one finger."""
-    return _same_followed_tip(views) is not None and can_be_one(views)
+    """Tell whether two views follow one finger: their lines give a point, and they have one tip."""
+    same = _same_followed_tip(views)
+    return same is not None and same >= OTHER_TIP and can_be_one(views)
 
 
 def are_two(views: Pair) -> bool:
@@ -71,12 +68,10 @@ def are_two(views: Pair) -> bool:
     Then their lines give no point, and their tips are hardly one; a hand that points nowhere has
     one tip.
     """
+    if can_be_one(views):
+        return False
     same = _same_followed_tip(views)
-    return same is not None and same < OTHER_TIP and not _give_point(views)
-
-
-def _give_point(views: Pair) -> bool:
-    return gives_point([v.viewpoint.plane_view for v in views], [v.track for v in views])
+    return same is not None and same < OTHER_TIP
 
 
 def _same_followed_tip(views: Pair) -> float | None:
