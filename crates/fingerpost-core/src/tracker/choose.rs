@@ -74,11 +74,9 @@ impl ContourTracker {
         let reach_px = reach_px.min(MAX_HALF_LENGTH_PX as f64);
         let window = foretold.map(|f| f.window);
         let near = self.settle(frame, predicted, Scale::Fine, window)?;
-        self.hand.is_covered = false;
         if self.is_plain(&near, foretold)? {
             return Ok(near);
         }
-        self.hand.is_covered = foretold.is_some() && self.hand.is_known_whole();
         let near = self.weighed(frame, near, (predicted, Scale::Fine, window), foretold)?;
         let steady = match foretold {
             Some(f) if self.hand.is_known_whole() => {
@@ -148,7 +146,7 @@ impl ContourTracker {
         };
         let samples = self.hand.fingers(&self.samples);
         let sight = self.hand.sight(frame, Lead::HandEdges, self.options.polarity);
-        let within_px = self.hand.support_px();
+        let within_px = self.hand.own_within_px();
         let own = self.convergence.own_share(frame, &sight, samples, within_px)?;
         Ok(Way { found, path, own, cost })
     }

@@ -34,8 +34,7 @@ const FAR_SCALE: f64 = 0.2;
 /// Motion smears a large finger as it does a small one, in proportion: residual offsets up to this part
 /// of its half-width are no reason to refuse it.
 const RESIDUAL_SHARE: f64 = 0.2;
-/// A sample supports a fit when its residual offset is below this \[px\]; of a hand whose edges
-/// usually scatter less, it must be below less.
+/// A sample supports a fit when its residual offset is below this \[px\].
 pub(super) const SUPPORT_PX: f64 = 1.5;
 /// What a hand does besides moving and turning shifts its edges by this, as a standard deviation
 /// \[px\].
@@ -59,8 +58,6 @@ pub(super) struct Attempt<'a> {
     pub own_only: bool,
     /// The residual offsets' scale near the hand's edges is at most this \[px\].
     pub most_scale_px: f64,
-    /// A sample of the finger supports a fit when its residual offset is below this \[px\].
-    pub support_px: f64,
 }
 
 /// Where a hand that moved on is expected, and how far from there its edges are looked for.
@@ -516,16 +513,14 @@ impl Convergence {
     }
 
     /// Which samples the last solution explains: those whose edge it leaves close by.
-    fn support(&self, attempt: &Attempt<'_>) -> Support {
+    fn support(&self, samples: &[TemplateSample]) -> Support {
         let mut support = Support::default();
         let mut residuals = self.fitter.residuals().iter();
         for (&i, found) in self.visible.iter().zip(&self.measurements) {
-            let part = attempt.samples[i].part();
-            // A thumb bends, whatever is usual of the finger.
-            let within_px = if part == Part::Thumb { SUPPORT_PX } else { attempt.support_px };
-            support.visible[part as usize] += 1;
-            if found.is_ok() && residuals.next().is_some_and(|r| r.abs() < within_px) {
-                support.supported[part as usize] += 1;
+            let part = samples[i].part() as usize;
+            support.visible[part] += 1;
+            if found.is_ok() && residuals.next().is_some_and(|r| r.abs() < SUPPORT_PX) {
+                support.supported[part] += 1;
             }
         }
         support
@@ -556,7 +551,7 @@ impl Convergence {
             line_covariance: j * covariance * j.transpose() * alike,
             seen: Seen { visible: self.lines.len(), hits: fit.equations, inliers: fit.inliers },
             agreement: fit.inliers as f64 / self.lines.len().max(1) as f64,
-            support: self.support(attempt),
+            support: self.support(attempt.samples),
             residual_rms_px: fit.residual_rms_px,
             rank: fit.rank,
             own_only: attempt.own_only,

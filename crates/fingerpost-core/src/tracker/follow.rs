@@ -65,6 +65,7 @@ impl ContourTracker {
         let reach_px = self.largeness() * half_length_px * (1.0 + missed as f64) + went_px;
         let predicted = from.placed(&expected);
         let found = self.find(frame, predicted, reach_px, Some(&foretold))?;
+        self.hand.note_covered(&found);
         let followed = foretold.followed(&found)?;
         let innovation = followed.as_ref().and_then(|(_, innovation)| innovation.as_ref());
         let known = self.known(&accept, innovation);

@@ -107,13 +107,11 @@ impl Hand {
         if self.moulded.is_empty() { samples } else { &self.moulded }
     }
 
-    /// Lets the dimensions that a hand cannot change follow slowly, for it may come nearer; what covers
-    /// it hardly has a say.
+    /// Lets the dimensions that a hand cannot change follow slowly: it may come nearer.
     pub(super) fn grow(&mut self) {
         if let Shape::Ribbon(x) = self.shape {
-            let rate = if self.is_covered { self.slack() * HELD_RATE } else { HELD_RATE };
             for k in [3, 4, 8] {
-                self.acquired[k] += rate * (x[k] - self.acquired[k]);
+                self.acquired[k] += HELD_RATE * (x[k] - self.acquired[k]);
             }
         }
     }
@@ -170,23 +168,17 @@ impl Hand {
         let Look { half_length_px, scale, lead, window, rest_px, own_only } = look;
         let sight = self.sight(frame, lead, polarity);
         let most_scale_px = if own_only { self.most_scale_px() } else { f64::INFINITY };
-        let support_px = self.support_px();
-        Attempt {
-            samples,
-            sight,
-            scale,
-            half_length_px,
-            window,
-            rest_px,
-            own_only,
-            most_scale_px,
-            support_px,
-        }
+        Attempt { samples, sight, scale, half_length_px, window, rest_px, own_only, most_scale_px }
     }
 
     /// Whether it was seen whole of late: what never was may be none, and moves as it likes.
     pub(super) fn is_known_whole(&self) -> bool {
         self.partly_frames < MOST_COVERED_FRAMES
+    }
+
+    /// Notes whether something may cover it where it was found.
+    pub(super) fn note_covered(&mut self, found: &Found) {
+        self.is_covered = self.is_known_whole() && found.explained() < SURE;
     }
 
     /// Notes whether a fit that counts explains nearly all of its contour.
@@ -217,8 +209,8 @@ impl Hand {
         (USUAL_TIMES * self.usual_px).max(USUAL_LEAST_PX)
     }
 
-    /// An edge supports a fit, and may be its own, only this near to it \[px\].
-    pub(super) fn support_px(&self) -> f64 {
+    /// An edge may be its own only this near to a fit in its place \[px\].
+    pub(super) fn own_within_px(&self) -> f64 {
         (OWN_SCALES * self.most_scale_px()).min(SUPPORT_PX)
     }
 

@@ -7,7 +7,7 @@
 //! together with the finger.
 
 use super::convergence::{
-    Attempt, CONVERGED_PX, Converged, Convergence, MIN_HALF_LENGTH_PX, SUPPORT_PX, Support,
+    Attempt, CONVERGED_PX, Converged, Convergence, MIN_HALF_LENGTH_PX, Support,
 };
 use super::looks::{Lead, Looks, Sight, Silhouette};
 use super::options::TrackerOptions;
@@ -346,7 +346,6 @@ impl Mould<'_> {
             rest_px: CONVERGED_PX,
             own_only: false,
             most_scale_px: f64::INFINITY,
-            support_px: SUPPORT_PX,
         };
         let space = Ribbon::<D>::about(x, &self.measure.with_thumb(has_thumb))?;
         let prior = (D > 3).then(|| self.belief::<D>(believed));
@@ -420,7 +419,6 @@ impl Mould<'_> {
             rest_px: CONVERGED_PX,
             own_only: false,
             most_scale_px: f64::INFINITY,
-            support_px: SUPPORT_PX,
         };
         let offsets = convergence.offsets(frame, &space, x, &attempt)?;
         Ok(offsets.map(|d| (1000.0 * (1.0 - (d / reach_px).abs()).max(0.0)) as u64).sum())
