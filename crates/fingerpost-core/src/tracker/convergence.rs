@@ -22,7 +22,7 @@ use nalgebra::{Matrix2, Point2, SMatrix, SVector, Vector3};
 /// The contour has converged when no sample moves further than this \[px\]: what is left is a tenth.
 pub(super) const CONVERGED_PX: f64 = 0.05;
 /// The same where another shape space takes over and converges itself.
-pub(super) const TAKEN_OVER_PX: f64 = 2.0;
+pub(super) const TAKEN_OVER_PX: f64 = 1.0;
 /// What the search lines shrink by once a step stays well inside them, and how short they get.
 const SHRINK: f64 = 0.7;
 pub(super) const MIN_HALF_LENGTH_PX: f64 = 5.0;

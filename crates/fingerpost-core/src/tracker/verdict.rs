@@ -62,6 +62,9 @@ const BENT_RAD: f64 = 20.0 * RAD_PER_DEG;
 /// least this part.
 const STRAIGHT_RAD: f64 = 15.0 * RAD_PER_DEG;
 const TIP_SEEN: f64 = 0.6;
+/// One that was bent and leaves more than the rest of its contour unexplained has bent further, so
+/// that one of its halves is not found.
+const HALF_SEEN: f64 = 0.7;
 const RAD_PER_DEG: f64 = std::f64::consts::PI / 180.0;
 
 /// Whether a finger is straight, as far as it was seen.
@@ -86,6 +89,7 @@ impl Posture {
         let Some(Bend { angle_rad, sigma_rad }) = bend else {
             return match self {
                 Self::Bent if found.explained() < SURE => Self::Bent,
+                Self::BentOnce if found.explained() < HALF_SEEN => Self::BentOnce,
                 Self::BentOnce if found.explained() < SURE => Self::Doubted,
                 _ => Self::Straight,
             };
