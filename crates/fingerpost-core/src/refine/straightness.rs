@@ -117,10 +117,10 @@ impl Straightness {
         let knuckle = finger.flanks.map(|s| Stretch { to_px: joint_px, ..s });
         let tip = finger.flanks.map(|s| Stretch { from_px: middle_px.max(s.from_px), to_px });
         let look = Look { frame, cue, polarity };
-        let Some(tip) = self.part(&look, &Finger { flanks: tip, ..*finger })? else {
+        let Some(tip) = self.half(&look, &Finger { flanks: tip, ..*finger })? else {
             return Ok(None);
         };
-        if let Some(knuckle) = self.part(&look, &Finger { flanks: knuckle, ..*finger })? {
+        if let Some(knuckle) = self.half(&look, &Finger { flanks: knuckle, ..*finger })? {
             let along = bend(&knuckle, &tip);
             let ahead = self.ahead(&look, finger, &tip)?.map(|ahead| bend(&tip, &ahead));
             let is_more = |ahead: &Bend| ahead.angle_rad.abs() > along.angle_rad.abs();
@@ -152,6 +152,20 @@ impl Straightness {
         };
         let [from_px, to_px] = AHEAD.map(|part| part * radius_px);
         self.turned(look, finger, &tip.sketch, end_px, [Stretch { from_px, to_px }; 2])
+    }
+
+    /// One of the halves. Of a finger that may be covered in part, enough of it must be its own.
+    fn half(&mut self, look: &Look<'_>, half: &Finger) -> Result<Option<BisectorFit>> {
+        // The width that is known is that of a straight finger.
+        let found = self.part(look, &Finger { girth: None, ..*half })?;
+        let Some(found) = found else { return Ok(None) };
+        if half.girth.is_none() {
+            return Ok(Some(found));
+        }
+        // Where the half was looked for nothing may be bare: it is bent away from there.
+        let seen = Sketch { girth: half.girth, ..found.sketch };
+        self.bare.look(look.frame, look.cue.appearance(), &seen);
+        Ok((self.bare.least_part() >= OWN_PART).then_some(found))
     }
 
     /// The part of the finger that is turned against another about a joint, where it looks like the
@@ -197,10 +211,7 @@ impl Straightness {
         let Some(sketch) = Sketch::of(part)? else { return Ok(None) };
         let Look { frame, cue, polarity } = *look;
         let fit = self.bisector.fit(frame, cue, polarity, NOISE_GREY, &sketch, &Bare::default())?;
-        let Some(fit) = fit.filter(|fit| is_finger(&sketch, fit)) else { return Ok(None) };
-        // Where the part was looked for nothing may be bare: it is bent away from there.
-        self.bare.look(frame, cue.appearance(), &fit.sketch);
-        Ok((self.bare.least_part() >= OWN_PART).then_some(fit))
+        Ok(fit.filter(|fit| is_finger(&sketch, fit)))
     }
 }
 
