@@ -5,6 +5,7 @@ The stages themselves have tests of their own in Rust; here each meets an oracle
 """
 
 import functools
+import random
 import subprocess
 import sys
 import textwrap
@@ -1245,7 +1246,8 @@ def meet(calls: list[Callable[[], object]], rounds: int = 200) -> bool:
     """Whether two threads are ever inside their calls at once.
 
     No thread loses the GIL to another unless it gives it away, so they only meet if a call
-    releases it: if it does not, never; if it does, within a few rounds, whatever the load.
+    releases it: if it does not, never; if it does, within a few rounds, whatever the load. Rests
+    of one length would keep two threads in step that miss each other.
     """
     inside: list[int] = []
     met: list[bool] = []
@@ -1256,7 +1258,7 @@ def meet(calls: list[Callable[[], object]], rounds: int = 200) -> bool:
         for _ in range(rounds):
             if met:
                 return
-            time.sleep(0.001)  # outside the call every thread gives the others a chance
+            time.sleep(random.uniform(0.0, 0.001))  # outside the call the others have a chance
             if inside:
                 met.append(True)
             inside.append(1)

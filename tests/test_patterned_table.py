@@ -69,8 +69,8 @@ def watch(
 
 
 STARTS = [((3.0, 6.0), 0.05), ((-7.0, 4.0), -0.1), ((5.0, -8.0), 0.12)]
-COARSE = [(angle_rad, 40.0) for angle_rad in (0.2, 0.6, 1.1)]
-"""Checks whose bands are about as wide as the finger; finer ones are what hides it best."""
+COARSE = [(angle_rad, 40.0) for angle_rad in (0.2, 1.1)]
+"""Checks whose bands are about as wide as the finger, and none of them runs along it."""
 CLEAR = [(0.6, 28.0), (1.1, 40.0)]
 """Cloth whose lines do not lead a waiting template away from the finger."""
 
