@@ -19,10 +19,10 @@ use crate::simd::Isa;
 use crate::template::{Part, TemplateSample};
 use nalgebra::{Matrix2, Point2, SMatrix, SVector, Vector3};
 
-/// The contour has converged when no sample moves further than this \[px\]: what is left is a tenth.
-pub(super) const CONVERGED_PX: f64 = 0.05;
-/// The same where another shape space takes over and converges itself.
-pub(super) const TAKEN_OVER_PX: f64 = 1.0;
+/// A contour has converged when no sample moves further than this \[px\]: what is left is a tenth.
+const CONVERGED_PX: f64 = 0.05;
+const THUMB_RESTS_PX: f64 = 0.1;
+const TAKEN_OVER_PX: f64 = 1.0;
 /// What the search lines shrink by once a step stays well inside them, and how short they get.
 const SHRINK: f64 = 0.7;
 pub(super) const MIN_HALF_LENGTH_PX: f64 = 5.0;
@@ -52,12 +52,33 @@ pub(super) struct Attempt<'a> {
     pub half_length_px: f64,
     /// What shortens the lines further, if the hand's motion is known.
     pub window: Option<Window>,
-    /// It has come to rest when no sample moves further than this \[px\].
-    pub rest_px: f64,
+    pub rest: Rest,
     /// Whether edges count alone that look like the hand inside.
     pub own_only: bool,
     /// The residual offsets' scale near the hand's edges is at most this \[px\].
     pub most_scale_px: f64,
+}
+
+/// What becomes of a contour that has come to rest.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Rest {
+    /// It is told.
+    Told,
+    /// Another shape space takes over and converges itself: no fit is told.
+    TakenOver,
+    /// It is told; no finger line depends on where exactly it is, which is a thumb's.
+    Thumb,
+}
+
+impl Rest {
+    /// It rests when no sample moves further than this \[px\].
+    fn px(self) -> f64 {
+        match self {
+            Self::Told => CONVERGED_PX,
+            Self::TakenOver => TAKEN_OVER_PX,
+            Self::Thumb => THUMB_RESTS_PX,
+        }
+    }
 }
 
 /// Where a hand that moved on is expected, and how far from there its edges are looked for.
@@ -366,7 +387,7 @@ impl Convergence {
             let moved_px = equations.largest_motion(&fit.step);
             at.x += fit.step;
             last = Some(fit);
-            if moved_px < attempt.rest_px {
+            if moved_px < attempt.rest.px() {
                 break;
             }
             if moved_px < half_length_px / 2.0 {
@@ -376,8 +397,10 @@ impl Convergence {
                 half_length_px = shrunk_px.min(left_px).max(MIN_HALF_LENGTH_PX);
             }
         }
-        self.mark_agreeing();
-        at.fit = last.map(|fit| self.summarise(space, &at.x, &fit, attempt));
+        if attempt.rest != Rest::TakenOver {
+            self.mark_agreeing();
+            at.fit = last.map(|fit| self.summarise(space, &at.x, &fit, attempt));
+        }
         Ok(at)
     }
 

@@ -1,6 +1,6 @@
 //! The hand as it is known: its shape, its looks, and what is usual of it.
 
-use super::convergence::{Attempt, CONVERGED_PX, Fit, SUPPORT_PX, Window};
+use super::convergence::{Attempt, Fit, Rest, SUPPORT_PX, Window};
 use super::found::Found;
 use super::looks::{Lead, Looks, Sight};
 use super::mould::{Kind, finger_samples};
@@ -78,7 +78,7 @@ pub(super) struct Look {
     pub(super) lead: Lead,
     pub(super) scale: Scale,
     pub(super) window: Option<Window>,
-    pub(super) rest_px: f64,
+    pub(super) rest: Rest,
     pub(super) own_only: bool,
 }
 
@@ -165,10 +165,10 @@ impl Hand {
         look: Look,
         polarity: Polarity,
     ) -> Attempt<'a> {
-        let Look { half_length_px, scale, lead, window, rest_px, own_only } = look;
+        let Look { half_length_px, scale, lead, window, rest, own_only } = look;
         let sight = self.sight(frame, lead, polarity);
         let most_scale_px = if own_only { self.most_scale_px() } else { f64::INFINITY };
-        Attempt { samples, sight, scale, half_length_px, window, rest_px, own_only, most_scale_px }
+        Attempt { samples, sight, scale, half_length_px, window, rest, own_only, most_scale_px }
     }
 
     /// Whether it was seen whole of late: what never was may be none, and moves as it likes.
@@ -246,7 +246,7 @@ impl Look {
             lead: Lead::HandEdges,
             scale: Scale::Fine,
             window: None,
-            rest_px: CONVERGED_PX,
+            rest: Rest::Told,
             own_only: false,
         }
     }

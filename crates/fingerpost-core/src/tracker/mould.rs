@@ -6,9 +6,7 @@
 //! length, so a grid of thumbs is judged by the edges they lie on, and the best of them are fitted
 //! together with the finger.
 
-use super::convergence::{
-    Attempt, CONVERGED_PX, Converged, Convergence, MIN_HALF_LENGTH_PX, Support,
-};
+use super::convergence::{Attempt, Converged, Convergence, MIN_HALF_LENGTH_PX, Rest, Support};
 use super::looks::{Lead, Looks, Sight, Silhouette};
 use super::options::TrackerOptions;
 use super::scene::Scene;
@@ -343,7 +341,7 @@ impl Mould<'_> {
             scale: Scale::Fine,
             half_length_px,
             window: None,
-            rest_px: CONVERGED_PX,
+            rest: Rest::Told,
             own_only: false,
             most_scale_px: f64::INFINITY,
         };
@@ -416,7 +414,7 @@ impl Mould<'_> {
             scale: Scale::Fine,
             half_length_px: reach_px,
             window: None,
-            rest_px: CONVERGED_PX,
+            rest: Rest::Told,
             own_only: false,
             most_scale_px: f64::INFINITY,
         };

@@ -1,6 +1,6 @@
 //! From nearby by edges: what each model leaves free, fitted in stages.
 
-use super::convergence::{Converged, Fit, TAKEN_OVER_PX, Window};
+use super::convergence::{Converged, Fit, Rest, Window};
 use super::found::Found;
 use super::hand::Look;
 use super::looks::Lead;
@@ -29,9 +29,6 @@ const HELD_THUMB_SIGMA: f64 = 0.1;
 /// part of it is explained.
 const THUMB_CHANGE: f64 = 1.7;
 const THUMB_SEEN: f64 = 0.4;
-/// No finger line depends on where exactly the thumb is: it is at rest when no sample moves further
-/// than this \[px\].
-const THUMB_RESTS_PX: f64 = 0.1;
 /// While the thumb is fitted, the finger stays within this of where it is \[px, rad, 1\].
 const PINNED_SIGMA: f64 = 1e-4;
 
@@ -54,7 +51,7 @@ impl ContourTracker {
             Some(Window { gate, .. }) => Look { window, half_length_px: gate.longest_px(), ..look },
             None => look,
         };
-        let before_others = Look { rest_px: TAKEN_OVER_PX, ..first };
+        let before_others = Look { rest: Rest::TakenOver, ..first };
         Ok(match from {
             Shape::Planar(map) if self.shows_shear() => {
                 let turned = self.planar::<Rigid, 3>(frame, map, before_others)?;
@@ -143,7 +140,7 @@ impl ContourTracker {
             held.mean[i] = finger.x[i];
             held.information[(i, i)] = PINNED_SIGMA.powi(-2);
         }
-        let look = Look { rest_px: THUMB_RESTS_PX, ..look };
+        let look = Look { rest: Rest::Thumb, ..look };
         let whole = self.run_ribbon(frame, &finger.x, Limb::Thumb, look, Some(&held))?;
         let Some(with_thumb) = whole.fit else { return Ok(*finger) };
         if !self.is_thumb(&whole.x, &with_thumb) {
