@@ -1446,6 +1446,36 @@ class HandFinder:
             The finder or the background is in use in another thread.
         """
 
+    @staticmethod
+    def likeness(
+        image: NDArray[np.uint8],
+        tip_px: tuple[float, float],
+        angle_rad: float,
+        half_width_px: float,
+        colour: NDArray[np.uint8] | None = None,
+    ) -> float | None:
+        """Tell how like a finger a band is, by how its inside differs from what is about it.
+
+        Parameters
+        ----------
+        image, colour
+            As for `find`.
+        tip_px, angle_rad
+            Where the band ends, and in which direction it leads there.
+        half_width_px
+            Half its width [px], > 0.
+
+        Returns
+        -------
+        float or None
+            0 to 1; None if too little of it and of what is about it lies in the image.
+
+        Raises
+        ------
+        InvalidInputError
+            Arrays of another type or shape, a place that is not finite, no width.
+        """
+
     @property
     def options(self) -> _FinderOptions:
         """Every option in force."""

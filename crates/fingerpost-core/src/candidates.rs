@@ -277,6 +277,26 @@ impl HandFinder {
         &self.found
     }
 
+    /// How like a finger the inside of a band is by how it differs from what is about it, 0–1; its
+    /// edges, a fit has found. None if too little of that lies in the image.
+    ///
+    /// # Errors
+    /// A place or direction that is not finite, a half-width that is not above 0.
+    pub fn likeness(
+        frame: &Frame<'_>,
+        tip: Point2<f64>,
+        angle_rad: f64,
+        half_width_px: f64,
+    ) -> Result<Option<f64>> {
+        Error::finite("tip u [px]", tip.x)?;
+        Error::finite("tip v [px]", tip.y)?;
+        Error::finite("angle [rad]", angle_rad)?;
+        Error::within("half-width [px]", half_width_px, "above 0", |w| w > 0.0)?;
+        let sight = Sight::new(frame, tip, angle_rad);
+        let inside = Inside::of(&sight, half_width_px);
+        Ok(inside.and_then(|inside| stands_out(&sight, &inside, half_width_px)))
+    }
+
     /// Takes the frame apart into channels, and halves them until the coarsest level has one.
     fn split(&mut self, frame: &Frame<'_>, with_foreground: bool) {
         let image = frame.image();
@@ -654,7 +674,12 @@ struct Sight<'a> {
     n: Vector2<f64>,
 }
 
-impl Sight<'_> {
+impl<'a> Sight<'a> {
+    fn new(frame: &'a Frame<'a>, tip: Point2<f64>, angle_rad: f64) -> Self {
+        let e = direction(angle_rad);
+        Self { frame, tip, e, n: Vector2::new(-e.y, e.x) }
+    }
+
     fn place(&self, along_px: f64, across_px: f64) -> Point2<f64> {
         self.tip + self.e * along_px + self.n * across_px
     }
@@ -783,8 +808,7 @@ fn look_closely(frame: &Frame<'_>, map: &ForegroundMap, band: &Band) -> Option<L
     let mut best: Option<(f64, f64, Sight<'_>, [f64; 2])> = None;
     for turn_rad in TURNS_RAD {
         let angle_rad = band.angle_rad + turn_rad;
-        let e = direction(angle_rad);
-        let sight = Sight { frame, tip: middle + e * w, e, n: Vector2::new(-e.y, e.x) };
+        let sight = Sight::new(frame, middle + direction(angle_rad) * w, angle_rad);
         let flank = |side: f64| {
             sight.strongest_change((0.6 * w, 1.5 * w), ALONG, |offset, k| (back(k), side * offset))
         };
@@ -802,8 +826,17 @@ fn look_closely(frame: &Frame<'_>, map: &ForegroundMap, band: &Band) -> Option<L
     })?;
     sight.tip += sight.e * end;
 
-    let w = half_width_px;
-    let inside = Inside::of(&sight, w)?;
+    let inside = Inside::of(&sight, half_width_px)?;
+    let score = band.score * stands_out(&sight, &inside, half_width_px)?;
+    let band = Band { tip: sight.tip, angle_rad, half_width_px, ..*band };
+    let foreground = inside_foreground(map, &band);
+    let length_px = visible_length(&sight, &inside, half_width_px);
+    Some(Looked { band, length_px, colour: inside.mean, foreground, score })
+}
+
+/// How far the inside of a band differs from what is beside it and ahead, and not from what is
+/// behind, 0–1.
+fn stands_out(sight: &Sight<'_>, inside: &Inside, w: f64) -> Option<f64> {
     let beside = |side: f64| {
         (0..12).flat_map(move |i| {
             let along = -w * (1.0 + 2.6 * f64::from(i) / 11.0);
@@ -818,21 +851,15 @@ fn look_closely(frame: &Frame<'_>, map: &ForegroundMap, band: &Band) -> Option<L
         })
     });
     let parts = [
-        inside.unlike_part(&sight, beside(-1.0))?,
-        inside.unlike_part(&sight, beside(1.0))?,
-        inside.unlike_part(&sight, ahead)?,
+        inside.unlike_part(sight, beside(-1.0))?,
+        inside.unlike_part(sight, beside(1.0))?,
+        inside.unlike_part(sight, ahead)?,
     ];
     let least = parts.iter().copied().fold(1.0, f64::min);
     let mean = parts.iter().sum::<f64>() / 3.0;
-    let tip = sight.tip;
-    let band = Band { tip, angle_rad, half_width_px, ..*band };
-    let foreground = inside_foreground(map, &band);
-    let behind = 1.0 - inside.unlike_part(&sight, hand_places(w)).unwrap_or(1.0);
-    let score = band.score
-        * (0.3 + 0.4 * least + 0.3 * mean)
-        * (1.0 - HAND_SAY * (1.0 - behind / HAND_PART).max(0.0));
-    let length_px = visible_length(&sight, &inside, w);
-    Some(Looked { band, length_px, colour: inside.mean, foreground, score })
+    let behind = 1.0 - inside.unlike_part(sight, hand_places(w)).unwrap_or(1.0);
+    let hand = 1.0 - HAND_SAY * (1.0 - behind / HAND_PART).max(0.0);
+    Some((0.3 + 0.4 * least + 0.3 * mean) * hand)
 }
 
 /// Places where a hand is, behind its finger.

@@ -8,7 +8,7 @@ use common::{Canvas, HalfPlane, Hand, Noise, Picture};
 use fingerpost_core::background::{Background, BackgroundOptions};
 use fingerpost_core::candidates::{Candidate, FinderOptions, HandFinder};
 use fingerpost_core::frame::ColourView;
-use fingerpost_core::nalgebra::Point2;
+use fingerpost_core::nalgebra::{self, Point2};
 use fingerpost_core::template::Thumb;
 use fingerpost_core::{Frame, GrayView};
 use std::f64::consts::{PI, TAU};
@@ -165,6 +165,45 @@ fn images_of_any_size_are_searched() {
             assert!(candidate.length_px > 0.0 && candidate.half_width_px > 0.0);
             assert!((0.0..=1.0).contains(&candidate.score), "{candidate:?}");
         }
+    }
+}
+
+#[test]
+fn a_band_is_like_a_finger_where_one_is() {
+    let mut noise = Noise::new(0x6c69_6b65);
+    for k in 0..20 {
+        let hand = any_hand(Thumb::None, &mut noise);
+        let picture = with_hand(canvas(), &hand, 150.0).blur(0.9).take(2.0, &mut noise);
+        let frame: Frame<'_> = picture.view().into();
+        let w = hand.half_width_px;
+        let likeness = |tip, turn| HandFinder::likeness(&frame, tip, hand.angle_rad + turn, w);
+        let along = hand.direction();
+        let here = likeness(hand.tip_px, 0.0).unwrap().unwrap();
+        assert!(here > 0.9, "{k}: {here}");
+        let aside = nalgebra::Vector2::new(-along.y, along.x);
+        for (tip, turn) in [
+            (hand.tip_px - along * (4.0 * w), 0.0),
+            (hand.tip_px + aside * w, 0.0),
+            (hand.tip_px + along * (6.0 * w), 0.0),
+            (hand.tip_px - along * (2.0 * w), PI),
+        ] {
+            let there = likeness(tip, turn).unwrap().unwrap();
+            assert!(there < 0.8 * here, "{k}: {there} of {here}");
+        }
+    }
+}
+
+#[test]
+fn a_band_outside_of_the_image_is_like_nothing() {
+    let picture = canvas().take(2.0, &mut Noise::new(0x6f75_7473));
+    let frame: Frame<'_> = picture.view().into();
+    let outside = Point2::new(-100.0, 40.0);
+    assert_eq!(HandFinder::likeness(&frame, outside, 0.0, 6.0).unwrap(), None);
+    let tip = Point2::new(100.0, 100.0);
+    for (tip, angle_rad, half_width_px) in
+        [(Point2::new(f64::NAN, 0.0), 0.0, 6.0), (tip, f64::INFINITY, 6.0), (tip, 0.0, 0.0)]
+    {
+        assert!(HandFinder::likeness(&frame, tip, angle_rad, half_width_px).is_err());
     }
 }
 

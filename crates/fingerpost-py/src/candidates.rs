@@ -7,6 +7,7 @@ use crate::options::{Overlay, options, overlay_fields};
 use crate::tracker::PyStartPose;
 use crate::words::Word;
 use fingerpost_core::candidates::{Candidate, FinderOptions, HandFinder};
+use fingerpost_core::nalgebra::Point2;
 use fingerpost_core::tracker::StartPose;
 use pyo3::prelude::*;
 
@@ -40,6 +41,24 @@ impl PyHandFinder {
         let mut this = slf.try_borrow_mut().map_err(|_| in_use("HandFinder"))?;
         let finder = &mut this.0;
         Ok(py.detach(|| finder.find(&frame, background).iter().map(|&c| PyCandidate(c)).collect()))
+    }
+
+    /// How like a finger the inside of a band is.
+    #[staticmethod]
+    #[pyo3(signature = (image, tip_px, angle_rad, half_width_px, colour = None))]
+    fn likeness(
+        py: Python<'_>,
+        image: &Bound<'_, PyAny>,
+        tip_px: (f64, f64),
+        angle_rad: f64,
+        half_width_px: f64,
+        colour: Option<&Bound<'_, PyAny>>,
+    ) -> PyResult<Option<f64>> {
+        let arrays = FrameArrays::new(image, colour)?;
+        let frame = arrays.frame()?;
+        let tip = Point2::new(tip_px.0, tip_px.1);
+        py.detach(|| HandFinder::likeness(&frame, tip, angle_rad, half_width_px))
+            .map_err(invalid_input)
     }
 
     /// Every option in force.
