@@ -350,29 +350,40 @@ def tried_out(rig: SimulatedRig) -> tuple:
     image = rig.render(motion, time_s=0.0, rng=np.random.default_rng(SEED)).images[0]
     search, frame = HandSearch(), Frame(0, 0.0, image)
     search.look(frame)
-    search.judge(np.zeros(len(search.candidates)))
+    search.judge(frame, np.zeros(len(search.candidates)), np.zeros(0))
     assert search.try_out(search.candidates[0], frame)
     (trial,) = search.trials
     return search, trial, image
 
 
+def followed_by_a_stub(trial, image: np.ndarray, half_widths: float) -> None:
+    """Follow with a short template what the trial follows."""
+    line = trial.track.finger_line
+    short = fp.StartPose(line.tip_px, line.angle_rad, half_widths * trial.half_width_px)
+    trial.tracker = fp.ContourTracker.at_hand(
+        fp.Template.pistol("none"), short, {"acquire": {"settle_frames": 1}}
+    )
+    trial.track = trial.tracker.update(image, 0.0)
+
+
 def test_a_found_finger_is_seen_at_length_once_a_frame_shows_it_all():
     rig = SCENES["plain"]
     search, trial, image = tried_out(rig)
+    followed_by_a_stub(trial, image, 5.0)
     line = trial.track.finger_line
     ahead = np.array([np.cos(line.angle_rad), np.sin(line.angle_rad)])
     v, u = np.indices(image.shape)
     behind_px = np.stack([line.tip_px[0] - u, line.tip_px[1] - v], axis=-1) @ ahead
     covered = np.where(behind_px > 3.5 * trial.half_width_px, np.median(image), image)
     short_px = np.ptp(trial.tracker.contour() @ ahead)
-    search.believe(trial, Frame(0, 0.0, covered.astype(np.uint8)))
-    assert search.found is None
+    trial.lengthen(Frame(0, 0.0, covered.astype(np.uint8)))
+    assert not trial.lengthening.is_long
     assert np.ptp(trial.tracker.contour() @ ahead) == short_px
     # The second look is two frames after the first that has failed.
     for k in (1, 2):
         trial.update(Frame(k, k / FPS, image), search.background)
-        search.believe(trial, Frame(k, k / FPS, image))
-    assert search.found is trial
+        trial.lengthen(Frame(k, k / FPS, image))
+    assert trial.lengthening.is_long
     assert np.ptp(trial.tracker.contour() @ ahead) > 1.2 * short_px
 
 
@@ -383,14 +394,10 @@ def test_a_found_finger_is_as_long_as_its_whole_width_says():
     )
     search, trial, image = tried_out(rig)
     line = trial.track.finger_line
-    short = fp.StartPose(line.tip_px, line.angle_rad, 4.0 * trial.half_width_px)
-    trial.tracker = fp.ContourTracker.at_hand(
-        fp.Template.pistol("none"), short, {"acquire": {"settle_frames": 1}}
-    )
-    trial.track = trial.tracker.update(image, 0.0)
+    followed_by_a_stub(trial, image, 4.0)
     slim_px = trial.half_width_px
     for k in range(LOOKED_AT):
-        search.believe(trial, Frame(k, k / FPS, image))
+        trial.lengthen(Frame(k, k / FPS, image))
         trial.update(Frame(k + 1, (k + 1) / FPS, image), search.background)
     ahead = np.array([np.cos(line.angle_rad), np.sin(line.angle_rad)])
     length_px = np.ptp(trial.tracker.contour() @ ahead)

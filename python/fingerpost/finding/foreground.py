@@ -45,7 +45,7 @@ IN_FOREGROUND = 0.5
 
 def stands_out(background: Background, frame: Frame, line: FingerLine) -> bool:
     """Tell whether the inside of a finger is known to be foreground."""
-    return _foreground(background, frame, line) >= IN_FOREGROUND
+    return foreground_part(background, frame, line) >= IN_FOREGROUND
 
 
 BACKGROUND_PART = 0.1
@@ -54,10 +54,10 @@ BACKGROUND_PART = 0.1
 
 def is_background(background: Background, frame: Frame, line: FingerLine) -> bool:
     """Tell whether the inside of a finger is known to be background."""
-    return _foreground(background, frame, line) < BACKGROUND_PART
+    return foreground_part(background, frame, line) < BACKGROUND_PART
 
 
-def _foreground(background: Background, frame: Frame, line: FingerLine) -> float:
+def foreground_part(background: Background, frame: Frame, line: FingerLine) -> float:
     """Return how like foreground the inside of a finger is; NaN where little is known of it."""
     tip, anchor = np.array(line.tip_px), np.array(line.anchor_px)
     inside = tip + np.linspace(0.2, 1.2, 11)[:, None] * (anchor - tip)

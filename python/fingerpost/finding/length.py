@@ -21,6 +21,10 @@ LENGTHS = (10.5, 9.0, 8.0, 7.0, 6.0, 5.0)
 """Templates that may follow a found finger, in its fitted half-widths, the longest first: an
 index finger is hardly longer from knuckle to tip."""
 
+LONG = 7.0
+"""What a found finger is followed by at least, in half-widths, unless a longer template than what
+follows already is seen whole: a stub may have taken one flank for another's."""
+
 LONGER = 1.1
 """One that is not longer by this factor than what follows already is not worth a change."""
 
@@ -88,7 +92,8 @@ class Lengthening:
         longest = self._longest(tracker, track, line, frame)
         self._frames, self._interval = 0, 2 * self._interval if longest is None else 1
         if not self.is_long:
-            self.is_long, self._interval = self._is_longest or longest is not None, 1
+            length = _length_px(tracker, line) / self._half_width_px
+            self.is_long, self._interval = length >= LONG or longest is not None, 1
             return longest or (tracker, track)
         self._longer = longest[0] if longest is not None else None
         return tracker, track

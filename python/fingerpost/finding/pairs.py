@@ -83,8 +83,9 @@ OTHER_TIP = 0.8
 """Two tips that are one point with less than this, by `MISS`, are those of two fingers [0 to 1];
 one tip reaches 0.96 in every frame of the recordings."""
 
-POINT_SPREAD = 1.0
-"""At this distance from there the indicated point costs a pair 40 % of its score [plane sizes]."""
+REACH_SPREAD = 60.0
+"""One points at what is near: at this distance from the tip the indicated point costs a pair 40 %
+of its score [half-widths]. A thumb that is not held up leads much farther."""
 
 
 def pair_scores(
@@ -120,9 +121,10 @@ def pair_scores(
         flat &= _offset(one.line, other.foot) < FLAT_OFFSET * other.width
     plane = views[0].plane_view
     away = np.linalg.norm(point - plane.plane_points.mean(axis=0), axis=-1) / plane.plane_size
-    score = first.score * second.score * _alike(first, second)
-    score *= np.exp(-0.5 * np.square(away / POINT_SPREAD))
-    same = _same_point(first, second, plane.plane_size)
+    tips = _Tips.of(first, second)
+    score = first.score * second.score * _alike(first, second, tips)
+    score *= np.exp(-0.5 * np.square(tips.reach(point) / REACH_SPREAD))
+    same = tips.same(plane.plane_size)
     possible &= same >= OTHER_TIP
     score *= same
     return np.asarray(np.where(possible & (away < REACH) & ~flat, score, 0.0))
@@ -146,6 +148,7 @@ class _OnPlane:
     line: Array
     foot: Array
     width: Array
+    breadth: Array
     ray: Array
 
     def along(self, axis: int) -> _OnPlane:
@@ -171,6 +174,11 @@ class _OnPlane:
         # A foot far from where one works costs score; one beyond the horizon, all of it.
         away = np.linalg.norm(foot - view.plane_points.mean(axis=0), axis=-1) / view.plane_size
         near = np.exp(-0.5 * np.square(away / FOOT_SPREAD))
+        # What a ray to the finger sees of it across, not what that covers of the plane aslant.
+        ray = viewpoint.centre - np.pad(foot, ((0, 0), (0, 1)))
+        breadth = np.pad(right - left, ((0, 0), (0, 1)))
+        e = ray / np.linalg.norm(ray, axis=-1, keepdims=True)
+        breadth -= (breadth * e).sum(axis=-1, keepdims=True) * e
         return cls(
             tip_px=tip,
             direction=direction,
@@ -181,7 +189,8 @@ class _OnPlane:
             line=np.cross(_homogeneous(back), _homogeneous(tip)) @ view.image_from_plane,
             foot=foot,
             width=np.linalg.norm(right - left, axis=-1),
-            ray=viewpoint.centre - np.pad(foot, ((0, 0), (0, 1))),
+            breadth=np.linalg.norm(breadth, axis=-1),
+            ray=ray,
         )
 
 
@@ -208,9 +217,9 @@ ODD_MOVER = 0.7
 """What it costs a pair that one view shows foreground where the other shows background."""
 
 
-def _alike(first: _OnPlane, second: _OnPlane) -> Array:
+def _alike(first: _OnPlane, second: _OnPlane, tips: _Tips) -> Array:
     """Return how well widths, colours and foreground agree, 0 to 1; what is not known agrees."""
-    width = np.log(first.width / second.width) / WIDTH_SPREAD
+    width = np.log(tips.widths[0] / tips.widths[1]) / WIDTH_SPREAD
     colour = np.log((first.colour + DARK) / (second.colour + DARK)) / COLOUR_SPREAD
     unlike = np.nan_to_num(width) ** 2 + np.nan_to_num(colour**2).mean(axis=-1)
     odd = np.nan_to_num(np.abs(first.foreground - second.foreground))
@@ -242,30 +251,59 @@ def same_tip(
     (N, M)
         0 to 1; 1 where it is not known.
     """
-    first, second = _carried(views, fingers)
-    return _same_point(first, second, views[0].plane_view.plane_size)
+    return _Tips.of(*_carried(views, fingers)).same(views[0].plane_view.plane_size)
 
 
-def _same_point(first: _OnPlane, second: _OnPlane, plane_size: float) -> Array:
-    """Return how well two tips may be one point above the plane, 0 to 1; 1 if it is not known.
+@dataclass(frozen=True, eq=False, slots=True)
+class _Tips:
+    """Where the tips of fingers of two views come nearest to one point above the plane.
 
-    The rays lead from where the view shows the tip on the plane to the camera.
+    Attributes
+    ----------
+    places
+        Where that is (X, Y, height above the plane); NaN where the cameras are not known.
+    misses
+        How far from each other the rays through the tips pass there.
+    widths
+        How wide either view shows the finger to be, if its tip is there.
     """
-    p, q = np.broadcast_arrays(first.ray, second.ray)
-    between = np.zeros_like(p)
-    between[..., :2] = second.foot - first.foot
-    pp, qq, pq = ((x * y).sum(axis=-1) for x, y in ((p, p), (q, q), (p, q)))
-    pd, qd = ((x * between).sum(axis=-1) for x in (p, q))
-    # The two points of the rays that are nearest to each other.
-    determinant = np.maximum(pp * qq - pq**2, np.finfo(float).tiny)
-    s, t = (qq * pd - pq * qd) / determinant, (pq * pd - pp * qd) / determinant
-    nearest = s[..., None] * p, between + t[..., None] * q
-    height = 0.5 * (nearest[0] + nearest[1])[..., 2] / plane_size
-    miss = np.linalg.norm(nearest[1] - nearest[0], axis=-1) / plane_size
-    allowed = MISS + MISS_PER_HEIGHT * np.abs(height)
-    fits = np.exp(-0.5 * np.square(miss / allowed))
-    fits = np.where((height > -MISS) & (height < HIGHEST), fits, 0.0)
-    return np.where(np.isfinite(height), fits, 1.0)
+
+    places: Array
+    misses: Array
+    widths: tuple[Array, Array]
+
+    @classmethod
+    def of(cls, first: _OnPlane, second: _OnPlane) -> _Tips:
+        """Intersect the rays, which lead from where the view shows the tip on the plane to it."""
+        p, q = np.broadcast_arrays(first.ray, second.ray)
+        between = np.zeros_like(p)
+        between[..., :2] = second.foot - first.foot
+        pp, qq, pq = ((x * y).sum(axis=-1) for x, y in ((p, p), (q, q), (p, q)))
+        pd, qd = ((x * between).sum(axis=-1) for x in (p, q))
+        # The two points of the rays that are nearest to each other.
+        determinant = np.maximum(pp * qq - pq**2, np.finfo(float).tiny)
+        s, t = (qq * pd - pq * qd) / determinant, (pq * pd - pp * qd) / determinant
+        nearest = s[..., None] * p, between + t[..., None] * q
+        foot = np.pad(first.foot, ((0, 0), (0, 0), (0, 1)))
+        return cls(
+            places=foot + 0.5 * (nearest[0] + nearest[1]),
+            misses=np.linalg.norm(nearest[1] - nearest[0], axis=-1),
+            # A finger above the plane covers more of that than it is wide.
+            widths=(first.breadth * np.abs(1.0 - s), second.breadth * np.abs(1.0 - t)),
+        )
+
+    def same(self, plane_size: float) -> Array:
+        """Return how well two tips may be one point above the plane, 0 to 1; 1 if not known."""
+        height, miss = self.places[..., 2] / plane_size, self.misses / plane_size
+        allowed = MISS + MISS_PER_HEIGHT * np.abs(height)
+        fits = np.exp(-0.5 * np.square(miss / allowed))
+        fits = np.where((height > -MISS) & (height < HIGHEST), fits, 0.0)
+        return np.where(np.isfinite(height), fits, 1.0)
+
+    def reach(self, point: Array) -> Array:
+        """Return how far points of the plane are from the tips [half-widths]; 0 if not known."""
+        away = np.linalg.norm(self.places - np.pad(point, ((0, 0), (0, 0), (0, 1))), axis=-1)
+        return np.asarray(np.nan_to_num(away / np.sqrt(self.widths[0] * self.widths[1])))
 
 
 def _homogeneous(points: Array) -> Array:

@@ -21,7 +21,7 @@ from fingerpost.capture import Frame
 from fingerpost.finding.finger import Array, Sighting, are_near, hand_region
 from fingerpost.finding.length import Lengthening
 from fingerpost.finding.look import widening
-from fingerpost.finding.trial import Trial, distinct
+from fingerpost.finding.trial import Trial, distinct, precedence
 
 MOST_TRIALS = 8
 """Trials at a time in one view; each costs about as much as tracking."""
@@ -105,11 +105,20 @@ class HandSearch:
         if self.found not in self.trials:
             self.found = None
 
-    def judge(self, flat: Array) -> None:
-        """Take over how flat each candidate is, and what that and the finder say of the trials."""
+    def places(self) -> list[Sighting]:
+        """Return where the candidates are, and after them the trials."""
+        starts = [(c.start.tip_px, c.start.angle_rad, c.half_width_px) for c in self.candidates]
+        trials = [trial.place for trial in self.trials]
+        return [Sighting(*place) for place in starts + trials]
+
+    def judge(self, frame: Frame, flat: Array, trials_flat: Array) -> None:
+        """Take over how flat candidates and trials look, and what else the pixels tell of trials.
+
+        The frame is the one that `look` has had last.
+        """
         self._worth = 1.0 - (1.0 - FLAT_WORTH) * flat
-        for trial in self.trials:
-            trial.compare(self.candidates, self._worth)
+        for trial, trial_flat in zip(self.trials, trials_flat, strict=True):
+            trial.judge(frame, self.background, 1.0 - (1.0 - FLAT_WORTH) * float(trial_flat))
 
     def rest(self) -> None:
         """Give up the search: the hand is followed for good, or nothing is seen."""
@@ -127,8 +136,8 @@ class HandSearch:
         if any(trial.is_at(start, half_width_px) for trial in self.trials):
             return False
         if len(self.trials) >= MOST_TRIALS:
-            worst = min(self.trials, key=lambda trial: (trial is self.found, trial.score))
-            if worst.score >= candidate.score:
+            worst = min(self.trials, key=lambda trial: (trial is self.found, trial.worth))
+            if worst.worth >= candidate.score * precedence(candidate.foreground):
                 return False
             self.trials.remove(worst)
         tracker = self._tracker_at(start, half_width_px)
@@ -143,6 +152,7 @@ class HandSearch:
                 candidate,
                 tracker,
                 track,
+                track.finger_line,
                 score=float(score),
                 foreground=candidate.foreground,
                 hand=widening(frame.image, track.finger_line, candidate.half_width_px),
@@ -152,8 +162,8 @@ class HandSearch:
         )
         return True
 
-    def believe(self, trial: Trial | None, frame: Frame) -> None:
-        """Take a trial, if any, for the hand, with a template as long as its finger."""
+    def believe(self, trial: Trial | None) -> None:
+        """Take a trial, if any, for the hand."""
         if trial is None:
             self._unbelieved_frames += 1
             if self._unbelieved_frames >= UNBELIEVED_FRAMES:
@@ -164,8 +174,7 @@ class HandSearch:
         if trial is not self.found and line is not None and not trial.has_come:
             # It was there from the start: what was learned there is the hand.
             self.background.forget(hand_region(line))
-        trial.tracker, trial.track = trial.lengthening.look(trial.tracker, trial.track, frame)
-        self.found = trial if trial.lengthening.is_long else None
+        self.found = trial
 
     def candidate_sightings(self) -> list[Sighting]:
         """Return what is seen of the candidates, one for each."""
@@ -181,20 +190,14 @@ class HandSearch:
             for c, worth in zip(self.candidates, self._worth, strict=True)
         ]
 
-    def trial_sightings(self) -> tuple[list[Trial], list[Sighting]]:
-        """Return the trials that hold in this frame, and what is seen of each."""
-        held, seen = [], []
-        for trial in self.trials:
-            line = trial.track.finger_line
-            if line is None:
-                continue
-            width, colour = trial.candidate.half_width_px, trial.candidate.colour
-            foreground = self._if_known(trial.foreground)
-            held.append(trial)
-            seen.append(
-                Sighting(line.tip_px, line.angle_rad, width, trial.score, foreground, colour)
+    def trial_sightings(self) -> list[Sighting]:
+        """Return what is seen of the trials, one for each, or was in the last frame."""
+        return [
+            Sighting(
+                *trial.place, trial.score, self._if_known(trial.foreground), trial.candidate.colour
             )
-        return held, seen
+            for trial in self.trials
+        ]
 
     def _if_known(self, foreground: float) -> float:
         return foreground if self.background.is_known else np.nan

@@ -14,7 +14,7 @@ from fingerpost.finding.look import flatness
 from fingerpost.finding.one_finger import FollowingView, gives_point
 from fingerpost.finding.pairs import pair_scores
 from fingerpost.finding.search import HandSearch
-from fingerpost.finding.trial import Trial, belief
+from fingerpost.finding.trial import Trial, belief, precedence
 
 
 class SearchingView(FollowingView, Protocol):
@@ -40,11 +40,11 @@ def find_hand(views: Sequence[SearchingView], frames: Sequence[Frame | None]) ->
     frames
         Their frames, in the same order; None where there is none.
     """
-    for k, view in enumerate(views):
-        if view.is_searching and frames[k] is not None:
-            starts = [(c.start, c.half_width_px) for c in view.search.candidates]
-            seen = [Sighting(s.tip_px, s.angle_rad, half_px) for s, half_px in starts]
-            view.search.judge(_flatness(views, frames, k, seen))
+    for k, (view, frame) in enumerate(zip(views, frames, strict=True)):
+        if view.is_searching and frame is not None:
+            fingers = view.search.places()
+            flat = _flatness(views, frames, k, fingers)
+            view.search.judge(frame, *np.split(flat, [len(view.search.candidates)]))
     _believe(views, frames)
     for i, j in combinations(range(len(views)), 2):
         searching = [k for k in (i, j) if views[k].is_searching and frames[k] is not None]
@@ -89,8 +89,8 @@ def _try_out(
 
 
 def _worth(seen: Sequence[Sighting]) -> Array:
-    """Return what fingers are worth trying: those that have come into view go first."""
-    return np.array([0.5 + 0.5 * np.nan_to_num(finger.foreground, nan=1.0) for finger in seen])
+    """Return what fingers are worth trying; where no background is known, all may have come."""
+    return np.array([precedence(np.nan_to_num(finger.foreground, nan=1.0)) for finger in seen])
 
 
 def _best_first(scores: Array) -> Iterator[tuple[int, int]]:
@@ -104,7 +104,7 @@ def _best_first(scores: Array) -> Iterator[tuple[int, int]]:
 
 def _believe(views: Sequence[SearchingView], frames: Sequence[Frame | None]) -> None:
     """Let views follow the best pairs of trials that have held long enough."""
-    pairs: list[tuple[float, dict[int, Trial]]] = []
+    pairs: list[tuple[float, tuple[int, int], dict[int, Trial], bool, bool]] = []
     for i, j in combinations(range(len(views)), 2):
         if not (views[i].is_searching or views[j].is_searching):
             continue
@@ -114,24 +114,34 @@ def _believe(views: Sequence[SearchingView], frames: Sequence[Frame | None]) -> 
             both = ((i, tried_i[a]), (j, tried_j[b]))
             trials = {k: trial for k, trial in both if trial is not None}
             stays = all(views[k].search.found is trial for k, trial in trials.items())
-            worth = belief(float(scores[a, b]), list(trials.values()), stays)
-            if worth > 0.0 and not stays and not _point_at_plane(views, trials, (i, j)):
-                continue
+            worth, has_held = belief(float(scores[a, b]), list(trials.values()), stays)
             if worth > 0.0:
-                pairs.append((worth, trials))
+                pairs.append((worth, (i, j), trials, stays, has_held))
+    taken: dict[int, Trial] = {}
     believed: dict[int, Trial] = {}
-    for _, trials in sorted(pairs, key=lambda pair: -pair[0]):
-        if all(believed.get(k, trial) is trial for k, trial in trials.items()):
-            believed.update(trials)
+    for _, pair, trials, stays, has_held in sorted(pairs, key=lambda pair: -pair[0]):
+        if any(taken.get(k, trial) is not trial for k, trial in trials.items()):
+            continue
+        if has_held:
+            for k, trial in trials.items():
+                frame = frames[k]
+                if frame is not None and k not in taken:
+                    trial.lengthen(frame)
+            is_long = all(trial.lengthening.is_long for trial in trials.values())
+            if is_long and not stays and not _point_at_plane(views, trials, pair):
+                continue
+            if is_long:
+                believed.update(trials)
+        taken.update(trials)
     for k, (view, frame) in enumerate(zip(views, frames, strict=True)):
         if frame is not None:
-            view.search.believe(believed.get(k), frame)
+            view.search.believe(believed.get(k))
 
 
 def _tried(view: SearchingView) -> tuple[Sequence[Trial | None], Sequence[Sighting]]:
     """Return the trials of a view; None for the hand that it follows."""
     if view.is_searching:
-        return view.search.trial_sightings()
+        return view.search.trials, view.search.trial_sightings()
     seen = followed(view.track)
     return [None] * len(seen), seen
 
