@@ -4,7 +4,7 @@
 use super::follow::misfit;
 use super::found::Found;
 use super::hand::{Look, MOST_COVERED_FRAMES};
-use super::looks::Lead;
+use super::looks::{Lead, Shaft};
 use super::mould::{Kind, Mould, STANDS_OUT};
 use super::options::{AcquireOptions, Model};
 use super::pace::Pace;
@@ -27,12 +27,15 @@ const LOST_REACH: f64 = 2.0;
 /// while it is tracked.
 const BED_IN_ROUNDS: usize = 3;
 const BED_IN_SLACK: f64 = 4.0;
-/// A hand that settled has turned by no more than this once its looks are known \[rad\].
-const MOST_TURNED_RAD: f64 = 0.3;
+/// A hand that settled has turned by no more than this once its looks are known \[rad\], and slid
+/// aside by no more than this part of its half-width: the line does not hang on how it is looked for.
+const MOST_TURNED_RAD: f64 = 0.2;
+const MOST_ASIDE: f64 = 0.5;
 /// And it has slid by no more than this part of the template's length, or what the template reaches.
 const MOST_SLID: f64 = 0.5;
-/// By these edges, its inside is still told from its outside to this part of how well it was.
-const STILL_TOLD: f64 = 0.8;
+/// By these edges, its inside is still told from its outside and its contour is explained to this part
+/// of how well they were.
+const STILL_TOLD: f64 = 0.9;
 /// What stands free of the table is foreground this far inside its outline, in parts of its
 /// half-width and at least \[px\]: to this part at least, and by so much more than as far outside,
 /// where the shadow that it throws may be taken for foreground too.
@@ -99,7 +102,7 @@ impl ContourTracker {
         }
         if settled >= settle_frames {
             let before = self.hand.clone();
-            if let Some(acquired) = self.freeze(frame)? {
+            if let Some(acquired) = self.freeze(frame, &found)? {
                 let bend = self.bend(frame, &acquired)?;
                 let posture = Posture::Straight.after(bend.as_ref(), &acquired);
                 if !posture.is_bent() {
@@ -196,9 +199,8 @@ impl ContourTracker {
 
     /// Keeps the settled hand's dimensions and looks: tracking starts from them. None if the
     /// paper's template cannot take them on, or explains them badly.
-    fn freeze(&mut self, frame: &Scene<'_>) -> Result<Option<Found>> {
-        let settled = self.hand.shape.placement();
-        self.bed_in(frame)?;
+    fn freeze(&mut self, frame: &Scene<'_>, settled: &Found) -> Result<Option<Found>> {
+        self.bed_in(frame, settled)?;
         if let Some(looks) = &mut self.hand.looks {
             looks.anchor();
         }
@@ -226,11 +228,15 @@ impl ContourTracker {
             (Shape::Planar(map), _) => self.affine(frame, map, NEAR_PX)?,
         };
         // A hand that stays has not slid along what is behind it.
-        let slid = frozen.shape.placement() - settled;
+        let slid = frozen.shape.placement() - settled.shape.placement();
         let length_px = self.waiting.measure.length_px;
         let most_px =
             self.options.acquire.reach_px(self.waiting.ribbon[3]).max(MOST_SLID * length_px);
-        let stays = slid.xy().norm() <= most_px && slid[2].sin().abs() <= MOST_TURNED_RAD;
+        let (sin, cos) = settled.shape.placement()[2].sin_cos();
+        let aside_px = (slid.y * cos - slid.x * sin).abs();
+        let stays = slid.xy().norm() <= most_px
+            && aside_px <= MOST_ASIDE * settled.shape.width()
+            && slid[2].sin().abs() <= MOST_TURNED_RAD;
         let accepted = stays
             && frozen.is_accepted(&self.options.track.accept)
             && self.told_apart(frame) >= STANDS_OUT;
@@ -242,7 +248,8 @@ impl ContourTracker {
 
     /// Learns what the settled hand looks like, and looks at it once more in the mixture of colours
     /// that shows it best: a shaded flank or the tip, which grey may have hidden, comes out now.
-    fn bed_in(&mut self, frame: &Scene<'_>) -> Result<()> {
+    fn bed_in(&mut self, frame: &Scene<'_>, settled: &Found) -> Result<()> {
+        let mut explained_before = settled.explains_finger();
         let mut told = self.told_apart(frame);
         for _ in 0..BED_IN_ROUNDS {
             self.hand.looks = None;
@@ -256,18 +263,20 @@ impl ContourTracker {
             self.hand.acquired = x;
             let held = self.held::<5>(&x, BED_IN_SLACK);
             let finger = self.run_ribbon::<5>(frame, &turned.x, Limb::Finger, look, Some(&held))?;
-            if Found::from(finger).is_accepted(&self.options.acquire.accept) {
+            let found = Found::from(finger);
+            if found.is_accepted(&self.options.acquire.accept) {
                 let slid = finger.x.fixed_rows::<2>(0) - x.fixed_rows::<2>(0);
                 let mut moved = finger.x;
                 // The thumb stays where it was.
                 moved[5] -= slid.dot(&Vector2::new(x[2].cos(), x[2].sin()));
                 self.hand.shape = Shape::Ribbon(moved);
                 let now = self.told_apart(frame);
-                if now < STILL_TOLD * told {
+                let explained = found.explains_finger();
+                if now < STILL_TOLD * told || explained < STILL_TOLD * explained_before {
                     self.hand.shape = Shape::Ribbon(x);
                     return Ok(());
                 }
-                told = now;
+                (told, explained_before) = (now, explained);
             }
         }
         Ok(())
@@ -275,8 +284,17 @@ impl ContourTracker {
 
     /// How well the last search's contour tells the inside of the finger from its outside.
     pub(super) fn told_apart(&mut self, frame: &Scene<'_>) -> f64 {
-        let (samples, finger) = (self.hand.fingers(&self.samples), self.hand.shape.silhouette());
-        self.convergence.told_apart(samples, frame, &finger)
+        let Self { hand, samples, waiting, convergence, .. } = self;
+        let shaft = match &hand.shape {
+            Shape::Ribbon(x) => Some(Shaft::of_band(x, waiting.measure.length_px)),
+            Shape::Planar(_) => None,
+        };
+        convergence.told_apart(
+            hand.fingers(samples),
+            frame,
+            &hand.shape.silhouette(),
+            shaft.as_ref(),
+        )
     }
 
     /// A hand that was found is followed from here.

@@ -1,6 +1,6 @@
 //! Gauss–Newton in one shape space: measure, linearise, solve, move, until nothing moves.
 
-use super::looks::{Lead, Looks, Sight, Silhouette};
+use super::looks::{Lead, Looks, Shaft, Sight, Silhouette};
 use super::neighbours::alike;
 use super::options::{AcceptOptions, TrackerOptions};
 use super::scene::Scene;
@@ -184,6 +184,13 @@ impl Support {
         self.supported[part as usize] as f64 / self.visible[part as usize].max(1) as f64
     }
 
+    /// The part of the finger's visible samples that is explained, 0–1.
+    pub fn of_finger(&self) -> f64 {
+        let parts = [Part::LeftFlank, Part::RightFlank, Part::Tip].map(|part| part as usize);
+        let sum = |counts: &[usize; 4]| parts.iter().map(|&part| counts[part]).sum::<usize>();
+        sum(&self.supported) as f64 / sum(&self.visible).max(1) as f64
+    }
+
     /// How many samples of a part of the outline are explained.
     pub fn count(&self, part: Part) -> usize {
         self.supported[part as usize]
@@ -287,14 +294,20 @@ impl Convergence {
 
     /// How well the inside of a finger of which nothing is known differs from its outside, by the edges
     /// of the last search that agree; see [`Looks::told_apart`].
-    pub fn told_apart(&mut self, samples: usize, frame: &Scene<'_>, finger: &Silhouette) -> f64 {
+    pub fn told_apart(
+        &mut self,
+        samples: usize,
+        frame: &Scene<'_>,
+        finger: &Silhouette,
+        shaft: Option<&Shaft>,
+    ) -> f64 {
         self.gather_agreeing(samples);
         let coloured = frame.colour().is_some();
         if self.unknown.as_ref().is_none_or(|looks| looks.is_coloured() != coloured) {
             self.unknown = Some(Looks::new(coloured));
         }
         let Self { unknown, agreeing, .. } = self;
-        unknown.as_mut().map_or(0.0, |looks| looks.told_apart(frame, agreeing, finger))
+        unknown.as_mut().map_or(0.0, |looks| looks.told_apart(frame, agreeing, finger, shaft))
     }
 
     /// Of the finger's samples of the last search, the first `samples` of all, those whose edges agree

@@ -36,6 +36,13 @@ impl Found {
     }
 }
 
+impl<T> Found<T> {
+    /// The same of the finger alone.
+    pub(super) fn explains_finger(&self) -> f64 {
+        self.fit.map_or(0.0, |f| f.support.of_finger())
+    }
+}
+
 impl From<Found<AffineMap>> for Found {
     fn from(found: Found<AffineMap>) -> Self {
         let Found { shape, fit, iterations } = found;

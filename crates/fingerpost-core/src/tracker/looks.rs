@@ -5,8 +5,8 @@ use crate::appearance::Appearance;
 use crate::discriminant::{Discriminant, DiscriminantImage, Mixture, region_about};
 use crate::frame::{Frame, SidedPixel};
 use crate::search::{Cue, Polarity};
-use crate::shape_space::{PlacedSample, RibbonVector};
-use nalgebra::Vector2;
+use crate::shape_space::{Axis, PlacedSample, RibbonVector};
+use nalgebra::{Point2, Vector2};
 
 /// The edge itself, this far to either side, is of neither colour; looks are learned up to that
 /// far from it \[px\].
@@ -15,6 +15,17 @@ const REACH_PX: f64 = 14.0;
 /// Ahead of the tip they are learned so many half-widths further, but no further than that \[px\].
 const AHEAD_WIDTHS: f64 = 5.0;
 const MOST_REACH_PX: f64 = 120.0;
+
+/// A finger is looked at in steps along its length of this part of its half-width and at least \[px\],
+/// and in so many places across it, up to this part of the half-width from its axis.
+const STEP_WIDTHS: f64 = 1.0 / 8.0;
+const LEAST_STEP_PX: f64 = 1.0;
+const PLACES: usize = 5;
+const ACROSS: f64 = 0.6;
+/// A stretch of it that counts: so many steps.
+const STRETCH: usize = 3;
+/// What lies ahead of its tip is looked at this far \[half-widths\].
+const AHEAD: f64 = 3.0;
 
 /// What leads the contour.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -55,6 +66,22 @@ impl Silhouette {
     /// That of a band template.
     pub fn of_band(x: &RibbonVector) -> Self {
         Self { ahead: Vector2::new(x[2].cos(), x[2].sin()), half_width_px: x[3] }
+    }
+}
+
+/// A finger as far as it has to show that it is of one piece, and ends.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Shaft {
+    pub axis: Axis,
+    pub half_width_px: f64,
+    pub length_px: f64,
+}
+
+impl Shaft {
+    /// That of a band template of this length.
+    pub fn of_band(x: &RibbonVector, length_px: f64) -> Self {
+        let axis = Axis::of_finger(Point2::new(x[0], x[1]), x[2], 0.5 * length_px);
+        Self { axis, half_width_px: x[3], length_px }
     }
 }
 
@@ -137,18 +164,54 @@ impl Looks {
     }
 
     /// Forgets all, and tells how well what one frame shows inside of a finger's contour differs from
-    /// what it shows outside of it: [`Appearance::separation`], 0–6.
+    /// what it shows outside of it: [`Appearance::separation`], 0–6, and nothing of what is no finger
+    /// along its `shaft`.
     pub fn told_apart(
         &mut self,
         frame: &Frame<'_>,
         contour: &[PlacedSample],
         finger: &Silhouette,
+        shaft: Option<&Shaft>,
     ) -> f64 {
         self.gather(contour, finger, 0.0);
         self.plain.fade(0.0);
         self.plain.observe_all(frame, &self.pixels, 1.0);
         self.plain.learn();
+        if shaft.is_some_and(|shaft| !self.is_whole(frame, shaft)) {
+            return 0.0;
+        }
         self.plain.separation()
+    }
+
+    /// Whether every stretch of a finger looks rather like its inside than like what is beside it, and
+    /// what lies ahead of its tip does not: a band of a pattern is crossed by others, and goes on
+    /// behind them.
+    fn is_whole(&self, frame: &Frame<'_>, shaft: &Shaft) -> bool {
+        let Shaft { axis, half_width_px, length_px } = *shaft;
+        let (direction, normal) = (axis.direction(), axis.normal());
+        let step_px = (STEP_WIDTHS * half_width_px).max(LEAST_STEP_PX);
+        let steps = |from: f64, to: f64| {
+            let count = ((to - from) / step_px).max(0.0) as usize;
+            (0..count).map(move |i| from + i as f64 * step_px)
+        };
+        let vote = |ahead_px: f64| {
+            let places = (0..PLACES).map(|i| 2.0 * i as f64 / (PLACES - 1) as f64 - 1.0);
+            let votes = places.map(|across| {
+                let place =
+                    axis.tip + direction * ahead_px + normal * (across * ACROSS * half_width_px);
+                f64::from(self.plain.vote(frame, place.x, place.y))
+            });
+            votes.sum::<f64>()
+        };
+        let mut stretch = [0.0; STRETCH];
+        let back = steps(half_width_px, length_px - 0.5 * half_width_px).enumerate();
+        for (i, back_px) in back {
+            stretch[i % STRETCH] = vote(-back_px);
+            if i + 1 >= STRETCH && stretch.iter().sum::<f64>() < 0.0 {
+                return false;
+            }
+        }
+        steps(2.0 * EDGE_PX, AHEAD * half_width_px).map(vote).sum::<f64>() <= 0.0
     }
 
     /// Whether a mixture of colours shows the hand better than the grey image.

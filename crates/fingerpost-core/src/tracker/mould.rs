@@ -7,7 +7,7 @@
 //! together with the finger.
 
 use super::convergence::{Attempt, Converged, Convergence, MIN_HALF_LENGTH_PX, Rest, Support};
-use super::looks::{Lead, Looks, Sight, Silhouette};
+use super::looks::{Lead, Looks, Shaft, Sight, Silhouette};
 use super::options::TrackerOptions;
 use super::scene::Scene;
 use crate::Result;
@@ -55,6 +55,9 @@ const THUMB_REACH: f64 = 0.12;
 
 /// A finger that explains this part of its contour is clear enough to look no further.
 const CLEAR: f64 = 0.9;
+/// One that explains less than this part of it, after what its distance from the waiting template and
+/// what is alike beside it cost, is none.
+const LEAST_SCORE: f64 = 0.4;
 /// How far from the waiting template a hand is expected: its tip, in parts of the finger's length,
 /// and its angle. A finger at one sigma has to explain this part of the contour more than one in
 /// place.
@@ -96,7 +99,7 @@ impl Mould<'_> {
     pub fn find(&self, convergence: &mut Convergence, frame: &Scene<'_>) -> Result<Moulded> {
         let mut finger = Converged::at(*self.waiting);
         let mut finger_polarity = self.options.polarity;
-        let mut best = 0.0;
+        let mut best = LEAST_SCORE * finger_samples(self.samples).len() as f64;
         for angle_rad in ANGLES_RAD {
             for &polarity in self.hypotheses() {
                 for width in WIDTHS {
@@ -204,7 +207,7 @@ impl Mould<'_> {
         polarity: Polarity,
     ) -> Result<(Converged<RIBBON_DOF>, f64)> {
         let samples = finger_samples(self.samples);
-        let told = convergence.told_apart(samples.len(), frame, &Silhouette::of_band(&found.x));
+        let told = self.told_apart(convergence, frame, &found.x);
         let (mut x, mut best) = (found.x, (*found, told));
         let mut looks = Looks::new(frame.colour().is_some());
         let reach_px = self.options.acquire.reach_px(self.waiting[3]);
@@ -229,7 +232,7 @@ impl Mould<'_> {
                 }
                 x = led.x;
             }
-            let told = convergence.told_apart(samples.len(), frame, &Silhouette::of_band(&x));
+            let told = self.told_apart(convergence, frame, &x);
             let away_px = (x.fixed_rows::<2>(0) - found.x.fixed_rows::<2>(0)).norm();
             let is_better = away_px <= reach_px && told >= BETTER_TOLD * best.1;
             if is_better && self.is_plausible(&led, false) {
@@ -237,6 +240,18 @@ impl Mould<'_> {
             }
         }
         Ok(best)
+    }
+
+    /// How well the finger that was fitted last stands out; see [`Looks::told_apart`].
+    fn told_apart(
+        &self,
+        convergence: &mut Convergence,
+        frame: &Scene<'_>,
+        x: &RibbonVector,
+    ) -> f64 {
+        let samples = finger_samples(self.samples).len();
+        let shaft = Shaft::of_band(x, self.measure.length_px);
+        convergence.told_apart(samples, frame, &Silhouette::of_band(x), Some(&shaft))
     }
 
     /// Whether a fit explains enough of the thumb's contour, and not because the finger hides it.
