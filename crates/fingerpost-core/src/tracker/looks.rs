@@ -177,7 +177,7 @@ impl Looks {
         self.plain.fade(0.0);
         self.plain.observe_all(frame, &self.pixels, 1.0);
         self.plain.learn();
-        if shaft.is_some_and(|shaft| !self.is_whole(frame, shaft)) {
+        if shaft.is_some_and(|shaft| !self.is_whole(frame, contour, shaft)) {
             return 0.0;
         }
         self.plain.separation()
@@ -185,8 +185,9 @@ impl Looks {
 
     /// Whether every stretch of a finger looks rather like its inside than like what is beside it, and
     /// what lies ahead of its tip does not: a band of a pattern is crossed by others, and goes on
-    /// behind them.
-    fn is_whole(&self, frame: &Frame<'_>, shaft: &Shaft) -> bool {
+    /// behind them. A finger may be shorter than its template: it is looked at as far back as its
+    /// contour is seen.
+    fn is_whole(&self, frame: &Frame<'_>, contour: &[PlacedSample], shaft: &Shaft) -> bool {
         let Shaft { axis, half_width_px, length_px } = *shaft;
         let (direction, normal) = (axis.direction(), axis.normal());
         let step_px = (STEP_WIDTHS * half_width_px).max(LEAST_STEP_PX);
@@ -204,7 +205,9 @@ impl Looks {
             votes.sum::<f64>()
         };
         let mut stretch = [0.0; STRETCH];
-        let back = steps(half_width_px, length_px - 0.5 * half_width_px).enumerate();
+        let behind = contour.iter().map(|seen| (axis.tip - seen.position).dot(&direction));
+        let seen_px = behind.fold(0.0, f64::max).min(length_px) - 0.5 * half_width_px;
+        let back = steps(half_width_px, seen_px).enumerate();
         for (i, back_px) in back {
             stretch[i % STRETCH] = vote(-back_px);
             if i + 1 >= STRETCH && stretch.iter().sum::<f64>() < 0.0 {
