@@ -42,7 +42,7 @@
 //!     taper: 0.0,
 //!     flanks: [stretch; 2],
 //!     round_end_px: Some(30.0),
-//!     girth: None,
+//!     belief: None,
 //! };
 //! let mut refiner = Refiner::new(RefineOptions::default())?;
 //! let refined = refiner.refine(&frame, &finger, Polarity::Bright, None, None)?;
@@ -123,14 +123,16 @@ pub struct Finger {
     /// The middle of the finger's round end, in px along the axis from its anchor; `None` if the
     /// end is not to be seen.
     pub round_end_px: Option<f64>,
-    /// How wide it is known to be, if something may cover it in part: then what does not look like the
-    /// hand before what has been behind it is left out. `None` if nothing covers it.
-    pub girth: Option<Girth>,
+    /// What is believed of it, if something may cover it in part: then what does not look like the hand
+    /// before what has been behind it is left out. `None` if nothing covers it.
+    pub belief: Option<Belief>,
 }
 
-/// How wide a finger is that something covers in part, as it was when it was seen whole.
+/// What is believed of a finger that something covers in part: how wide it was when it was seen whole,
+/// and how sure its axis is. The few edges that are bare may lie as well on a line that is turned by a
+/// quarter of a radian.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Girth {
+pub struct Belief {
     /// Half its width at the anchor of its axis \[px\], positive.
     pub half_width_px: f64,
     /// Growth of the half-width per px towards the tip.
@@ -139,6 +141,9 @@ pub struct Girth {
     pub half_width_sigma_px: f64,
     /// Standard deviation of the taper, positive.
     pub taper_sigma: f64,
+    /// Standard deviations of the axis: of its offset at the anchor \[px\] and of its angle \[rad\],
+    /// positive.
+    pub axis_sigmas: [f64; 2],
 }
 
 /// Where a refined line comes from.

@@ -8,7 +8,7 @@ use common::{BentFinger, Canvas, Noise, Picture, Shape};
 use fingerpost_core::appearance::Appearance;
 use fingerpost_core::nalgebra::{Matrix2, Matrix4, Point2, Vector2, Vector3, Vector4};
 use fingerpost_core::refine::{
-    Finger, Girth, KnownBackground, RefineOptions, Refined, Refiner, Source, Stretch,
+    Belief, Finger, KnownBackground, RefineOptions, Refined, Refiner, Source, Stretch,
 };
 use fingerpost_core::search::Polarity;
 use fingerpost_core::shape_space::Axis;
@@ -101,7 +101,7 @@ impl Cone {
             taper: (w1 - w0) / length,
             flanks: [stretch, stretch],
             round_end_px: Some(0.5 * length + error * noise.normal()),
-            girth: None,
+            belief: None,
         }
     }
 
@@ -585,7 +585,7 @@ fn the_line_of_a_bent_finger_is_that_of_least_squares_through_its_stretch() {
             taper: 0.0,
             flanks,
             round_end_px: None,
-            girth: None,
+            belief: None,
         };
         let refined = refine(&mut refiner(), &picture, &finger).unwrap();
         assert_eq!(refined.source, Source::Photometric);
@@ -732,15 +732,22 @@ fn numbers_that_are_none_are_refused() {
         );
     }
     assert!(matches!(refused(Finger { taper: f64::NAN, ..finger }), Error::NotFinite { .. }));
-    let girth =
-        Girth { half_width_px: 7.0, taper: 0.0, half_width_sigma_px: 0.1, taper_sigma: 0.01 };
-    for girth in [
-        Girth { half_width_px: f64::NAN, ..girth },
-        Girth { taper: f64::INFINITY, ..girth },
-        Girth { half_width_sigma_px: 0.0, ..girth },
-        Girth { taper_sigma: -0.1, ..girth },
+    let belief = Belief {
+        half_width_px: 7.0,
+        taper: 0.0,
+        half_width_sigma_px: 0.1,
+        taper_sigma: 0.01,
+        axis_sigmas: [0.2, 0.01],
+    };
+    for belief in [
+        Belief { half_width_px: f64::NAN, ..belief },
+        Belief { taper: f64::INFINITY, ..belief },
+        Belief { half_width_sigma_px: 0.0, ..belief },
+        Belief { taper_sigma: -0.1, ..belief },
+        Belief { axis_sigmas: [0.0, 0.01], ..belief },
+        Belief { axis_sigmas: [0.2, f64::NAN], ..belief },
     ] {
-        refused(Finger { girth: Some(girth), ..finger });
+        refused(Finger { belief: Some(belief), ..finger });
     }
     let end = Finger { round_end_px: Some(f64::NAN), ..finger };
     assert!(matches!(refused(end), Error::NotFinite { .. }));
@@ -925,7 +932,7 @@ fn bent_finger(bend_rad: f64, noise: &mut Noise) -> (BentFinger, Finger) {
         taper: 0.0,
         flanks,
         round_end_px: Some(29.0),
-        girth: None,
+        belief: None,
     };
     (finger, believed)
 }
@@ -1044,18 +1051,19 @@ fn a_finger_that_is_covered_in_part_is_told_by_its_bare_stretches() {
             let picture = discs.iter().fold(canvas, |canvas, disc| canvas.paint(disc, cover));
             let picture = picture.blur(0.96).take(2.0, &mut noise);
             let frame = Frame::gray(picture.view());
-            let girth = Some(Girth {
+            let belief = Some(Belief {
                 half_width_px: 7.0 + 0.04 * noise.normal(),
                 taper: 0.003 * noise.normal(),
                 half_width_sigma_px: 0.04,
                 taper_sigma: 0.003,
+                axis_sigmas: [0.5, 0.02],
             });
             let mut turned = |finger_of: &Finger| {
                 let refined =
                     refiner.refine(&frame, finger_of, Polarity::Bright, Some(&looks), None);
                 refined.unwrap().map(|r| ((r.axis.angle_rad - finger.angle_rad).sin(), r))
             };
-            let (turn, refined) = turned(&Finger { girth, ..believed }).unwrap();
+            let (turn, refined) = turned(&Finger { belief, ..believed }).unwrap();
             assert_eq!(refined.source, Source::Photometric, "{cover} {k}");
             let (bare_here, sigma2) = (turn * turn, refined.covariance[(1, 1)]);
             assert!(bare_here < 25.0 * sigma2, "{cover} {k}: {turn} {}", sigma2.sqrt());

@@ -36,7 +36,7 @@ impl Bare {
     pub fn look(&mut self, frame: &Frame<'_>, looks: Option<&Appearance>, sketch: &Sketch) {
         self.covered.iter_mut().for_each(Vec::clear);
         self.looked_at = [0; 2];
-        let Some(looks) = looks.filter(|_| sketch.girth.is_some()) else { return };
+        let Some(looks) = looks.filter(|_| sketch.belief.is_some()) else { return };
         let (e, n) = (sketch.along, sketch.normal());
         let flanks = self.covered.iter_mut().zip(&mut self.looked_at);
         for (((covered, count), side), flank) in flanks.zip(SIDES).zip(sketch.flanks) {

@@ -8,7 +8,7 @@
 
 use super::bare::Bare;
 use super::sketch::{FlankLines, SIDES, Sketch};
-use super::{BisectorOptions, BisectorReport, Girth};
+use super::{Belief, BisectorOptions, BisectorReport};
 use crate::Result;
 use crate::fit::{EquationBuffer, FitOptions, Fitter, Loss, Outcome, Prior, Solve};
 use crate::frame::Frame;
@@ -127,7 +127,7 @@ impl Bisector {
             if self.flanks.iter().any(|f| f.len() < self.options.min_edges) {
                 return Ok(None);
             }
-            let Some(solution) = self.solve(&at)? else { return Ok(None) };
+            let Some(solution) = self.solve(&at, sketch)? else { return Ok(None) };
             let step = solution.step;
             let moved = step[0].abs() + at.half_length_px * step[1].abs();
             at = at.moved(&FlankLines {
@@ -186,28 +186,30 @@ impl Bisector {
         Ok(())
     }
 
-    fn solve(&mut self, at: &Sketch) -> Result<Option<Solution>> {
+    /// The step from `at` by the edges, and by what the sketch says.
+    fn solve(&mut self, at: &Sketch, sketch: &Sketch) -> Result<Option<Solution>> {
         let mut equations = self.equations.clear::<UNKNOWNS>();
         for (stations, side) in self.flanks.iter().zip(SIDES) {
             for s in stations {
                 equations.push(&row(side, s), s.offset_px, s.variance_px2)?;
             }
         }
-        let known = at.girth.unwrap_or(Girth {
+        let known = at.belief.unwrap_or(Belief {
             half_width_px: at.half_width_px,
             taper: at.taper,
             half_width_sigma_px: SKETCH_SIGMA_PX,
             taper_sigma: SKETCH_TAPER_SIGMA,
+            axis_sigmas: [SKETCH_SIGMA_PX, SKETCH_END_SIGMA_PX / at.half_length_px],
         });
-        let sigma = [
-            SKETCH_SIGMA_PX,
-            SKETCH_END_SIGMA_PX / at.half_length_px,
-            known.half_width_sigma_px,
-            known.taper_sigma,
-        ];
+        let [offset_sigma_px, slope_sigma] = known.axis_sigmas;
+        let sigma = [offset_sigma_px, slope_sigma, known.half_width_sigma_px, known.taper_sigma];
+        let (aside_px, turned) = at.belief.map_or((0.0, 0.0), |_| {
+            let aside = sketch.origin - at.origin;
+            (at.normal().dot(&aside), at.along.perp(&sketch.along))
+        });
         let (wider_px, opened) = (known.half_width_px - at.half_width_px, known.taper - at.taper);
         let prior = Prior {
-            mean: SVector::from([0.0, 0.0, wider_px, opened]),
+            mean: SVector::from([aside_px, turned, wider_px, opened]),
             information: SMatrix::from_diagonal(&SVector::from(sigma.map(|s| s.powi(-2)))),
         };
         let fit = self.fitter.solve(&equations, Some(&prior));

@@ -209,10 +209,10 @@ impl Photometric {
         let contrast = contrast[0].max(contrast[1]);
         let mut prior = unknowns::prior(&self.options, sketch.half_width_px, contrast);
         let mut mean = x;
-        if let Some(girth) = sketch.girth {
-            (mean.0[HALF_WIDTH], mean.0[TAPER]) = (girth.half_width_px, girth.taper);
-            prior[HALF_WIDTH] = girth.half_width_sigma_px.powi(-2);
-            prior[TAPER] = girth.taper_sigma.powi(-2);
+        if let Some(belief) = sketch.belief {
+            (mean.0[HALF_WIDTH], mean.0[TAPER]) = (belief.half_width_px, belief.taper);
+            prior[HALF_WIDTH] = belief.half_width_sigma_px.powi(-2);
+            prior[TAPER] = belief.taper_sigma.powi(-2);
         }
         let mut scale = (FIRST_SCALE * contrast.max(LEAST_CONTRAST_GREY)).max(noise_grey);
         let mut iteration = 0;

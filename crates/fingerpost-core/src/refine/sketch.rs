@@ -2,7 +2,7 @@
 //!
 //! p runs along the finger from the middle of the stretch in use, q to the right of it, both in px.
 
-use super::{Finger, Girth, Stretch};
+use super::{Belief, Finger, Stretch};
 use crate::{Error, Result};
 use nalgebra::{Point2, Vector2};
 
@@ -29,7 +29,7 @@ pub(super) struct Sketch {
     pub anchor_px: f64,
     pub tip_px: f64,
     /// As the finger's, but of p = 0.
-    pub girth: Option<Girth>,
+    pub belief: Option<Belief>,
 }
 
 impl Sketch {
@@ -38,7 +38,7 @@ impl Sketch {
     /// # Errors
     /// When a number is not finite or the half-width not positive.
     pub fn of(finger: &Finger) -> Result<Option<Self>> {
-        let Finger { axis, half_width_px, taper, flanks, round_end_px, girth } = finger;
+        let Finger { axis, half_width_px, taper, flanks, round_end_px, belief } = finger;
         Error::finite("axis of the finger [px]", axis.anchor.coords.sum() + axis.tip.coords.sum())?;
         Error::finite("angle of the finger [rad]", axis.angle_rad)?;
         Error::within("half-width of the finger [px]", *half_width_px, "positive", |w| w > 0.0)?;
@@ -49,10 +49,14 @@ impl Sketch {
         if let Some(end) = round_end_px {
             Error::finite("middle of the round end [px]", *end)?;
         }
-        if let Some(girth) = girth {
-            Error::finite("girth of the finger", girth.half_width_px + girth.taper)?;
-            for sigma in [girth.half_width_sigma_px, girth.taper_sigma] {
-                Error::within("uncertainty of the girth", sigma, "positive", |s| s > 0.0)?;
+        if let Some(belief) = belief {
+            Error::finite(
+                "width that is believed of the finger",
+                belief.half_width_px + belief.taper,
+            )?;
+            let [offset, angle] = belief.axis_sigmas;
+            for sigma in [belief.half_width_sigma_px, belief.taper_sigma, offset, angle] {
+                Error::within("uncertainty of what is believed", sigma, "positive", |s| s > 0.0)?;
             }
         }
         let seen = flanks.iter().filter(|s| s.length_px() > 0.0);
@@ -74,7 +78,11 @@ impl Sketch {
             half_length_px: 0.5 * (to - from),
             anchor_px: -middle,
             tip_px: along.dot(&(axis.tip - axis.anchor)) - middle,
-            girth: girth.map(|g| Girth { half_width_px: g.half_width_px + g.taper * middle, ..g }),
+            belief: belief.map(|g| Belief {
+                half_width_px: g.half_width_px + g.taper * middle,
+                axis_sigmas: [g.axis_sigmas[0].hypot(g.axis_sigmas[1] * middle), g.axis_sigmas[1]],
+                ..g
+            }),
         };
         // A taper that closes the finger within the stretch describes no finger.
         let ends = [-sketch.half_length_px, sketch.half_length_px];

@@ -157,13 +157,13 @@ impl Straightness {
     /// One of the halves. Of a finger that may be covered in part, enough of it must be its own.
     fn half(&mut self, look: &Look<'_>, half: &Finger) -> Result<Option<BisectorFit>> {
         // The width that is known is that of a straight finger.
-        let found = self.part(look, &Finger { girth: None, ..*half })?;
+        let found = self.part(look, &Finger { belief: None, ..*half })?;
         let Some(found) = found else { return Ok(None) };
-        if half.girth.is_none() {
+        if half.belief.is_none() {
             return Ok(Some(found));
         }
         // Where the half was looked for nothing may be bare: it is bent away from there.
-        let seen = Sketch { girth: half.girth, ..found.sketch };
+        let seen = Sketch { belief: half.belief, ..found.sketch };
         self.bare.look(look.frame, look.cue.appearance(), &seen);
         Ok((self.bare.least_part() >= OWN_PART).then_some(found))
     }
@@ -189,8 +189,8 @@ impl Straightness {
         for turn_rad in TURNS_RAD {
             let angle_rad = other.along.y.atan2(other.along.x) + turn_rad;
             let axis = Axis::of_finger(joint, angle_rad, 0.0);
-            let (round_end_px, girth) = (None, None);
-            let part = Finger { axis, half_width_px, flanks, round_end_px, girth, ..*finger };
+            let (round_end_px, belief) = (None, None);
+            let part = Finger { axis, half_width_px, flanks, round_end_px, belief, ..*finger };
             let Some(sketch) = Sketch::of(&part)? else { continue };
             if least <= 0.0 || vote(&sketch) <= 0.0 {
                 continue;

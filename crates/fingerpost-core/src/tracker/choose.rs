@@ -154,7 +154,7 @@ impl ContourTracker {
     /// Whether a fit leaves nothing to ask: nearly all of the contour is explained, where a hand would
     /// be that goes on as it did.
     fn is_plain(&self, found: &Found, foretold: Option<&Foretold>) -> Result<bool> {
-        Ok(found.explained() >= SURE && !self.motion(found, foretold)?.surprises)
+        Ok(self.hand.is_whole(found) && !self.motion(found, foretold)?.surprises)
     }
 
     /// What the way to a fit costs, and whether it surprises.

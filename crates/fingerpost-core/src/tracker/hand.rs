@@ -176,21 +176,32 @@ impl Hand {
         self.partly_frames < MOST_COVERED_FRAMES
     }
 
+    /// Whether a fit explains nearly all of its contour, by edges that scatter as usual.
+    pub(super) fn is_whole(&self, found: &Found) -> bool {
+        let scatters_as_usual = |fit: &Fit| fit.residual_rms_px <= self.most_scale_px();
+        found.explained() >= SURE && found.fit.as_ref().is_some_and(scatters_as_usual)
+    }
+
+    /// Whether the last fit that counts is that of all of a hand, or of one that was never seen whole.
+    pub(super) fn shows_what_is_usual(&self) -> bool {
+        self.partly_frames == 0 || !self.is_known_whole()
+    }
+
     /// Notes whether something may cover it where it was found.
     pub(super) fn note_covered(&mut self, found: &Found) {
-        self.is_covered = self.is_known_whole() && found.explained() < SURE;
+        self.is_covered = self.is_known_whole() && !self.is_whole(found);
     }
 
     /// Notes whether a fit that counts explains nearly all of its contour.
     pub(super) fn count_partly(&mut self, found: &Found) {
-        let is_whole = found.explained() >= SURE;
-        self.partly_frames = if is_whole { 0 } else { self.partly_frames.saturating_add(1) };
+        self.partly_frames =
+            if self.is_whole(found) { 0 } else { self.partly_frames.saturating_add(1) };
     }
 
     /// Takes over what the edges of a fit that counts scatter. What covers a hand that is known
     /// whole has edges that are not its own.
     pub(super) fn learn_usual(&mut self, found: &Found) {
-        if let Some(fit) = found.fit.filter(|_| self.partly_frames == 0 || !self.is_known_whole()) {
+        if let Some(fit) = found.fit.filter(|_| self.shows_what_is_usual()) {
             self.usual_px += USUAL_RATE * (fit.residual_rms_px - self.usual_px);
         }
     }
@@ -198,10 +209,21 @@ impl Hand {
     /// By how much the edges of a fit scatter more than is usual, as a standard deviation \[px\]:
     /// a hand that is known whole does not, but what covers it.
     pub(super) fn unusual_px(&self, fit: &Fit) -> f64 {
-        if self.partly_frames == 0 || !self.is_known_whole() {
+        if self.shows_what_is_usual() {
             return 0.0;
         }
         (fit.residual_rms_px.powi(2) - self.most_scale_px().powi(2)).max(0.0).sqrt()
+    }
+
+    /// By how much the half-width \[px\] and the taper of a hand that is covered in part are off what they
+    /// were while it was seen whole.
+    pub(super) fn swollen(&self, shape: &Shape) -> Vector2<f64> {
+        match shape {
+            Shape::Ribbon(x) if !self.shows_what_is_usual() => {
+                Vector2::new(x[3] - self.acquired[3], x[4] - self.acquired[4])
+            }
+            _ => Vector2::zeros(),
+        }
     }
 
     /// What its edges scatter at most about a fit in its place \[px\].

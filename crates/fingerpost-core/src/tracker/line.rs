@@ -75,11 +75,26 @@ impl FingerLine {
         self.misled_by_part(by_px / self.half_length_px)
     }
 
+    /// The same line, when the half-width \[px\] and the taper are off by so much: what has pushed one
+    /// flank aside and not the other has moved and turned the axis by as much.
+    pub(super) fn pushed(self, by: &Vector2<f64>) -> Self {
+        let doubt = Matrix2::from_diagonal(&by.map(|s| s * s));
+        Self { covariance: self.covariance + doubt, ..self }
+    }
+
     /// The same by a part of the half-length, which a bend may do.
     pub(super) fn misled_by_part(self, part: f64) -> Self {
         let doubt = Vector2::new(part * self.half_length_px, part * 3.0_f64.sqrt());
         let doubt = Matrix2::from_diagonal(&doubt.map(|s| s * s));
         Self { covariance: self.covariance + doubt, ..self }
+    }
+
+    /// Whether another look at the same finger differs by more than both may.
+    pub(super) fn contradicts(&self, other: &Self) -> bool {
+        let other = other.told_beside(self);
+        let apart = self.apart(&other.axis);
+        let weight = (self.covariance + other.covariance).try_inverse();
+        weight.is_some_and(|weight| apart.dot(&(weight * apart)) > CONTRADICTION)
     }
 
     /// This line and another look at the same finger, at the anchor of this one and as long: the mean
@@ -148,6 +163,33 @@ mod tests {
         assert!((doubted.covariance - expected).norm() < 1e-9, "{}", doubted.covariance);
         assert_eq!(doubted.axis, line.axis);
         assert_eq!(line.doubted(&axis), line);
+    }
+
+    #[test]
+    fn a_flank_that_is_pushed_aside_takes_half_of_that_to_the_axis() {
+        let [axis, _] = axes();
+        let line = FingerLine::of_contour(&axis, &Matrix2::new(0.04, 1e-4, 1e-4, 1e-4));
+        // Right flank at 8 + 1 + 0.02 p for 8, left one at −8: axis at (right + left) / 2.
+        let (right, left) = (|p: f64| 9.0 + 0.02 * p, -8.0);
+        let [middle, ahead] = [0.0, 10.0].map(|p| 0.5 * (right(p) + left));
+        let pushed = line.pushed(&Vector2::new(0.5, 0.01));
+        let added = pushed.covariance - line.covariance;
+        assert!((added[(0, 0)].sqrt() - middle).abs() < 1e-12);
+        assert!((added[(1, 1)].sqrt() - (ahead - middle) / 10.0).abs() < 1e-12);
+        assert_eq!(pushed.axis, line.axis);
+    }
+
+    #[test]
+    fn looks_contradict_each_other_beyond_what_both_allow() {
+        let [axis, other] = axes();
+        let line = |axis: &Axis, sigma: f64| {
+            FingerLine::of_contour(axis, &(Matrix2::new(4.0, 0.0, 0.0, 0.01) * (sigma * sigma)))
+        };
+        // 2 px and 0.1 rad apart: one standard deviation each of a look with `sigma` 1.
+        assert!(!line(&axis, 1.0).contradicts(&line(&other, 1.0)));
+        assert!(line(&axis, 0.2).contradicts(&line(&other, 0.2)));
+        assert!(!line(&axis, 0.2).contradicts(&line(&other, 1.0)));
+        assert!(!line(&axis, 0.2).contradicts(&line(&axis, 0.2)));
     }
 
     #[test]

@@ -10,14 +10,14 @@ use super::shape::Shape;
 use super::{ContourTracker, NEAR_PX};
 use crate::Result;
 use crate::fit::Prior;
-use crate::refine::Girth;
+use crate::refine::Belief;
 use crate::search::Scale;
 use crate::shape_space::{
     Affine, AffineMap, PlanarSpace, RIBBON_DOF, Ribbon, RibbonVector, Rigid, RigidShear,
     Similarity, Translation,
 };
 use crate::template::{Limb, Part};
-use nalgebra::{SMatrix, SVector};
+use nalgebra::{Matrix2, SMatrix, SVector};
 
 /// How far what a hand cannot change may stray while it is tracked: standard deviations of the
 /// band template, in parts of the finger's half-width, of 1 for the taper, and of its length. The
@@ -200,13 +200,14 @@ impl ContourTracker {
     }
 
     /// How wide a finger is that something may cover in part; None of one that nothing does.
-    pub(super) fn girth(&self) -> Option<Girth> {
+    pub(super) fn belief(&self, line_covariance: &Matrix2<f64>) -> Option<Belief> {
         let (acquired, slack) = (&self.hand.acquired, self.hand.slack());
-        self.hand.is_covered.then(|| Girth {
+        self.hand.is_covered.then(|| Belief {
             half_width_px: acquired[3],
             taper: acquired[4],
             half_width_sigma_px: slack * HELD_WIDTH_SIGMA * acquired[3],
             taper_sigma: slack * HELD_TAPER_SIGMA,
+            axis_sigmas: [0, 1].map(|i| line_covariance[(i, i)].sqrt()),
         })
     }
 

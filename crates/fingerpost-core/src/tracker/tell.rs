@@ -39,17 +39,18 @@ impl ContourTracker {
         accept: &AcceptOptions,
     ) -> Result<Track> {
         let refined = match self.hand.shape {
-            Shape::Ribbon(x) if self.options.refine => self.refine(frame, &x)?,
+            Shape::Ribbon(x) if self.options.refine => self.refine(frame, &x, found)?,
             _ => None,
         };
         // Where the pixels agree with a finger only so far, the contour knows other things than two
-        // bare flanks tell: the hand's colours, and its width.
-        let contour = found.fit.map(|f| {
-            FingerLine::of_contour(&f.axis, &f.line_covariance).misled(self.hand.unusual_px(&f))
-        });
+        // bare flanks tell: the hand's colours, and its width. Of a finger that is covered in part
+        // either may be misled, and where they contradict each other, neither is believed alone.
+        let contour = self.by_contour(found);
         let finger_line = match (refined, contour) {
-            (Some(refined), _) if refined.source == Source::Photometric => {
-                Some(FingerLine::of_pixels(&refined))
+            (Some(refined), Some(contour)) if refined.source == Source::Photometric => {
+                let pixels = FingerLine::of_pixels(&refined);
+                let is_open = self.hand.is_covered && pixels.contradicts(&contour);
+                Some(if is_open { pixels.joined(&contour) } else { pixels })
             }
             (Some(refined), Some(contour)) if refined.source == Source::Unsure => {
                 Some(FingerLine::of_pixels(&refined).joined(&contour))
@@ -74,9 +75,21 @@ impl ContourTracker {
         Ok(Track { finger_line, ..track(time_s, Status::Tracking, found, accept, None) })
     }
 
+    /// The line of a fit's contour, as far as what covers it may have led it astray.
+    fn by_contour(&self, found: &Found) -> Option<FingerLine> {
+        let fit = found.fit.as_ref()?;
+        let line = FingerLine::of_contour(&fit.axis, &fit.line_covariance);
+        Some(line.misled(self.hand.unusual_px(fit)).pushed(&self.hand.swollen(&found.shape)))
+    }
+
     /// The finger by its flanks alone; none if they cannot be believed.
-    fn refine(&mut self, frame: &Scene<'_>, x: &RibbonVector) -> Result<Option<Refined>> {
-        let Some(finger) = self.finger(x)? else { return Ok(None) };
+    fn refine(
+        &mut self,
+        frame: &Scene<'_>,
+        x: &RibbonVector,
+        found: &Found,
+    ) -> Result<Option<Refined>> {
+        let Some(finger) = self.finger(x, found)? else { return Ok(None) };
         let sight = self.hand.sight(frame, Lead::HandEdges, self.options.polarity);
         let shown = self.convergence.shown(frame, sight.mixture, &finger)?;
         let looks = sight.cue.appearance();
@@ -85,8 +98,8 @@ impl ContourTracker {
         self.refiner.refine(&shown, &finger, sight.polarity, looks, known.as_ref())
     }
 
-    /// The finger that the band template stands for, as far as both its flanks were seen.
-    pub(super) fn finger(&self, x: &RibbonVector) -> Result<Option<Finger>> {
+    /// The finger that the band template stands for, as far as both its flanks were seen by a fit.
+    fn finger(&self, x: &RibbonVector, found: &Found) -> Result<Option<Finger>> {
         let BandMeasure { length_px, round_end_px, .. } = self.waiting.measure;
         let (half_width_px, taper) = (x[3], x[4]);
         let flank = |flank| {
@@ -106,14 +119,15 @@ impl ContourTracker {
         };
         let flanks = [right, left];
         let axis = self.ribbon::<RIBBON_DOF>(x)?.pose(x).axis();
-        let (round_end_px, girth) = (Some(round_end_px), self.girth());
-        Ok(Some(Finger { axis, half_width_px, taper, flanks, round_end_px, girth }))
+        let belief = self.by_contour(found).and_then(|line| self.belief(&line.covariance));
+        let round_end_px = Some(round_end_px);
+        Ok(Some(Finger { axis, half_width_px, taper, flanks, round_end_px, belief }))
     }
 
     /// How the finger of a fit that counts is bent, if its flanks tell; never of the paper's model.
     pub(super) fn bend(&mut self, frame: &Scene<'_>, found: &Found) -> Result<Option<Bend>> {
         let Shape::Ribbon(x) = found.shape else { return Ok(None) };
-        let Some(finger) = self.finger(&x)? else { return Ok(None) };
+        let Some(finger) = self.finger(&x, found)? else { return Ok(None) };
         let sight = self.hand.sight(frame, Lead::HandEdges, self.options.polarity);
         let shown = self.convergence.shown(frame, sight.mixture, &finger)?;
         self.refiner.bend(&shown, &finger, sight.polarity, sight.cue.appearance())
