@@ -11,6 +11,7 @@ import math
 import sys
 import threading
 import time
+from dataclasses import replace
 from types import ModuleType
 
 import numpy as np
@@ -221,6 +222,16 @@ def test_ur_bools_become_errors(fake_ur, change, error):
         vars(fake_ur).update(change)
         with pytest.raises(error):
             robot.move_to(GOAL)
+
+
+def test_an_arm_that_creeps_does_not_stand(fake_ur):
+    # From one reading to the next it moves by a tenth of what is no motion.
+    with ur(poll_s=0.001) as robot:
+        robot.home()
+        here = robot.pose()
+        goal = replace(here, y_m=here.y_m + 0.005)
+        robot.move_to(goal, speed_m_s=0.02)
+        assert robot.pose().distance_m(goal) < 1e-3
 
 
 def test_ur_that_is_switched_off_is_not_ready(fake_ur):

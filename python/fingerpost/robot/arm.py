@@ -79,7 +79,7 @@ class ArrivalRule:
     poll_s : float
         Pause between two readings of the pose [s], ≥ 0.
     still_m, still_rad : float
-        Two readings no further apart than this are the same place [m, rad].
+        Readings no further from the first of them than this are the same place [m, rad].
     near_m, near_rad : float
         A standing arm this near its goal has arrived [m, rad].
     readings : int
@@ -506,14 +506,13 @@ class Arm(ABC):
     def _await_arrival(self, goal: Pose, turn: Turn) -> None:
         """Read the pose until the arm stands, then see whether that is the goal."""
         rule = self._arrival
-        still_since_s, readings, previous = self._clock(), 0, None
+        still_since_s, readings, stands_at = self._clock(), 0, None
         while True:
             pose = self._measured_pose(turn)
-            if previous is not None and _same(pose, previous, rule.still_m, rule.still_rad):
+            if stands_at is not None and _same(pose, stands_at, rule.still_m, rule.still_rad):
                 readings += 1
             else:
-                still_since_s, readings = self._clock(), 1
-            previous = pose
+                still_since_s, readings, stands_at = self._clock(), 1, pose
             if readings >= rule.readings:
                 if _same(pose, goal, rule.near_m, rule.near_rad):
                     self._goal, self._state = None, RobotState.IDLE
