@@ -30,7 +30,7 @@ from fingerpost import pipeline
 from fingerpost._core import ContourTracker, StartPose, Template, update_views
 from fingerpost.capture import Frame, open_source, read_views
 from fingerpost.config import Rig
-from fingerpost.finding import HandSearch
+from fingerpost.finding import HandSearch, Shared
 from fingerpost.pipeline import Observation, Pointer, Step
 from fingerpost.pointing import FingerLine
 from fingerpost.recording.picture import draw_view
@@ -104,8 +104,9 @@ def time_stages(clock: Stopwatch) -> None:
     """Have the stages of the main loop timed where it calls them."""
     pipeline.update_views = clock.timed("track", pipeline.update_views)
     pipeline.indicated_point = clock.timed("fix", pipeline.indicated_point)
-    pipeline.can_be_one = clock.timed("agree", pipeline.can_be_one)
-    pipeline.are_two = clock.timed("agree", pipeline.are_two)
+    Shared.can_be_one = clock.timed("agree", Shared.can_be_one)
+    Shared.are_one = clock.timed("agree", Shared.are_one)
+    Shared.are_two = clock.timed("agree", Shared.are_two)
     HandSearch.look_behind = clock.timed("learn", HandSearch.look_behind)
     HandSearch.learn = clock.timed("learn", HandSearch.learn)
     finger = Observation.__dict__["finger"]
