@@ -121,6 +121,25 @@ def test_what_is_followed_is_the_hand(start, pattern):
     assert all(is_right(track) for track in tracks if track.finger_line is not None)
 
 
+SLIDES = pytest.mark.xfail(
+    reason="a light line of the cloth just ahead is taken for the end of the finger", strict=True
+)
+
+
+@pytest.mark.parametrize(
+    ("pattern", "start"),
+    [
+        pytest.param(pattern, start, marks=SLIDES if pattern[0] == 0.2 and k > 0 else ())
+        for pattern in COARSE
+        for k, start in enumerate(STARTS)
+    ],
+)
+def test_its_tip_is_where_the_finger_ends(pattern, start):
+    for track in watch(waiting(*start), cloth(*pattern), shows_hand=True):
+        line = track.finger_line
+        assert line is None or np.hypot(*(np.array(line.tip_px) - TIP)) < 2.0
+
+
 def test_what_is_followed_before_random_cloth_is_mostly_the_hand():
     cases = [drawn(case) for case in range(RANDOM)]
     tracks = [
