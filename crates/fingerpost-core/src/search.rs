@@ -20,7 +20,7 @@ use crate::appearance::{Appearance, Ballot};
 use crate::frame::{ColourView, Frame};
 use crate::image::GrayView;
 use crate::shape_space::PlacedSample;
-use crate::simd::{Isa, Work};
+use crate::simd::{BASELINE_LANES, Isa, Work};
 use crate::{Error, Result};
 use lanes::{Lanes, Peak, Scoring, Starts};
 use nalgebra::Vector2;
@@ -159,8 +159,8 @@ struct Kernel {
 const COARSE: f64 = 2.5;
 /// Lines that are searched side by side: 16-bit numbers in a vector of AVX2, and in one of the
 /// baseline.
-const WIDE: usize = 16;
-const NARROW: usize = 8;
+const WIDE: usize = 2 * NARROW;
+const NARROW: usize = BASELINE_LANES;
 
 /// The kernels, and the buffers that a search reuses: nothing is allocated while searching.
 #[derive(Debug, Clone)]

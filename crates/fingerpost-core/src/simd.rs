@@ -110,6 +110,9 @@ pub(crate) fn each<T: Copy + Default, const N: usize>(of: impl Fn(usize) -> T) -
     lanes
 }
 
+/// As many 16-bit lanes as the baseline's vectors have.
+pub(crate) const BASELINE_LANES: usize = 8;
+
 /// How the pixels of an image lie in memory.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Layout {
@@ -144,16 +147,34 @@ impl<const N: usize> Places<N> {
         samples: usize,
         layout: Layout,
     ) {
-        let Layout { stride, pitch } = layout;
         self.furthest = furthest(&start, &step, samples, layout);
         self.places.resize(samples, [0; N]);
-        let [mut x, mut y] = start;
-        let [dx, dy] = step;
-        for place in &mut self.places {
-            *place = each(|j| {
+        #[cfg(target_arch = "x86_64")]
+        if let (BASELINE_LANES, Some(factors)) = (N, sse2::factors(layout)) {
+            #[expect(unsafe_code, reason = "with SSE2 it saves a twentieth of an iteration")]
+            // SAFETY: every x86-64 has SSE2.
+            self.walk(start, step, |x, y| unsafe { sse2::places(x, y, factors) });
+            return;
+        }
+        let Layout { stride, pitch } = layout;
+        self.walk(start, step, |x, y| {
+            each(|j| {
                 let (row, column) = ((y[j] >> 16) as u32, (x[j] >> 16) as u32);
                 row.wrapping_mul(stride).wrapping_add(column.wrapping_mul(pitch))
-            });
+            })
+        });
+    }
+
+    /// Sets all places, sample by sample, by what `places` makes of the columns and rows.
+    #[inline(always)]
+    fn walk(
+        &mut self,
+        [mut x, mut y]: [[i32; N]; 2],
+        [dx, dy]: [[i32; N]; 2],
+        places: impl Fn(&[i32; N], &[i32; N]) -> [u32; N],
+    ) {
+        for sample in &mut self.places {
+            *sample = places(&x, &y);
             // The mask changes nothing of what is not negative. It keeps the compiler from working
             // on several samples of one line at once, lane after lane.
             x = each(|j| x[j].wrapping_add(dx[j]) & i32::MAX);
@@ -165,8 +186,21 @@ impl<const N: usize> Places<N> {
     /// if one of them may be too near to the end.
     #[inline(always)]
     pub fn cells<'a>(&'a self, bytes: &'a [u8], stride: usize) -> Option<Cells<'a, N>> {
+        self.read_by(bytes, stride, 2)
+    }
+
+    /// The same by loads of four bytes, where these are faster: with SSE2 alone.
+    #[inline(always)]
+    pub fn wide_cells<'a>(&'a self, bytes: &'a [u8], stride: usize) -> Option<WideCells<'a, N>> {
+        let has_sse2_alone = cfg!(target_arch = "x86_64") && N == BASELINE_LANES;
+        has_sse2_alone.then(|| self.read_by(bytes, stride, 4).map(WideCells))?
+    }
+
+    /// Cells of which so many bytes may be read from every place on.
+    #[inline(always)]
+    fn read_by<'a>(&'a self, bytes: &'a [u8], stride: usize, reach: u64) -> Option<Cells<'a, N>> {
         let lower = bytes.get(stride..)?;
-        let all_inside = self.furthest.saturating_add(2) <= lower.len() as u64;
+        let all_inside = self.furthest.saturating_add(reach) <= lower.len() as u64;
         all_inside.then_some(Cells { places: self.places.iter(), upper: bytes, lower })
     }
 
@@ -229,6 +263,114 @@ impl<const N: usize> Iterator for Cells<'_, N> {
             });
         }
         Some(cells)
+    }
+}
+
+/// The same where no place is nearer to the end of `lower` than 4.
+pub(crate) struct WideCells<'a, const N: usize>(Cells<'a, N>);
+
+impl<const N: usize> Iterator for WideCells<'_, N> {
+    type Item = [[u16; N]; 2];
+
+    #[cfg(target_arch = "x86_64")]
+    #[inline(always)]
+    fn next(&mut self) -> Option<Self::Item> {
+        let Cells { places, upper, lower } = &mut self.0;
+        let places = places.next()?;
+        let mut cells = [[0; N]; 2];
+        for (cells, bytes) in cells.iter_mut().zip([*upper, *lower]) {
+            #[expect(unsafe_code, reason = "an iteration takes a fifth less time with SSE2")]
+            // SAFETY: places[j] + 4 ≤ lower.len() ≤ upper.len(), as `Places::wide_cells` has made
+            // sure. Every x86-64 has SSE2.
+            unsafe {
+                *cells = sse2::pairs(bytes, places);
+            }
+        }
+        Some(cells)
+    }
+
+    #[cfg(not(target_arch = "x86_64"))]
+    #[inline(always)]
+    fn next(&mut self) -> Option<Self::Item> {
+        self.0.next()
+    }
+}
+
+/// What takes a compiler many instructions of SSE2, in few. Wider sets have better ones, which it finds.
+#[cfg(target_arch = "x86_64")]
+mod sse2 {
+    use super::Layout;
+    use std::arch::x86_64::{
+        __m128i, _mm_and_si128, _mm_cvtsi32_si128, _mm_madd_epi16, _mm_or_si128, _mm_set1_epi32,
+        _mm_setr_epi32, _mm_srli_epi32, _mm_unpacklo_epi16, _mm_unpacklo_epi32, _mm_unpacklo_epi64,
+    };
+    use std::mem::transmute;
+
+    /// The bytes of a row and of a column, in the upper and the lower half of a word; none where the
+    /// rows are too long for that.
+    pub fn factors(layout: Layout) -> Option<i32> {
+        let [stride, pitch] = [layout.stride, layout.pitch].map(i16::try_from);
+        Some((i32::from(stride.ok()?) << 16) | i32::from(pitch.ok()?))
+    }
+
+    /// Places in memory of columns and rows in 16.16 fixed point, of a multiple of four lines.
+    #[target_feature(enable = "sse2")]
+    #[inline]
+    pub fn places<const N: usize>(x: &[i32; N], y: &[i32; N], factors: i32) -> [u32; N] {
+        let (rows, factors) = (_mm_set1_epi32(-1 << 16), _mm_set1_epi32(factors));
+        let mut places = [0; N];
+        let (x, y) = (x.as_chunks().0, y.as_chunks().0);
+        for (places, (&x, &y)) in places.as_chunks_mut().0.iter_mut().zip(x.iter().zip(y)) {
+            let vector = |of: [i32; 4]| _mm_setr_epi32(of[0], of[1], of[2], of[3]);
+            let column = _mm_srli_epi32(vector(x), 16);
+            let both = _mm_or_si128(column, _mm_and_si128(vector(y), rows));
+            *places = words(_mm_madd_epi16(both, factors));
+        }
+        places
+    }
+
+    /// The two bytes that begin at every place, the first one lowest, of a multiple of eight lines.
+    ///
+    /// # Safety
+    /// `places[j] + 4 <= bytes.len()` of all j.
+    #[expect(unsafe_code, reason = "all four are inside, as the caller has made sure")]
+    #[target_feature(enable = "sse2")]
+    #[inline]
+    pub unsafe fn pairs<const N: usize>(bytes: &[u8], places: &[u32; N]) -> [u16; N] {
+        let mut pairs = [0; N];
+        for (pairs, places) in pairs.as_chunks_mut().0.iter_mut().zip(places.as_chunks::<8>().0) {
+            // A load of four bytes into a vector takes one instruction, of two bytes two.
+            let four = |place: u32| {
+                let four = bytes.as_ptr().wrapping_add(place as usize).cast::<[u8; 4]>();
+                // SAFETY: place + 4 ≤ bytes.len(). An array of bytes needs no alignment.
+                i32::from_le_bytes(unsafe { four.read() })
+            };
+            let word = |j: usize| _mm_cvtsi32_si128(four(places[j]));
+            let two = |j| _mm_unpacklo_epi16(word(j), word(j + 1));
+            let four = |j| _mm_unpacklo_epi32(two(j), two(j + 2));
+            *pairs = halves(_mm_unpacklo_epi64(four(0), four(4)));
+        }
+        pairs
+    }
+
+    #[target_feature(enable = "sse2")]
+    #[inline]
+    fn words(vector: __m128i) -> [u32; 4] {
+        #[expect(unsafe_code, reason = "there is no other way between a vector and an array")]
+        // SAFETY: both are sixteen bytes, of which any values are valid.
+        unsafe {
+            transmute(vector)
+        }
+    }
+
+    #[target_feature(enable = "sse2")]
+    #[inline]
+    fn halves(vector: __m128i) -> [u16; 8] {
+        #[expect(unsafe_code, reason = "there is no other way between a vector and an array")]
+        // SAFETY: both are sixteen bytes, of which any values are valid.
+        unsafe {
+            transmute(vector)
+        }
     }
 }
 

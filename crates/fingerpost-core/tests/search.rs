@@ -480,6 +480,30 @@ fn a_search_remembers_nothing() {
     assert_eq!(first, again);
 }
 
+#[test]
+fn rows_that_lie_far_apart_give_the_same() {
+    let close = cluttered();
+    let Picture { width, height, .. } = close;
+    let along = |k: u32| line(CENTRE + at_angle(f64::from(k)), at_angle(f64::from(3 * k)));
+    let lines: Vec<_> = (0..40).map(along).collect();
+    let expected = search_all(options(), close.view(), Cue::Edges, Scale::Fine, &lines);
+    assert!(expected.iter().any(Result::is_ok));
+    // 16 bits with a sign hold the first alone.
+    for stride in [32_767, 32_768, 100_000] {
+        let mut bytes = vec![0; (height - 1) * stride + width];
+        for (row, far) in close.bytes.chunks_exact(width).zip(bytes.chunks_mut(stride)) {
+            far[..width].copy_from_slice(row);
+        }
+        let frame = Frame::gray(GrayView::new(&bytes, width, height, stride).unwrap());
+        for isa in Isa::available() {
+            let mut found = Vec::new();
+            let mut search = EdgeSearch::new(options()).unwrap().with_isa(isa);
+            search.search(&frame, Cue::Edges, Scale::Fine, &lines, &mut found).unwrap();
+            assert_eq!(found, expected, "{isa}, {stride}");
+        }
+    }
+}
+
 /// Bytes of any kind: noise, all equal, black and white.
 fn pictures() -> impl Strategy<Value = Picture> {
     let side = || prop_oneof![Just(1_usize), 1..40_usize];

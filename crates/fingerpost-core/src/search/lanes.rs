@@ -280,24 +280,13 @@ impl<const N: usize> Lanes<N> {
     /// Grey levels at all samples.
     #[inline(always)]
     fn interpolate(&mut self, image: &GrayView<'_>) {
-        // Fractions of a pixel are the lower halves of the coordinates.
-        let fraction = |axis: usize| -> ([u16; N], [u16; N]) {
-            let start = each(|j| (self.start[axis][j] + HALF_STEP[axis]) as u16);
-            (start, each(|j| self.step[axis][j] as u16))
-        };
-        let ((mut x, dx), (mut y, dy)) = (fraction(0), fraction(1));
-        let Some(cells) = self.places.cells(image.data(), image.stride()) else {
+        let (places, bytes, stride) = (&self.places, image.data(), image.stride());
+        if let Some(cells) = places.wide_cells(bytes, stride) {
+            blend(&mut self.grey, cells, self.start, self.step);
+        } else if let Some(cells) = places.cells(bytes, stride) {
+            blend(&mut self.grey, cells, self.start, self.step);
+        } else {
             self.grey.fill([0; N]);
-            return;
-        };
-        for (grey, [above, below]) in self.grey.iter_mut().zip(cells) {
-            *grey = each(|j| {
-                let (right, lower) = (x[j] >> 8, y[j] >> 9);
-                let row = |pair: u16| (pair & 255) * (256 - right) + (pair >> 8) * right;
-                high(row(above[j]), (128 - lower) << 8) + high(row(below[j]), lower << 8)
-            });
-            x = each(|j| x[j].wrapping_add(dx[j]));
-            y = each(|j| y[j].wrapping_add(dy[j]));
         }
     }
 
@@ -407,6 +396,31 @@ impl<const N: usize> Lanes<N> {
             sum = each(|j| sum[j] + i32::from(cast[j]));
             *total = sum;
         }
+    }
+}
+
+/// Grey levels of samples from `start` on and `step` apart, by the pixels that are about them.
+#[inline(always)]
+fn blend<const N: usize>(
+    grey: &mut [[u16; N]],
+    cells: impl Iterator<Item = [[u16; N]; 2]>,
+    start: [[i32; N]; 2],
+    step: [[i32; N]; 2],
+) {
+    // Fractions of a pixel are the lower halves of the coordinates.
+    let fraction = |axis: usize| -> ([u16; N], [u16; N]) {
+        let start = each(|j| (start[axis][j] + HALF_STEP[axis]) as u16);
+        (start, each(|j| step[axis][j] as u16))
+    };
+    let ((mut x, dx), (mut y, dy)) = (fraction(0), fraction(1));
+    for (grey, [above, below]) in grey.iter_mut().zip(cells) {
+        *grey = each(|j| {
+            let (right, lower) = (x[j] >> 8, y[j] >> 9);
+            let row = |pair: u16| (pair & 255) * (256 - right) + (pair >> 8) * right;
+            high(row(above[j]), (128 - lower) << 8) + high(row(below[j]), lower << 8)
+        });
+        x = each(|j| x[j].wrapping_add(dx[j]));
+        y = each(|j| y[j].wrapping_add(dy[j]));
     }
 }
 
