@@ -1918,7 +1918,7 @@ class Diagnostics:
 
     @property
     def min_agreement(self) -> float:
-        """The least agreement with which the frame's fit counted."""
+        """The least agreement with which the frame's fit counted; above 1 if none would do."""
 
     @property
     def residual_rms_px(self) -> float:

@@ -197,6 +197,13 @@ impl<const D: usize> Dynamics<D> {
         self
     }
 
+    /// The filter when what was seen last may be off by about `by`, one way or the other.
+    #[must_use]
+    pub fn unsure(mut self, by: &SVector<f64, D>) -> Self {
+        self.state.p_xx = symmetric(&(self.state.p_xx + by * by.transpose()));
+        self
+    }
+
     /// The shape vector at a later time.
     ///
     /// # Errors

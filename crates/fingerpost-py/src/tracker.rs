@@ -382,7 +382,7 @@ impl PyDiagnostics {
         self.0.agreement
     }
 
-    /// The least agreement with which the fit counted.
+    /// The least agreement with which the fit counted; above 1 if none would do.
     #[getter]
     fn min_agreement(&self) -> f64 {
         self.0.min_agreement

@@ -1,6 +1,7 @@
 //! *Acquiring*, for the first time or after a loss: a hand at the waiting template is moulded,
 //! settled on, looked at anew in its own colours, and followed from there.
 
+use super::choose::Sought;
 use super::follow::misfit;
 use super::found::Found;
 use super::hand::{Look, MOST_COVERED_FRAMES};
@@ -57,8 +58,9 @@ impl ContourTracker {
         let settling = std::mem::replace(&mut self.hand.kind, kind);
         let reach_px = LOST_REACH * self.largeness() * self.options.track.half_length_px;
         let accept = self.options.acquire.accept;
-        let found = self.find(frame, shape, reach_px, None)?;
-        if self.known(&accept, None).judge(&found).is_ok() {
+        let Sought { found, .. } = self.find(frame, shape, reach_px, None)?;
+        let likeness = self.likeness(frame, &found)?;
+        if self.known(&accept, None).judge(&found, likeness).is_ok() {
             let bend = self.bend(frame, &found)?;
             let posture = self.hand.posture.after(bend.as_ref(), &found);
             if !posture.is_bent() {

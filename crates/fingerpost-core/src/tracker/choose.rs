@@ -1,11 +1,11 @@
 //! Where a followed hand is: the ways to settle on it, each weighed by what tells for and against it.
 
 use super::ContourTracker;
-use super::convergence::Window;
+use super::convergence::{SUPPORT_PX, Window};
 use super::follow::Foretold;
 use super::found::Found;
 use super::hand::{Look, SURE};
-use super::looks::Lead;
+use super::looks::{Lead, Shaft};
 use super::scene::Scene;
 use super::seek::Judged;
 use super::shape::Shape;
@@ -21,6 +21,8 @@ const UNLIKE: f64 = 0.3;
 /// What an edge counts that does not look like the hand inside, beside one that does: in a new light
 /// none does.
 const OTHERS_SAY: f64 = 0.1;
+/// Most of a hand's edges look like it inside: where less than this part do, they may be another's.
+const MOST: f64 = 0.7;
 /// Once the votes have been sought, their changes are looked for this part of the way, for the hand
 /// may have turned besides.
 const SOUGHT: f64 = 0.5;
@@ -30,11 +32,19 @@ const SOUGHT_TURNS_RAD: [f64; 3] = [0.0, -0.25, 0.25];
 /// How a hand is settled on: from which shape, at which scale, in which window.
 type Path = (Shape, Scale, Option<Window>);
 
+/// Where the hand was found.
+pub(super) struct Sought {
+    pub(super) found: Found,
+    /// How far it may have been pushed back along its finger by what covers the tip \[px\].
+    pub(super) pushed_px: f64,
+}
+
 /// One of the places where the hand may be.
 struct Way {
     found: Found,
     path: Path,
-    /// The part of the finger's contour whose edge is explained and looks like the hand inside.
+    /// The part of the finger's contour whose edge is explained and looks like the hand inside; what goes
+    /// on ahead of its tip has a contour too.
     own: f64,
     /// What its motion costs; ∞ if no hand can have become or moved to it, or it is no fit.
     cost: f64,
@@ -61,22 +71,26 @@ impl ContourTracker {
     /// The hand about a predicted shape. Its edges are usually near and sharp; when they explain
     /// the contour badly, or by a motion that surprises, it may have gone on as it did and be covered
     /// in part, or have gone elsewhere: the votes lead there from afar, and a larger kernel sees edges
-    /// that motion has smeared. What explains the contour best by edges that look like the hand counts,
-    /// less what its motion costs. Where nothing looks like the hand and all its edges are in their
-    /// place, the light has changed.
+    /// that motion has smeared. Where the hand goes on ahead of the tip, what covers that has pushed it
+    /// back, for as many frames as it took. What explains the contour best by edges that look like the
+    /// hand counts, less what its motion costs. Where nothing looks like the hand and all its edges are
+    /// in their place, the light has changed.
     pub(super) fn find(
         &mut self,
         frame: &Scene<'_>,
         predicted: Shape,
         reach_px: f64,
         foretold: Option<&Foretold>,
-    ) -> Result<Found> {
+    ) -> Result<Sought> {
         let reach_px = reach_px.min(MAX_HALF_LENGTH_PX as f64);
         let window = foretold.map(|f| f.window);
         let near = self.settle(frame, predicted, Scale::Fine, window)?;
-        if self.is_plain(&near, foretold)? {
-            return Ok(near);
+        let pushed_px = self.goes_on_px(frame, &near.shape)?;
+        if self.is_plain(&near, foretold)? && pushed_px == 0.0 {
+            return Ok(Sought { found: near, pushed_px });
         }
+        let foretold = foretold.map(|f| f.pushed(pushed_px));
+        let foretold = foretold.as_ref();
         let near = self.weighed(frame, near, (predicted, Scale::Fine, window), foretold)?;
         let steady = match foretold {
             Some(f) if self.hand.is_known_whole() => {
@@ -88,10 +102,17 @@ impl ContourTracker {
         let approached = self.approach(frame, predicted, reach_px)?;
         let smeared = self.way(frame, (approached, Scale::Coarse, None), foretold)?;
         let sharp = self.way(frame, (smeared.found.shape, Scale::Fine, None), foretold)?;
+        let uncovered = match near.found.fit {
+            Some(_) if pushed_px > 0.0 => {
+                let from = near.found.shape.ahead(pushed_px);
+                Some(self.way(frame, (from, Scale::Fine, None), foretold)?)
+            }
+            _ => None,
+        };
         // Of equals the last one, whose search need not be done again.
-        let (mut best, mut is_last) = (sharp, true);
+        let (mut best, mut is_last) = (sharp, uncovered.is_none());
         let mut impossible: Option<Way> = None;
-        for way in [Some(smeared), steady, Some(near)].into_iter().flatten() {
+        for way in [uncovered, Some(smeared), steady, Some(near)].into_iter().flatten() {
             let mut other = way;
             if other.worth() > best.worth() {
                 std::mem::swap(&mut best, &mut other);
@@ -107,7 +128,7 @@ impl ContourTracker {
             let narrow = Some(Window { lead: Lead::AnyEdge, ..window });
             let relit = self.way(frame, (predicted, Scale::Fine, narrow), Some(foretold))?;
             if self.is_plain(&relit.found, Some(foretold))? {
-                return Ok(relit.found);
+                return Ok(Sought { found: relit.found, pushed_px });
             }
             is_last = false;
         }
@@ -118,11 +139,11 @@ impl ContourTracker {
             (best, is_last) = (way, false);
         }
         if is_last {
-            return Ok(best.found);
+            return Ok(Sought { found: best.found, pushed_px });
         }
         // Once more, so that the last search is that of the best.
         let (from, scale, window) = best.path;
-        self.settle(frame, from, scale, window)
+        Ok(Sought { found: self.settle(frame, from, scale, window)?, pushed_px })
     }
 
     /// A way to settle, tried.
@@ -144,11 +165,38 @@ impl ContourTracker {
             Some(_) => self.motion(&found, foretold)?.cost,
             None => f64::INFINITY,
         };
+        let beyond = self.goes_on_px(frame, &found.shape)? / self.waiting.measure.length_px;
+        let own = self.own_share(frame, self.hand.own_within_px())? / (1.0 + beyond);
+        Ok(Way { found, path, own, cost })
+    }
+
+    /// The part of the finger's contour whose edge the last search has found and explains to within so
+    /// much, and looks like the hand inside.
+    fn own_share(&mut self, frame: &Scene<'_>, within_px: f64) -> Result<f64> {
         let samples = self.hand.fingers(&self.samples);
         let sight = self.hand.sight(frame, Lead::HandEdges, self.options.polarity);
-        let within_px = self.hand.own_within_px();
-        let own = self.convergence.own_share(frame, &sight, samples, within_px)?;
-        Ok(Way { found, path, own, cost })
+        self.convergence.own_share(frame, &sight, samples, within_px)
+    }
+
+    /// What the edges count that the last search has found and explained, 0–1: all of them if most look
+    /// like the hand inside, or if looks did not lead to them.
+    pub(super) fn likeness(&mut self, frame: &Scene<'_>, found: &Found) -> Result<f64> {
+        let most = MOST * found.explained();
+        if most == 0.0 || !found.fit.is_some_and(|fit| fit.by_looks) {
+            return Ok(1.0);
+        }
+        Ok((self.own_share(frame, SUPPORT_PX)? / most).clamp(OTHERS_SAY, 1.0))
+    }
+
+    /// How far the hand goes on ahead of the tip of a finger \[px\], for all that looks tell.
+    fn goes_on_px(&mut self, frame: &Scene<'_>, shape: &Shape) -> Result<f64> {
+        let Shape::Ribbon(x) = shape else { return Ok(0.0) };
+        let shaft = Shaft::of_band(x, self.waiting.measure.length_px);
+        let sight = self.hand.sight(frame, Lead::Votes, self.options.polarity);
+        let Some(looks) = sight.cue.appearance() else { return Ok(0.0) };
+        let shown =
+            self.convergence.shown_about(frame, sight.mixture, shaft.places_ahead(), 1.0)?;
+        Ok(shaft.goes_on_px(&shown, looks))
     }
 
     /// Whether a fit leaves nothing to ask: nearly all of the contour is explained, where a hand would

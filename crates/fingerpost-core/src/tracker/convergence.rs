@@ -166,6 +166,7 @@ pub(super) struct Seen {
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Support {
     supported: [usize; 4],
+    agreeing: [usize; 4],
     visible: [usize; 4],
 }
 
@@ -182,6 +183,12 @@ impl Support {
     /// The same of one part of the outline; nothing of what is not visible is explained.
     pub fn of(&self, part: Part) -> f64 {
         self.supported[part as usize] as f64 / self.visible[part as usize].max(1) as f64
+    }
+
+    /// The part of the visible samples of one part of the outline whose edges agree with the fit, 0–1:
+    /// those of a smeared one scatter.
+    pub fn agreeing(&self, part: Part) -> f64 {
+        self.agreeing[part as usize] as f64 / self.visible[part as usize].max(1) as f64
     }
 
     /// The part of the finger's visible samples that is explained, 0–1.
@@ -551,12 +558,13 @@ impl Convergence {
     /// Which samples the last solution explains: those whose edge it leaves close by.
     fn support(&self, samples: &[TemplateSample]) -> Support {
         let mut support = Support::default();
-        let mut residuals = self.fitter.residuals().iter();
+        let mut fitted = self.fitter.residuals().iter().zip(self.fitter.agreeing());
         for (&i, found) in self.visible.iter().zip(&self.measurements) {
             let part = samples[i].part() as usize;
             support.visible[part] += 1;
-            if found.is_ok() && residuals.next().is_some_and(|r| r.abs() < SUPPORT_PX) {
-                support.supported[part] += 1;
+            if let Some((residual_px, agrees)) = found.as_ref().ok().and_then(|_| fitted.next()) {
+                support.supported[part] += usize::from(residual_px.abs() < SUPPORT_PX);
+                support.agreeing[part] += usize::from(agrees);
             }
         }
         support

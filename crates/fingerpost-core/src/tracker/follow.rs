@@ -1,5 +1,6 @@
 //! *Tracking*: where the hand is foretold to be, what is found there, and whether that is the hand.
 
+use super::choose::Sought;
 use super::convergence::Window;
 use super::found::Found;
 use super::hand::Hand;
@@ -17,6 +18,9 @@ use nalgebra::{Matrix3, Vector3};
 /// What a fit's covariance does not know of: how far the template slides on a hand that is not
 /// quite like it, standard deviations of (c_u, c_v, θ) \[px, px, rad\].
 const MISFIT_SIGMAS: [f64; 3] = [0.5, 0.5, 0.01];
+/// A finger that is moved this way and that by this part of its length, and turned by as much, is in
+/// another place.
+const PLACE_PART: f64 = 1.0 / 8.0;
 /// A hand whose finger is bent in more frames in a row than this is lost.
 const MOST_BENT_FRAMES: usize = 30;
 
@@ -29,6 +33,15 @@ pub(super) struct Foretold {
 }
 
 impl Foretold {
+    /// The same, if what covers the tip may have pushed the finger back along itself by so much \[px\].
+    pub(super) fn pushed(mut self, by_px: f64) -> Self {
+        let (sin, cos) = self.window.expected.vector[2].sin_cos();
+        let by = Vector3::new(by_px * cos, by_px * sin, 0.0);
+        self.dynamics = self.dynamics.unsure(&by);
+        self.window.expected.covariance += by * by.transpose();
+        self
+    }
+
     /// The filter after a fit, and the innovation; None without a fit.
     pub(super) fn followed(
         &self,
@@ -64,14 +77,17 @@ impl ContourTracker {
         let went_px = (expected - from.placement()).xy().norm();
         let reach_px = self.largeness() * half_length_px * (1.0 + missed as f64) + went_px;
         let predicted = from.placed(&expected);
-        let found = self.find(frame, predicted, reach_px, Some(&foretold))?;
+        let Sought { found, pushed_px } = self.find(frame, predicted, reach_px, Some(&foretold))?;
+        let foretold = foretold.pushed(pushed_px);
         self.hand.note_covered(&found);
         let followed = foretold.followed(&found)?;
         let innovation = followed.as_ref().and_then(|(_, innovation)| innovation.as_ref());
+        let likeness = self.likeness(frame, &found)?;
         let known = self.known(&accept, innovation);
         let innovation = innovation.map(Innovation::normalised_square);
-        let verdict = known.judge(&found);
-        let min_agreement = found.fit.map_or(accept.min_inliers, |fit| known.min_agreement(&fit));
+        let verdict = known.judge(&found, likeness);
+        let min_agreement =
+            found.fit.map_or(accept.min_inliers, |fit| known.min_agreement(&fit, likeness));
         let accept = AcceptOptions { min_inliers: min_agreement, ..accept };
         if let (Ok(()), Some((dynamics, _))) = (verdict, followed) {
             let bend = self.bend(frame, &found)?;
@@ -153,8 +169,10 @@ impl ContourTracker {
         accept: &AcceptOptions,
         innovation: Option<&Innovation<3>>,
     ) -> Known<'_> {
-        let motion = innovation.map(|i| Motion::of(i, self.surprise));
         let Hand { acquired, .. } = &self.hand;
+        let pace = if self.hand.is_known_whole() { self.pace } else { Pace::unknown() };
+        let cell = (PLACE_PART * self.waiting.measure.length_px).powi(2) * PLACE_PART;
+        let motion = innovation.map(|i| Motion::of(i, self.surprise, pace.unlikely(i, cell)));
         let most_scatter_px = self.hand.most_scale_px();
         Known { accept: *accept, acquired, motion, most_scatter_px }
     }

@@ -26,6 +26,8 @@ const ACROSS: f64 = 0.6;
 const STRETCH: usize = 3;
 /// What lies ahead of its tip is looked at this far \[half-widths\].
 const AHEAD: f64 = 3.0;
+/// What looks like the hand votes for it by this much on average.
+const LIKE_HAND: f64 = 1.0;
 
 /// What leads the contour.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -82,6 +84,52 @@ impl Shaft {
     pub fn of_band(x: &RibbonVector, length_px: f64) -> Self {
         let axis = Axis::of_finger(Point2::new(x[0], x[1]), x[2], 0.5 * length_px);
         Self { axis, half_width_px: x[3], length_px }
+    }
+
+    fn step_px(&self) -> f64 {
+        (STEP_WIDTHS * self.half_width_px).max(LEAST_STEP_PX)
+    }
+
+    /// Places along it in steps \[px ahead of its tip\].
+    fn steps(&self, from_px: f64, to_px: f64) -> impl Iterator<Item = f64> + use<> {
+        let step_px = self.step_px();
+        let count = ((to_px - from_px) / step_px).max(0.0) as usize;
+        (0..count).map(move |i| from_px + i as f64 * step_px)
+    }
+
+    /// The places across it, so far ahead of its tip.
+    fn across(&self, ahead_px: f64) -> impl Iterator<Item = Point2<f64>> + use<> {
+        let Self { axis, half_width_px, .. } = *self;
+        let (direction, normal) = (axis.direction(), axis.normal());
+        let places = (0..PLACES).map(|i| 2.0 * i as f64 / (PLACES - 1) as f64 - 1.0);
+        places.map(move |across| {
+            axis.tip + direction * ahead_px + normal * (across * ACROSS * half_width_px)
+        })
+    }
+
+    /// The mean vote there.
+    fn vote(&self, frame: &Frame<'_>, looks: &Appearance, ahead_px: f64) -> f64 {
+        let votes =
+            self.across(ahead_px).map(|place| f64::from(looks.vote(frame, place.x, place.y)));
+        votes.sum::<f64>() / PLACES as f64
+    }
+
+    /// Where what lies ahead of it is looked at.
+    pub fn places_ahead(&self) -> impl Iterator<Item = Point2<f64>> {
+        [self.half_width_px, self.length_px].into_iter().flat_map(|ahead_px| self.across(ahead_px))
+    }
+
+    /// How far ahead of its tip the hand goes on \[px\], beyond what may lie across it: to the end of
+    /// the stretch that looks most like it, if that is as long as half the finger is wide.
+    pub fn goes_on_px(&self, frame: &Frame<'_>, looks: &Appearance) -> f64 {
+        let (mut sum, mut best, mut end_px) = (0.0_f64, 0.0, 0.0);
+        for ahead_px in self.steps(self.half_width_px, self.length_px) {
+            sum = sum.max(0.0) + self.vote(frame, looks, ahead_px) * self.step_px();
+            if sum > best {
+                (best, end_px) = (sum, ahead_px);
+            }
+        }
+        if best >= LIKE_HAND * self.half_width_px { end_px } else { 0.0 }
     }
 }
 
@@ -189,32 +237,18 @@ impl Looks {
     /// contour is seen.
     fn is_whole(&self, frame: &Frame<'_>, contour: &[PlacedSample], shaft: &Shaft) -> bool {
         let Shaft { axis, half_width_px, length_px } = *shaft;
-        let (direction, normal) = (axis.direction(), axis.normal());
-        let step_px = (STEP_WIDTHS * half_width_px).max(LEAST_STEP_PX);
-        let steps = |from: f64, to: f64| {
-            let count = ((to - from) / step_px).max(0.0) as usize;
-            (0..count).map(move |i| from + i as f64 * step_px)
-        };
-        let vote = |ahead_px: f64| {
-            let places = (0..PLACES).map(|i| 2.0 * i as f64 / (PLACES - 1) as f64 - 1.0);
-            let votes = places.map(|across| {
-                let place =
-                    axis.tip + direction * ahead_px + normal * (across * ACROSS * half_width_px);
-                f64::from(self.plain.vote(frame, place.x, place.y))
-            });
-            votes.sum::<f64>()
-        };
+        let vote = |ahead_px: f64| shaft.vote(frame, &self.plain, ahead_px);
         let mut stretch = [0.0; STRETCH];
-        let behind = contour.iter().map(|seen| (axis.tip - seen.position).dot(&direction));
+        let behind = contour.iter().map(|seen| (axis.tip - seen.position).dot(&axis.direction()));
         let seen_px = behind.fold(0.0, f64::max).min(length_px) - 0.5 * half_width_px;
-        let back = steps(half_width_px, seen_px).enumerate();
+        let back = shaft.steps(half_width_px, seen_px).enumerate();
         for (i, back_px) in back {
             stretch[i % STRETCH] = vote(-back_px);
             if i + 1 >= STRETCH && stretch.iter().sum::<f64>() < 0.0 {
                 return false;
             }
         }
-        steps(2.0 * EDGE_PX, AHEAD * half_width_px).map(vote).sum::<f64>() <= 0.0
+        shaft.steps(2.0 * EDGE_PX, AHEAD * half_width_px).map(vote).sum::<f64>() <= 0.0
     }
 
     /// Whether a mixture of colours shows the hand better than the grey image.

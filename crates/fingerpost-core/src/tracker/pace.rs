@@ -5,6 +5,10 @@
 //! costs it nothing. What it did in the last frames tells how likely a jump is. It may start to move
 //! all the same, so that what is unlikely costs with the logarithm alone (Student's t, whose scale
 //! the last innovations give).
+//!
+//! The longer a hand was not seen, the more places it may be in, and the more often one of them shows
+//! by chance what looks like it: a fit is asked to explain the more of the contour, the less likely its
+//! place was beforehand.
 
 use super::convergence::{MIN_HALF_LENGTH_PX, Window};
 use crate::dynamics::{Expectation, Innovation};
@@ -16,6 +20,8 @@ const FRAMES: f64 = 5.0;
 const STILLEST: f64 = 0.01;
 /// Place and angle.
 const COMPONENTS: f64 = 3.0;
+/// A hand starts, stops or turns round in this part of all frames.
+const CHANGES: f64 = 0.05;
 /// What an e-fold of surprise costs, in parts of the contour explained.
 const SURPRISE_SAY: f64 = 0.05;
 
@@ -50,6 +56,19 @@ impl Pace {
         let Expectation { vector, covariance } = window.expected;
         let expected = Expectation { vector, covariance: covariance * self.expected() };
         Window { expected, near_px: MIN_HALF_LENGTH_PX, own_only: true, ..*window }
+    }
+
+    /// What tells against a fit beside those to anything else, in parts of the contour explained: the
+    /// hand may be in so many places, each as large as a `cell`, and this is not the likeliest, whether
+    /// it goes on as it did or as it may at any time. It is the logarithm of the odds before the contour
+    /// is looked at.
+    pub fn unlikely(self, innovation: &Innovation<3>, cell: f64) -> f64 {
+        let places = innovation.covariance.determinant().max(0.0).sqrt() / cell;
+        let square = innovation.normalised_square() / COMPONENTS;
+        let odds = |expected: f64| {
+            (places * expected.powf(0.5 * COMPONENTS)).max(1.0).ln() + (square / expected).ln_1p()
+        };
+        SURPRISE_SAY * odds(self.expected()).min(odds(1.0) - CHANGES.ln())
     }
 
     /// What an innovation costs, in parts of the contour explained.

@@ -40,6 +40,15 @@ impl Shape {
         }
     }
 
+    /// The whole hand moved along its finger \[px\].
+    pub(super) fn ahead(&self, by_px: f64) -> Self {
+        let mut placement = self.placement();
+        let (sin, cos) = placement[2].sin_cos();
+        placement[0] += by_px * cos;
+        placement[1] += by_px * sin;
+        self.placed(&placement)
+    }
+
     pub(super) fn silhouette(&self) -> Silhouette {
         match self {
             Self::Ribbon(x) => Silhouette::of_band(x),

@@ -36,7 +36,7 @@ pub struct Diagnostics {
     /// The part of the finger's visible samples (of the contour's, for the paper's model) whose
     /// edges agree with the fit, 0–1: a thumb, which bends, does not count.
     pub agreement: f64,
-    /// The least agreement with which the frame's fit counted.
+    /// The least agreement with which the frame's fit counted; above 1 where none would have done.
     pub min_agreement: f64,
     /// Root mean square of the residual offsets of those \[px\].
     pub residual_rms_px: f64,

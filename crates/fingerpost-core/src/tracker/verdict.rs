@@ -1,7 +1,8 @@
 //! Whether a fit is the hand that is followed: several signs together, for each alone misleads.
 //!
 //! Wedges on a printed mat and edges of a table can have as many edges that agree as a finger has.
-//! But a hand keeps about its size, and moves from where it was by what its motion foretells; and
+//! But a hand keeps about its size and its looks, and moves from where it was by what its motion
+//! foretells: the less likely the place of a fit, the more of the contour must agree with it. And
 //! where it is foretold, edges that are not seen, in front of something alike or smeared, tell
 //! less against it than edges that lie elsewhere.
 
@@ -42,9 +43,8 @@ const TAPER_CHANGE: f64 = 0.19;
 /// that turns back in full motion; nor is a turn so many standard deviations from what was foretold.
 const IMPOSSIBLE: f64 = 8.0;
 const IMPOSSIBLE_TURN: f64 = 6.0;
-/// Of a hand exactly where it was foretold, this part of the least agreement will do, and the more
-/// it surprises the more is asked; if at most this part of its contour has an edge elsewhere and
-/// this part of either flank is seen.
+/// Of a hand exactly where it was foretold, this part of the least agreement will do, if at most this
+/// part of its contour has an edge elsewhere and this part of either flank agrees.
 const FORETOLD_SHARE: f64 = 0.66;
 const CONTRADICTED: f64 = 0.08;
 /// The same where all that counts looks like the hand: what covers a hand has edges inside of it.
@@ -132,14 +132,18 @@ pub(super) struct Motion {
     surprise: f64,
     /// That of the angle alone, in its standard deviations.
     turn: f64,
+    /// How much more of the contour must agree, in parts of it, than of a hand where it must be.
+    unlikely: f64,
 }
 
 impl Motion {
-    /// Where a normalised square above `surprise` is no motion that was foretold.
-    pub fn of(innovation: &Innovation<3>, surprise: f64) -> Self {
+    /// Where a normalised square above `surprise` is no motion that was foretold; see
+    /// [`Pace::unlikely`](super::pace::Pace::unlikely).
+    pub fn of(innovation: &Innovation<3>, surprise: f64, unlikely: f64) -> Self {
         Self {
             surprise: innovation.normalised_square() / surprise,
             turn: innovation.vector[2].abs() / innovation.covariance[(2, 2)].sqrt(),
+            unlikely,
         }
     }
 }
@@ -157,29 +161,31 @@ impl Known<'_> {
         if self.motion.is_some_and(impossible) { Err(Refusal::Motion) } else { Ok(()) }
     }
 
-    /// Whether it is the hand, and if not, why.
-    pub fn judge(&self, found: &Found) -> Result<(), Refusal> {
+    /// Whether it is the hand, and if not, why; its edges look like the hand to this part, 0–1.
+    pub fn judge(&self, found: &Found, likeness: f64) -> Result<(), Refusal> {
         let Some(fit) = &found.fit else { return Err(Refusal::NoFit) };
         self.is_possible(&found.shape)?;
-        let accept = AcceptOptions { min_inliers: self.min_agreement(fit), ..self.accept };
+        let accept =
+            AcceptOptions { min_inliers: self.min_agreement(fit, likeness), ..self.accept };
         found.refusal(&accept).map_or(Ok(()), Err)
     }
 
-    /// How much of the contour must agree.
-    pub fn min_agreement(&self, fit: &Fit) -> f64 {
+    /// How much of the contour must agree. It may be more than there is.
+    pub fn min_agreement(&self, fit: &Fit, likeness: f64) -> f64 {
+        let unlikely = self.motion.map_or(0.0, |motion| motion.unlikely);
+        (self.least_share(fit) * self.accept.min_inliers + unlikely) / likeness
+    }
+
+    /// The part of the least agreement that will do in the likeliest place.
+    fn least_share(&self, fit: &Fit) -> f64 {
         if fit.own_only && fit.residual_rms_px <= self.most_scatter_px {
-            return COVERED_SHARE * self.accept.min_inliers;
+            return COVERED_SHARE;
         }
         let contradicted =
             (fit.seen.hits - fit.seen.inliers) as f64 / fit.seen.visible.max(1) as f64;
-        let flanks = [Part::LeftFlank, Part::RightFlank].map(|part| fit.support.of(part));
-        let surprise = self.motion.map_or(1.0, |m| m.surprise.min(1.0));
         let most = if fit.own_only { CONTRADICTED_BY_COVER } else { CONTRADICTED };
-        let share = if contradicted <= most && flanks.iter().all(|&f| f >= FLANK_SEEN) {
-            FORETOLD_SHARE + (1.0 - FORETOLD_SHARE) * surprise
-        } else {
-            1.0
-        };
-        share * self.accept.min_inliers
+        let flanks = [Part::LeftFlank, Part::RightFlank].map(|part| fit.support.agreeing(part));
+        let is_clear = contradicted <= most && flanks.iter().all(|&f| f >= FLANK_SEEN);
+        if self.motion.is_some() && is_clear { FORETOLD_SHARE } else { 1.0 }
     }
 }
