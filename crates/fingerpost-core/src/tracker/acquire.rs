@@ -58,8 +58,7 @@ impl ContourTracker {
         let settling = std::mem::replace(&mut self.hand.kind, kind);
         let reach_px = LOST_REACH * self.largeness() * self.options.track.half_length_px;
         let accept = self.options.acquire.accept;
-        let Sought { found, .. } = self.find(frame, shape, reach_px, None)?;
-        let likeness = self.likeness(frame, &found)?;
+        let Sought { found, likeness, .. } = self.find(frame, shape, reach_px, None)?;
         if self.known(&accept, None).judge(&found, likeness).is_ok() {
             let bend = self.bend(frame, &found)?;
             let posture = self.hand.posture.after(bend.as_ref(), &found);

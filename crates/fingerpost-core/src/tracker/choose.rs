@@ -37,6 +37,8 @@ pub(super) struct Sought {
     pub(super) found: Found,
     /// How far it may have been pushed back along its finger by what covers the tip \[px\].
     pub(super) pushed_px: f64,
+    /// What its edges count, 0–1: all of them where most look like the hand inside.
+    pub(super) likeness: f64,
 }
 
 /// One of the places where the hand may be.
@@ -87,7 +89,10 @@ impl ContourTracker {
         let near = self.settle(frame, predicted, Scale::Fine, window)?;
         let pushed_px = self.goes_on_px(frame, &near.shape)?;
         if self.is_plain(&near, foretold)? && pushed_px == 0.0 {
-            return Ok(Sought { found: near, pushed_px });
+            return match foretold {
+                Some(_) => Ok(Sought { found: near, pushed_px, likeness: 1.0 }),
+                None => self.sought(frame, near, pushed_px),
+            };
         }
         let foretold = foretold.map(|f| f.pushed(pushed_px));
         let foretold = foretold.as_ref();
@@ -128,7 +133,7 @@ impl ContourTracker {
             let narrow = Some(Window { lead: Lead::AnyEdge, ..window });
             let relit = self.way(frame, (predicted, Scale::Fine, narrow), Some(foretold))?;
             if self.is_plain(&relit.found, Some(foretold))? {
-                return Ok(Sought { found: relit.found, pushed_px });
+                return self.sought(frame, relit.found, pushed_px);
             }
             is_last = false;
         }
@@ -139,11 +144,25 @@ impl ContourTracker {
             (best, is_last) = (way, false);
         }
         if is_last {
-            return Ok(Sought { found: best.found, pushed_px });
+            return self.sought(frame, best.found, pushed_px);
         }
         // Once more, so that the last search is that of the best.
         let (from, scale, window) = best.path;
-        Ok(Sought { found: self.settle(frame, from, scale, window)?, pushed_px })
+        let found = self.settle(frame, from, scale, window)?;
+        self.sought(frame, found, pushed_px)
+    }
+
+    /// What the last search has found. Edges that do not look like the hand count less, unless looks did
+    /// not lead to them.
+    fn sought(&mut self, frame: &Scene<'_>, found: Found, pushed_px: f64) -> Result<Sought> {
+        let most = MOST * found.explained();
+        let by_looks = found.fit.is_some_and(|fit| fit.by_looks);
+        let likeness = if by_looks && most > 0.0 {
+            (self.own_share(frame, SUPPORT_PX)? / most).clamp(OTHERS_SAY, 1.0)
+        } else {
+            1.0
+        };
+        Ok(Sought { found, pushed_px, likeness })
     }
 
     /// A way to settle, tried.
@@ -176,16 +195,6 @@ impl ContourTracker {
         let samples = self.hand.fingers(&self.samples);
         let sight = self.hand.sight(frame, Lead::HandEdges, self.options.polarity);
         self.convergence.own_share(frame, &sight, samples, within_px)
-    }
-
-    /// What the edges count that the last search has found and explained, 0–1: all of them if most look
-    /// like the hand inside, or if looks did not lead to them.
-    pub(super) fn likeness(&mut self, frame: &Scene<'_>, found: &Found) -> Result<f64> {
-        let most = MOST * found.explained();
-        if most == 0.0 || !found.fit.is_some_and(|fit| fit.by_looks) {
-            return Ok(1.0);
-        }
-        Ok((self.own_share(frame, SUPPORT_PX)? / most).clamp(OTHERS_SAY, 1.0))
     }
 
     /// How far the hand goes on ahead of the tip of a finger \[px\], for all that looks tell.

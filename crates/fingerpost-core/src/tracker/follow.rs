@@ -77,12 +77,12 @@ impl ContourTracker {
         let went_px = (expected - from.placement()).xy().norm();
         let reach_px = self.largeness() * half_length_px * (1.0 + missed as f64) + went_px;
         let predicted = from.placed(&expected);
-        let Sought { found, pushed_px } = self.find(frame, predicted, reach_px, Some(&foretold))?;
+        let Sought { found, pushed_px, likeness } =
+            self.find(frame, predicted, reach_px, Some(&foretold))?;
         let foretold = foretold.pushed(pushed_px);
         self.hand.note_covered(&found);
         let followed = foretold.followed(&found)?;
         let innovation = followed.as_ref().and_then(|(_, innovation)| innovation.as_ref());
-        let likeness = self.likeness(frame, &found)?;
         let known = self.known(&accept, innovation);
         let innovation = innovation.map(Innovation::normalised_square);
         let verdict = known.judge(&found, likeness);
