@@ -372,6 +372,17 @@ fn a_doubted_velocity_is_the_old_one_or_the_new_one() {
 }
 
 #[test]
+fn what_may_be_off_is_as_much_less_sure() {
+    let r = P::from_diagonal(&SEEN.component_mul(&SEEN));
+    let dynamics = Dynamics::start(hand(), LONGEST_GAP_S, 0.0, &X::zeros(), &r).unwrap();
+    let by = X::new(3.0, -4.0, 0.0, 0.0);
+    let [sure, unsure] = [dynamics, dynamics.unsure(&by)].map(|d| expected(&d, 0.1));
+    assert_eq!(sure.vector, unsure.vector);
+    let spread = by * by.transpose();
+    assert!((unsure.covariance - sure.covariance - spread).amax() < 1e-9 * spread.amax());
+}
+
+#[test]
 fn an_angle_goes_round() {
     let components = [velocity(10.0, 5.0, Domain::Circle)];
     let r = Matrix1::new(1e-6);

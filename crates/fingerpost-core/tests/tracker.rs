@@ -1121,6 +1121,40 @@ fn picture_of(finger: &BentFinger, noise: &mut Noise) -> Picture {
 }
 
 #[test]
+fn a_tip_is_found_again_once_what_has_pushed_the_template_back_uncovers_it() {
+    const THICK_PX: f64 = 14.0;
+    const BAR: f64 = BACKGROUND - 25.0;
+    let hand = held_up(Thumb::None);
+    let mut tracker = tracker(Model::Ribbon, Thumb::None);
+    let mut noise = Noise::new(0x7075_7368);
+    let start_s = acquire(&mut tracker, &hand, &mut noise);
+    for k in 0..38 {
+        // Its near side, behind the tip: it comes from ahead, crosses the tip and goes on back.
+        let behind_px = 2.5 * f64::from(k) - 40.0;
+        let mut canvas = Canvas::new(WIDTH, HEIGHT, BACKGROUND).paint(&hand, HAND);
+        for (i, grey) in canvas.grey.iter_mut().enumerate() {
+            let at = Point2::new((i % WIDTH) as f64, (i / WIDTH) as f64);
+            let back_px = (hand.tip_px - at).dot(&hand.direction());
+            if (behind_px - THICK_PX..behind_px).contains(&back_px) {
+                *grey = BAR;
+            }
+        }
+        let picture = canvas.blur(BLUR_PX).take(NOISE, &mut noise);
+        let track = update(&mut tracker, &picture, start_s + f64::from(k) * FRAME_S);
+        assert_eq!(track.status, Status::Tracking, "{k}: {:?}", track.diagnostics);
+        if let Some(line) = track.finger_line {
+            let error = LineError::of(&line, &hand);
+            assert!(error.angle_rad.abs() < 0.1, "{k}: {error:?}");
+            // As soon as more of the finger shows before it than behind it.
+            if behind_px - THICK_PX > 0.4 * LENGTH_PX {
+                assert!(error.tip_px < 3.0, "{k}: {error:?}");
+            }
+        }
+    }
+    assert!(tracker.status() == Status::Tracking);
+}
+
+#[test]
 fn a_finger_that_bends_is_a_misfit_until_it_is_straight_again() {
     // From one frame to the next; up, held, and back.
     for (thumb, step_deg, most) in

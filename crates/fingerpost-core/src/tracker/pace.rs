@@ -77,3 +77,62 @@ impl Pace {
         SURPRISE_SAY * square.ln_1p()
     }
 }
+
+// The pace is private to the crate, and what it must agree with are the odds it stands for.
+#[cfg(test)]
+#[expect(clippy::unwrap_used, reason = "a test may panic")]
+mod tests {
+    use super::*;
+    use crate::dynamics::Dynamics;
+    use crate::tracker::DynamicsOptions;
+    use nalgebra::{Matrix3, Vector3};
+
+    const CELL: f64 = 8.0;
+
+    /// A hand that has kept still for long is next seen so much later, so far off.
+    fn innovation(after_s: f64, off: Vector3<f64>) -> Innovation<3> {
+        let seen = Matrix3::from_diagonal(&Vector3::new(0.25, 0.25, 1e-4));
+        let components = DynamicsOptions::default().components(1.0);
+        let mut dynamics = Dynamics::start(components, 1.0, 0.0, &Vector3::zeros(), &seen).unwrap();
+        for k in 1..30 {
+            dynamics.update(0.04 * f64::from(k), &Vector3::zeros(), &seen).unwrap();
+        }
+        dynamics.update(29.0 * 0.04 + after_s, &off, &seen).unwrap().unwrap()
+    }
+
+    fn still() -> Pace {
+        let mut pace = Pace::unknown();
+        (0..20).for_each(|_| pace.follow(Some(0.0)));
+        pace
+    }
+
+    #[test]
+    fn a_hand_where_it_was_is_as_likely_as_it_can_be() {
+        let here = innovation(0.04, Vector3::zeros());
+        assert!(still().unlikely(&here, CELL).abs() < 1e-12);
+    }
+
+    #[test]
+    fn the_longer_unseen_and_the_farther_off_the_less_likely() {
+        let turned = Vector3::new(20.0, 0.0, 1.0);
+        for pace in [still(), Pace::unknown()] {
+            let unlikely = |after_s, part| {
+                pace.unlikely(&innovation(after_s, turned * part), CELL) / SURPRISE_SAY
+            };
+            // Where it is foretold, but among more and more places; a hand at rest is in its own.
+            assert!(unlikely(0.8, 0.0) > unlikely(0.4, 0.0) + 1.0);
+            for after_s in [0.04, 0.12, 0.24] {
+                assert!(unlikely(after_s, 1.0) > unlikely(after_s, 0.5) + 0.5);
+                assert!(unlikely(after_s, 0.5) > unlikely(after_s, 0.0) + 0.3);
+            }
+        }
+    }
+
+    #[test]
+    fn a_hand_at_rest_may_start_to_move() {
+        let gone = innovation(0.04, Vector3::new(25.0, -20.0, 0.1));
+        let more = still().unlikely(&gone, CELL) - Pace::unknown().unlikely(&gone, CELL);
+        let most = -SURPRISE_SAY * CHANGES.ln();
+        assert!((more - most).abs() < 1e-12, "{more}");
+    }
+}
