@@ -89,7 +89,7 @@ CLEAR = [(0.6, 28.0), (1.1, 40.0)]
 
 RANDOM = 120
 """Cases of cloth, start and, where it says so, colours drawn at random."""
-MOST_WRONG = 0.1
+MOST_WRONG = 0.08
 """Of the lines told before random cloth, where now and then it has more of a hand than the hand."""
 
 
@@ -121,19 +121,8 @@ def test_what_is_followed_is_the_hand(start, pattern):
     assert all(is_right(track) for track in tracks if track.finger_line is not None)
 
 
-SLIDES = pytest.mark.xfail(
-    reason="a light line of the cloth just ahead is taken for the end of the finger", strict=True
-)
-
-
-@pytest.mark.parametrize(
-    ("pattern", "start"),
-    [
-        pytest.param(pattern, start, marks=SLIDES if pattern[0] == 0.2 and k > 0 else ())
-        for pattern in COARSE
-        for k, start in enumerate(STARTS)
-    ],
-)
+@pytest.mark.parametrize("start", STARTS)
+@pytest.mark.parametrize("pattern", COARSE)
 def test_its_tip_is_where_the_finger_ends(pattern, start):
     for track in watch(waiting(*start), cloth(*pattern), shows_hand=True):
         line = track.finger_line
@@ -148,7 +137,7 @@ def test_what_is_followed_before_random_cloth_is_mostly_the_hand():
         for t in watch(waiting(*start), cloth(*pattern), shows_hand=True)
     ]
     told = [is_right(track) for track in tracks if track.finger_line is not None]
-    assert len(told) > 0.25 * len(tracks)
+    assert len(told) > 0.7 * len(tracks)
     assert told.count(False) <= MOST_WRONG * len(told)
 
 

@@ -226,6 +226,12 @@ impl DiscriminantImage {
         self.made = None;
     }
 
+    /// Makes room for a frame, so that none has to be made while a hand is followed.
+    pub(crate) fn reserve(&mut self, frame: &Frame<'_>) {
+        let pixels = frame.image().width() * frame.image().height();
+        self.pixels.reserve(pixels.saturating_sub(self.pixels.len()));
+    }
+
     /// The frame as a mixture shows it, in a region at least, or as it is where there is none; see
     /// [`of`](Self::of).
     ///

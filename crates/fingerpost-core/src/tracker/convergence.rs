@@ -126,6 +126,11 @@ impl<const D: usize> Converged<D> {
         Self { x, fit: None, iterations: 0 }
     }
 
+    /// The part of the finger's visible samples that the fit explains, 0–1; nothing without a fit.
+    pub fn explains_finger(&self) -> f64 {
+        self.fit.map_or(0.0, |f| f.support.of_finger())
+    }
+
     /// Samples that the fit explains; none without a fit.
     pub fn support(&self) -> usize {
         self.fit.map_or(0, |f| f.support.supported())
@@ -227,8 +232,10 @@ pub(super) struct Convergence {
     agreeing: Vec<PlacedSample>,
     /// Residual offsets of those along the contour, part by part of the outline.
     left_over: Vec<(Part, f64)>,
-    /// Looks of a hand of which nothing is known, made when they are first asked for.
-    unknown: Option<Looks>,
+    /// Looks of a hand of which nothing is known: those that are judged, and, made when they are first
+    /// asked for, those that lead.
+    unknown: Looks,
+    leading: Option<Looks>,
     /// The present frame as the hand's discriminant shows it.
     image: DiscriminantImage,
     /// Lines that are searched once more, where the hand begins, and which lines they replace.
@@ -259,7 +266,8 @@ impl Convergence {
             equations: EquationBuffer::with_capacity(options.samples, MAX_DOF),
             agreeing: Vec::with_capacity(options.samples),
             left_over: Vec::with_capacity(options.samples),
-            unknown: None,
+            unknown: Looks::new(false),
+            leading: None,
             image: DiscriminantImage::default(),
             again: Vec::with_capacity(options.samples),
             replaced: Vec::with_capacity(options.samples),
@@ -299,6 +307,37 @@ impl Convergence {
         looks.learn(frame, &mut self.image, &self.agreeing, finger, weights)
     }
 
+    /// Looks that know nothing yet, to be [given back](Self::take_back).
+    pub fn lend_looks(&mut self, frame: &Frame<'_>) -> Looks {
+        let coloured = frame.colour().is_some();
+        if coloured {
+            self.image.reserve(frame);
+        }
+        let kept = self.leading.take().filter(|looks| looks.is_coloured() == coloured);
+        let mut looks = kept.unwrap_or_else(|| Looks::new(coloured));
+        looks.forget();
+        looks
+    }
+
+    /// Keeps looks that were lent.
+    pub fn take_back(&mut self, looks: Looks) {
+        self.leading = Some(looks);
+    }
+
+    /// Shows a contour to looks where it is placed, whatever edges are there; they forget all else.
+    pub fn teach_at(
+        &mut self,
+        looks: &mut Looks,
+        frame: &Scene<'_>,
+        contour: impl Iterator<Item = PlacedSample>,
+        finger: &Silhouette,
+    ) -> Result<()> {
+        self.agreeing.clear();
+        self.agreeing.extend(contour);
+        looks.forget();
+        looks.learn(frame, &mut self.image, &self.agreeing, finger, (0.0, 1.0))
+    }
+
     /// How well the inside of a finger of which nothing is known differs from its outside, by the edges
     /// of the last search that agree; see [`Looks::told_apart`].
     pub fn told_apart(
@@ -310,11 +349,10 @@ impl Convergence {
     ) -> f64 {
         self.gather_agreeing(samples);
         let coloured = frame.colour().is_some();
-        if self.unknown.as_ref().is_none_or(|looks| looks.is_coloured() != coloured) {
-            self.unknown = Some(Looks::new(coloured));
+        if self.unknown.is_coloured() != coloured {
+            self.unknown = Looks::new(coloured);
         }
-        let Self { unknown, agreeing, .. } = self;
-        unknown.as_mut().map_or(0.0, |looks| looks.told_apart(frame, agreeing, finger, shaft))
+        self.unknown.told_apart(frame, &self.agreeing, finger, shaft)
     }
 
     /// Of the finger's samples of the last search, the first `samples` of all, those whose edges agree

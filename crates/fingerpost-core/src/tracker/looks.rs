@@ -159,6 +159,14 @@ impl Looks {
         }
     }
 
+    /// Forgets all.
+    pub fn forget(&mut self) {
+        self.plain.fade(0.0);
+        self.discriminant = Discriminant::default();
+        self.mixed.fade(0.0);
+        self.finer = false;
+    }
+
     /// Whether they were learned from colours.
     pub fn is_coloured(&self) -> bool {
         self.plain.is_coloured()

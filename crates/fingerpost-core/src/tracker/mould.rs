@@ -13,7 +13,7 @@ use super::scene::Scene;
 use crate::Result;
 use crate::fit::Prior;
 use crate::search::{Cue, MAX_HALF_LENGTH_PX, Polarity, Scale};
-use crate::shape_space::{Axis, BandMeasure, RIBBON_DOF, Ribbon, RibbonVector};
+use crate::shape_space::{Axis, BandMeasure, Pose, RIBBON_DOF, Ribbon, RibbonVector, ShapeSpace};
 use crate::template::{Limb, Part, TemplateSample};
 use nalgebra::{Point2, Rotation2, SMatrix, Vector2};
 
@@ -39,17 +39,18 @@ const THUMB_SEEN: f64 = 0.7;
 /// fingers on footage of tables, papers and cloth do by 1.4 and more even in grey, false ones on
 /// patterned cloth by up to 1.2.
 pub(super) const STANDS_OUT: f64 = 1.3;
-/// How many times as well the one that its looks lead to must stand out, and how often they lead.
-const BETTER_TOLD: f64 = 1.15;
+/// How many times as much the finger that looks lead to must be worth: its thumb may be lost.
+const WORTH_THE_CHANGE: f64 = 1.1;
+/// How often its looks lead a finger.
 const LED_ROUNDS: usize = 2;
-/// What part of the thumb's contour has to be explained, counted with what the finger hides.
-const THUMB_IN_SIGHT: f64 = 0.5;
-/// How many of the thumbs are fitted.
-const THUMBS_FITTED: usize = 4;
 /// Half the width of a finger so slim that search lines of the usual length reach across it and far
 /// beyond \[px\], and how far its edges are looked for from nearby \[half-widths\].
 const SLIM_PX: f64 = 4.0;
 const NEAR_WIDTHS: f64 = 2.0;
+/// What part of the thumb's contour has to be explained, counted with what the finger hides.
+const THUMB_IN_SIGHT: f64 = 0.5;
+/// How many of the thumbs are fitted.
+const THUMBS_FITTED: usize = 4;
 /// How far a thumb of the grid may be from the true one \[px per px of finger length\].
 const THUMB_REACH: f64 = 0.12;
 
@@ -85,6 +86,13 @@ pub(super) struct Moulded {
     pub kind: Kind,
 }
 
+/// The finger that is worth most of those that were tried.
+struct Best {
+    finger: Converged<RIBBON_DOF>,
+    polarity: Polarity,
+    worth: f64,
+}
+
 /// Whether a hand shows a thumb, and which side of its edges is the hand.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Kind {
@@ -97,30 +105,31 @@ impl Mould<'_> {
     /// seen well: the finger is found and followed without it, and a thumb in the wrong place
     /// would turn it.
     pub fn find(&self, convergence: &mut Convergence, frame: &Scene<'_>) -> Result<Moulded> {
-        let mut finger = Converged::at(*self.waiting);
-        let mut finger_polarity = self.options.polarity;
-        let mut best = LEAST_SCORE * finger_samples(self.samples).len() as f64;
+        let samples = finger_samples(self.samples).len() as f64;
+        let mut best = Best {
+            finger: Converged::at(*self.waiting),
+            polarity: self.options.polarity,
+            worth: 0.0,
+        };
         for angle_rad in ANGLES_RAD {
+            let waiting = self.turned(angle_rad);
             for &polarity in self.hypotheses() {
                 for width in WIDTHS {
-                    let mut from = self.turned(angle_rad);
+                    let mut from = waiting;
                     from[3] *= width;
                     let found = self.finger(convergence, frame, &from, polarity)?;
-                    if !self.is_plausible(&found, false) {
-                        continue;
-                    }
-                    let (found, told) = self.by_looks(convergence, frame, &found, polarity)?;
-                    let score = self.score(&found) * told / (1.0 + told);
-                    if told >= STANDS_OUT && score > best {
-                        (best, finger, finger_polarity) = (score, found, polarity);
-                    }
+                    self.consider(&mut best, convergence, frame, &found, polarity)?;
                 }
             }
+            let polarity = self.options.polarity;
+            let led = self.inside(convergence, frame, &waiting, polarity)?;
+            self.consider(&mut best, convergence, frame, &led, polarity)?;
             // The other angles are for a hand that is held up badly turned.
-            if self.score(&finger) >= CLEAR * finger_samples(self.samples).len() as f64 {
+            if self.score(&best.finger) >= CLEAR * samples {
                 break;
             }
         }
+        let Best { finger, polarity: finger_polarity, .. } = best;
         if finger.fit.is_some() && self.measure.side != 0.0 {
             let (hand, polarity) = self.thumb(convergence, frame, &finger.x)?;
             if hand.fit.is_some() {
@@ -136,9 +145,32 @@ impl Mould<'_> {
         self.refit(convergence, frame, &finger.x, kind)
     }
 
-    /// From an earlier fit, all of the hand at once. Of a slim finger's edges the other flank's and
-    /// the fist's are within reach as well: where they are taken for its own, it is looked at once
-    /// more from nearby.
+    /// Takes the finger that was fitted last, or the one that its looks lead to, for the best so far
+    /// if it is: what explains most of its contour and stands out most.
+    fn consider(
+        &self,
+        best: &mut Best,
+        convergence: &mut Convergence,
+        frame: &Scene<'_>,
+        found: &Converged<RIBBON_DOF>,
+        polarity: Polarity,
+    ) -> Result<()> {
+        if !self.is_plausible(found, false) {
+            return Ok(());
+        }
+        let (finger, told) = self.by_looks(convergence, frame, found, polarity)?;
+        let score = self.score(&finger) / finger_samples(self.samples).len() as f64;
+        let is_hand = told >= STANDS_OUT && score * told / (1.0 + told) > LEAST_SCORE;
+        if is_hand && score * told > best.worth {
+            *best = Best { finger, polarity, worth: score * told };
+        }
+        Ok(())
+    }
+
+    /// From an earlier fit, all of the hand at once: by the edges about it, or the finger that what is
+    /// inside of it leads to, whichever is worth more. A pattern's edges are anywhere, and of a slim
+    /// finger's the other flank's and the fist's are within reach as well: where they are taken for its
+    /// own, it is looked at once more from nearby.
     pub fn refit(
         &self,
         convergence: &mut Convergence,
@@ -147,38 +179,52 @@ impl Mould<'_> {
         kind: Kind,
     ) -> Result<Moulded> {
         let reach_px = (self.options.acquire.reach_px(self.waiting[3]) / 2.0).max(1.0);
-        let moulded = self.refit_within(convergence, frame, from, kind, reach_px)?;
         let near_px = (NEAR_WIDTHS * from[3]).max(MIN_HALF_LENGTH_PX).min(reach_px);
         let least = self.options.acquire.accept.min_inliers;
-        if from[3] > SLIM_PX || moulded.hand.fit.is_some_and(|fit| fit.agreement >= least) {
-            return Ok(moulded);
+        let (_, led_worth) = self.judged(convergence, frame, from, kind, Lead::Votes, reach_px)?;
+        let mut edges = self.judged(convergence, frame, from, kind, Lead::AnyEdge, reach_px)?;
+        if from[3] <= SLIM_PX && edges.0.hand.fit.is_none_or(|fit| fit.agreement < least) {
+            edges = self.judged(convergence, frame, from, kind, Lead::AnyEdge, near_px)?;
         }
-        self.refit_within(convergence, frame, from, kind, near_px)
+        if led_worth > WORTH_THE_CHANGE * edges.1 {
+            // Once more, so that the last search is that of the best.
+            edges = self.judged(convergence, frame, from, kind, Lead::Votes, reach_px)?;
+        }
+        Ok(edges.0)
     }
 
-    /// The same with search lines of at most this half-length.
-    fn refit_within(
+    /// A hand about an earlier fit, by what is inside of that or by edges, and what it is worth: how much
+    /// of its contour it explains times how well it stands out.
+    fn judged(
         &self,
         convergence: &mut Convergence,
         frame: &Scene<'_>,
         from: &RibbonVector,
         kind: Kind,
+        lead: Lead,
         half_px: f64,
-    ) -> Result<Moulded> {
+    ) -> Result<(Moulded, f64)> {
         let Kind { has_thumb, polarity } = kind;
-        let found = if has_thumb {
+        let has_thumb = has_thumb && lead == Lead::AnyEdge;
+        let found = if lead == Lead::Votes {
+            self.inside(convergence, frame, from, polarity)?
+        } else if has_thumb {
             self.whole(convergence, frame, from, half_px, polarity)?
         } else {
             self.bands::<5>(convergence, frame, from, from, half_px, polarity)?
         };
+        let none = |x| Moulded { hand: Converged::at(x), kind };
         if !self.is_plausible(&found, has_thumb) {
-            return Ok(Moulded { hand: Converged { fit: None, ..found }, kind });
+            return Ok((none(found.x), 0.0));
         }
         let (hand, told) = self.by_looks(convergence, frame, &found, polarity)?;
-        let fit = hand.fit.filter(|_| told >= STANDS_OUT);
+        let Some(fit) = hand.fit.filter(|_| told >= STANDS_OUT) else {
+            return Ok((none(hand.x), 0.0));
+        };
+        let worth = told * hand.explains_finger();
         // A thumb of a finger that was elsewhere is none.
-        let has_thumb = has_thumb && fit.is_some_and(|fit| fit.shape.names.len() == RIBBON_DOF);
-        Ok(Moulded { hand: Converged { fit, ..hand }, kind: Kind { has_thumb, polarity } })
+        let has_thumb = has_thumb && fit.shape.names.len() == RIBBON_DOF;
+        Ok((Moulded { hand, kind: Kind { has_thumb, polarity } }, worth))
     }
 
     /// Whether a fit is a hand of about the size that was waited for, seen on both flanks, at the
@@ -197,8 +243,8 @@ impl Mould<'_> {
     }
 
     /// The finger that was fitted last, or the one that its looks lead to where these tell its inside
-    /// from its outside much better, and how well they do: one flank of a finger before a pattern may
-    /// have been the pattern's.
+    /// from its outside better, and how well they do: one flank of a finger before a pattern may have
+    /// been the pattern's.
     fn by_looks(
         &self,
         convergence: &mut Convergence,
@@ -209,37 +255,90 @@ impl Mould<'_> {
         let samples = finger_samples(self.samples);
         let told = self.told_apart(convergence, frame, &found.x);
         let (mut x, mut best) = (found.x, (*found, told));
-        let mut looks = Looks::new(frame.colour().is_some());
+        let mut looks = convergence.lend_looks(frame);
         let reach_px = self.options.acquire.reach_px(self.waiting[3]);
         for _ in 0..LED_ROUNDS {
-            convergence.teach(
-                &mut looks,
-                samples.len(),
-                frame,
-                &Silhouette::of_band(&x),
-                (0.0, 1.0),
-            )?;
-            let Some(votes) = looks.sight(frame, Lead::Votes, polarity) else { break };
-            let Some(edges) = looks.sight(frame, Lead::HandEdges, polarity) else { break };
-            // In the end by edges alone, as it was: what looks lead to is no more of a hand for that.
-            let edges_alone = Sight { cue: Cue::Edges, ..edges };
-            let near_px = MIN_HALF_LENGTH_PX;
-            let mut led = *found;
-            for (half_px, sight) in [(reach_px, votes), (near_px, edges), (near_px, edges_alone)] {
-                led = self.seen::<5>(convergence, frame, (&x, &found.x), half_px, sight)?;
-                if led.fit.is_none() {
-                    return Ok(best);
-                }
-                x = led.x;
+            let silhouette = Silhouette::of_band(&x);
+            convergence.teach(&mut looks, samples.len(), frame, &silhouette, (0.0, 1.0))?;
+            let led = self.led(convergence, frame, &looks, (&x, &found.x), polarity)?;
+            if led.fit.is_none() {
+                break;
             }
+            x = led.x;
             let told = self.told_apart(convergence, frame, &x);
             let away_px = (x.fixed_rows::<2>(0) - found.x.fixed_rows::<2>(0)).norm();
-            let is_better = away_px <= reach_px && told >= BETTER_TOLD * best.1;
-            if is_better && self.is_plausible(&led, false) {
+            let worth = best.0.explains_finger() * best.1;
+            let is_better = led.explains_finger() * told > WORTH_THE_CHANGE * worth;
+            if is_better && away_px <= reach_px && self.is_plausible(&led, false) {
                 best = (led, told);
             }
         }
+        convergence.take_back(looks);
         Ok(best)
+    }
+
+    /// The finger that the looks of what is inside of a silhouette lead to: it is held up to the
+    /// template, and most of what that covers is of it where the edges nearby are not.
+    fn inside(
+        &self,
+        convergence: &mut Convergence,
+        frame: &Scene<'_>,
+        from: &RibbonVector,
+        polarity: Polarity,
+    ) -> Result<Converged<RIBBON_DOF>> {
+        let mut looks = convergence.lend_looks(frame);
+        self.teach_at(convergence, frame, &mut looks, from)?;
+        // First it only moves and turns: its width is that of what has been inside.
+        let reach_px = self.options.acquire.reach_px(self.waiting[3]);
+        let mut led = Converged::at(*from);
+        if let Some(votes) = looks.sight(frame, Lead::Votes, polarity) {
+            led = self.seen::<3>(convergence, frame, (from, from), reach_px, votes)?;
+        }
+        if led.fit.is_some() {
+            self.teach_at(convergence, frame, &mut looks, &led.x)?;
+            led = self.led(convergence, frame, &looks, (&led.x, from), polarity)?;
+        }
+        convergence.take_back(looks);
+        Ok(led)
+    }
+
+    /// Shows looks that know nothing yet what is inside of a finger and what is not.
+    fn teach_at(
+        &self,
+        convergence: &mut Convergence,
+        frame: &Scene<'_>,
+        looks: &mut Looks,
+        x: &RibbonVector,
+    ) -> Result<()> {
+        let pose =
+            Ribbon::<5>::about(x, &self.measure.with_thumb(false))?.pose(&Ribbon::<5>::free(x));
+        let contour = finger_samples(self.samples).iter().map(|sample| pose.place(sample));
+        convergence.teach_at(looks, frame, contour, &Silhouette::of_band(x))
+    }
+
+    /// Where looks lead from a silhouette: by votes from afar, then by the edges that look like it,
+    /// and in the end by edges alone, as any other: what looks lead to is no more of a hand for that.
+    fn led(
+        &self,
+        convergence: &mut Convergence,
+        frame: &Scene<'_>,
+        looks: &Looks,
+        (from, believed): (&RibbonVector, &RibbonVector),
+        polarity: Polarity,
+    ) -> Result<Converged<RIBBON_DOF>> {
+        let reach_px = self.options.acquire.reach_px(self.waiting[3]);
+        let near_px = MIN_HALF_LENGTH_PX;
+        let mut led = Converged::at(*from);
+        let Some(votes) = looks.sight(frame, Lead::Votes, polarity) else { return Ok(led) };
+        let Some(edges) = looks.sight(frame, Lead::HandEdges, polarity) else { return Ok(led) };
+        let edges_alone = Sight { cue: Cue::Edges, ..edges };
+        for (half_px, sight) in [(reach_px, votes), (near_px, edges), (near_px, edges_alone)] {
+            led = self.seen::<5>(convergence, frame, (&led.x, believed), half_px, sight)?;
+            if led.fit.is_none() {
+                break;
+            }
+        }
+        Ok(led)
     }
 
     /// How well the finger that was fitted last stands out; see [`Looks::told_apart`].
