@@ -33,7 +33,7 @@ from fingerpost.pointing import (
     align,
     indicated_point,
 )
-from fingerpost.uncertainty import UNBOUNDED, homography_covariance
+from fingerpost.uncertainty import UNBOUNDED, homography_covariance, intersect
 
 EXACT = 1e-9 * SIDE
 
@@ -275,6 +275,52 @@ def test_pointing_away_is_flagged_or_covered():
     assert far < 5
 
 
+def test_a_large_ellipse_is_as_honest_as_a_small_one():
+    """What is told by default of rods that point away, of lines a third of a degree off."""
+    rng = np.random.default_rng(57)
+    cameras = stereo()
+    views = [plane_view(view, REFERENCES) for view in cameras]
+    outside, sigmas = [], []
+    for _ in range(1500):
+        pointing = seen_rod(rng, cameras, azimuth_deg=(120, 180))
+        fingers = noisy_fingers(rng, cameras, pointing, 4 * COARSE)
+        fix = indicated_point(fingers, views, time_s=0.0)
+        if fix.status is Status.OK:
+            outside.append(
+                [not fix.ellipse(share).contains(pointing.target) for share in (0.95, 0.99)]
+            )
+            sigmas.append(largest_sigma(fix.covariance) / SIDE)
+    # Most of them, up to where the 95 % ellipse is as long as the plane.
+    assert len(sigmas) > 1000
+    assert 0.12 < max(sigmas) <= DEFAULT_OPTIONS.max_sigma
+    assert np.sqrt(-2.0 * np.log(0.05)) * DEFAULT_OPTIONS.max_sigma == pytest.approx(0.5, rel=0.03)
+    # By chance 55 ± 7 and 11 ± 3 of 1,100.
+    large = np.array(sigmas) > 0.05
+    share = np.mean(outside, axis=0)
+    assert share[0] < 0.055
+    assert share[1] < 0.015
+    assert np.mean(np.array(outside)[large, 1]) < 0.03
+
+
+def test_a_point_is_as_unsure_as_the_lines_are_where_its_ellipse_ends():
+    """First order where lines are sure; an end that is excluded less makes it longer."""
+    rng = np.random.default_rng(58)
+    cameras = stereo()
+    views = [plane_view(view, REFERENCES) for view in cameras]
+    grown = []
+    for scale in (1e-4, 16.0):
+        pointing = seen_rod(rng, cameras, azimuth_deg=(-60, 60))
+        fingers = noisy_fingers(rng, cameras, pointing, scale * COARSE)
+        fix = indicated_point(fingers, views, time_s=0.0)
+        lines = [line.line for line in fix.constraint_lines]
+        found = intersect(lines, [line.covariance for line in fix.constraint_lines])
+        assert np.array_equal(fix.point, found.point)
+        assert np.linalg.eigvalsh(fix.covariance - found.covariance)[0] >= -1e-9 * SIDE**2
+        grown.append(largest_sigma(fix.covariance) / largest_sigma(found.covariance) - 1.0)
+    assert grown[0] < 0.01
+    assert 0.01 < grown[1] < 0.5
+
+
 def coplanar_rod(rng, cameras):
     """A rod in one plane with both camera centres: both constraint lines are the same line."""
     while True:
@@ -289,7 +335,9 @@ def coplanar_rod(rng, cameras):
             return pointing
 
 
-@pytest.mark.parametrize("covariance", [FINE, COARSE], ids=["fine", "coarse"])
+@pytest.mark.parametrize(
+    "covariance", [FINE, COARSE, 16 * COARSE], ids=["fine", "coarse", "a degree off"]
+)
 def test_a_finger_coplanar_with_the_cameras_is_never_believed(covariance):
     rng = np.random.default_rng(55)
     cameras = stereo()

@@ -60,6 +60,9 @@ class Status(StrEnum):
     """The hand is seen, but where it points cannot be told; `Fix.reason` says why."""
 
 
+# Where the 99 % ellipse ends, in standard deviations of two dimensions: √(−2 ln 0.01).
+_END = math.sqrt(-2.0 * math.log(0.01))
+
 # How far each state is from a fix; the worst of the views is what a fix without a point reports.
 _SEVERITY = {Status.OK: 0, Status.ILL_CONDITIONED: 1, Status.ACQUIRING: 2, Status.LOST: 3}
 
@@ -68,12 +71,13 @@ _SEVERITY = {Status.OK: 0, Status.ILL_CONDITIONED: 1, Status.ACQUIRING: 2, Statu
 class PointingOptions:
     """What a fix needs to be called one, and what is known about errors beyond noise."""
 
-    max_sigma: float = 0.065
+    max_sigma: float = 0.2
     """Largest standard deviation of the indicated point in any direction [share of
-    `PlaneView.plane_size`, > 0]. The system of 1994 was accurate to 0.037. A bare hand before a
-    wooden desk is often known to no more than 0.06; what robots do with a point has limits of its
-    own. One point in a hundred lies outside its 99 % ellipse, however large that is: at 0.02 such
-    errors stay below 0.05."""
+    `PlaneView.plane_size`, > 0]. At 0.2 the 95 % ellipse is as long as the plane is: beyond, a
+    point tells nothing that the plane does not. Up to there a large ellipse is as honest as a small
+    one, and what is to be done with the point decides how small it must be; robots have limits of
+    their own. The system of 1994 was accurate to 0.037. One point in a hundred lies outside its
+    99 % ellipse, however large that is: at 0.02 such errors stay below 0.05."""
 
     nsigma: float = 4.0
     """How sure a refusal or an acceptance is [standard deviations, > 0]: points further than
@@ -433,9 +437,10 @@ class Fix:
     point : (2,) or None
         Indicated point [plane units].
     covariance : (2, 2) or None
-        Its covariance [plane units²]. With status `ill_conditioned`, that of the point refused,
-        which shows why; infinite on the diagonal if nothing bounds it. None without two finger
-        lines.
+        Its covariance [plane units²]: first order, but no smaller than the lines allow at the end
+        of its 99 % ellipse (`fingerpost.uncertainty.widened_covariance`). With status
+        `ill_conditioned`, that of the point refused, which shows why; infinite on the diagonal if
+        nothing bounds it. None without two finger lines.
     crossing_angle_rad
         Largest angle between two constraint lines, from 0 to π/2 [rad]; None without two.
     reason
@@ -530,7 +535,10 @@ def indicated_point(
     )
     if doubt:
         return Fix(time_s, Status.ILL_CONDITIONED, lines, None, wide, crossing, doubt)
-    return Fix(time_s, Status.OK, lines, found.point, found.covariance, crossing, without)
+    # As sure as the lines are of it where the 99 % ellipse ends, but no surer than nearer by.
+    end = min(_END * largest_sigma(found.covariance), options.nsigma * max_sigma)
+    covariance = widened(met, found, end)
+    return Fix(time_s, Status.OK, lines, found.point, covariance, crossing, without)
 
 
 class AlignmentState(StrEnum):

@@ -436,6 +436,7 @@ def widened(
     (xx, xy), (_, yy) = found.covariance.tolist()
     if not math.isfinite(xx + yy):
         return UNBOUNDED
+    constraints = [_of_unit_normal(line) for line in constraints]
     _, major, along_x, along_y = _principal_axes(xx, xy, yy)
     x, y = found.point.tolist()
     widest = major
@@ -577,6 +578,31 @@ def _constraints(lines: NDArray[np.float64], covariances: NDArray[np.float64]) -
             lines.tolist(), covariances.tolist(), strict=True
         )
     ]
+
+
+def _of_unit_normal(line: Constraint) -> Constraint:
+    """Give a line the covariance that it has as (a, b, c) with a² + b² = 1.
+
+    On the line, the distance of a point from it has the same variance whatever changes the scale of
+    (a, b, c), which moves no line. Off the line such changes would count as if they did.
+    """
+    a, b, c, xx, xy, x1, yy, y1, one = line
+    xy, x1, y1 = xy / 2.0, x1 / 2.0, y1 / 2.0
+    # P Σ Pᵀ with P = I − m (a, b, 0): Σ − m uᵀ − u mᵀ.
+    u, v, w = a * xx + b * xy, a * xy + b * yy, a * x1 + b * y1
+    half = (a * u + b * v) / 2.0
+    u, v, w = u - half * a, v - half * b, w - half * c
+    return (
+        a,
+        b,
+        c,
+        xx - 2.0 * a * u,
+        2.0 * (xy - a * v - b * u),
+        2.0 * (x1 - a * w - c * u),
+        yy - 2.0 * b * v,
+        2.0 * (y1 - b * w - c * v),
+        one - 2.0 * c * w,
+    )
 
 
 def _distances(

@@ -106,6 +106,11 @@ impl Stretch {
     pub fn length_px(&self) -> f64 {
         self.to_px - self.from_px
     }
+
+    /// Where its middle is \[px\].
+    pub(crate) fn middle_px(&self) -> f64 {
+        0.5 * (self.from_px + self.to_px)
+    }
 }
 
 /// Where a finger is believed to be, to within a few px: what the tracker knows of it.

@@ -65,6 +65,7 @@ mod steady;
 mod tell;
 mod track;
 mod verdict;
+mod worth;
 
 use crate::background::Background;
 use crate::dynamics::{Dynamics, Gate, chi_square_quantile};
@@ -93,6 +94,7 @@ use steady::Steady;
 pub use track::{Diagnostics, MAX_DOF, SearchedLine, ShapeEstimate, Track};
 use verdict::Posture;
 pub use verdict::Refusal;
+use worth::Worth;
 
 /// Where the template waits for the hand.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -137,6 +139,7 @@ pub struct ContourTracker {
     /// What the frames so far have told of its line, and of its bend.
     steady: Steady,
     sagitta: Sagitta,
+    worth: Worth,
     last_time_s: Option<f64>,
     /// The light in which the hand's looks are known.
     exposure: Exposure,
@@ -213,6 +216,7 @@ impl ContourTracker {
             pace: Pace::unknown(),
             steady: Steady::new(),
             sagitta: Sagitta::default(),
+            worth: Worth::default(),
             last_time_s: None,
             exposure: Exposure::new(),
             template,

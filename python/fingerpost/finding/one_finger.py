@@ -13,14 +13,9 @@ from fingerpost.finding.pairs import OTHER_TIP, Viewpoint, same_tip
 from fingerpost.pointing import (
     FingerLine,
     PlaneView,
-    PointingOptions,
     Status,
     indicated_point,
 )
-
-MAY_POINT = PointingOptions(max_sigma=0.12)
-"""What a pair of finger lines must tell of their point before it is believed: templates that have
-just been started are short, and their lines less sure than those of a hand that is followed."""
 
 
 class FollowingView(Protocol):
@@ -48,7 +43,7 @@ def gives_point(views: Sequence[PlaneView], tracks: Sequence[Track | None]) -> b
     ]
     if len(fingers) < len(views):
         return True
-    return indicated_point(fingers, views, time_s=0.0, options=MAY_POINT).status is Status.OK
+    return indicated_point(fingers, views, time_s=0.0).status is Status.OK
 
 
 def can_be_one(views: Pair) -> bool:

@@ -14,6 +14,7 @@ use super::scene::Scene;
 use super::shape::Shape;
 use super::track::{Track, track};
 use super::verdict::{Posture, Refusal};
+use super::worth::Worth;
 use super::{ContourTracker, NEAR_PX, Phase, Status};
 use crate::Result;
 use crate::dynamics::Dynamics;
@@ -309,6 +310,7 @@ impl ContourTracker {
         self.pace = Pace::unknown();
         self.steady.forget();
         self.sagitta = Sagitta::default();
+        self.worth = Worth::default();
         self.hand.usual_px = found.fit.map_or(f64::INFINITY, |fit| fit.residual_rms_px);
         self.hand.partly_frames = MOST_COVERED_FRAMES;
         self.hand.is_covered = false;

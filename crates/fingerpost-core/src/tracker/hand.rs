@@ -116,6 +116,13 @@ impl Hand {
         }
     }
 
+    /// By how much a finger of this half-width at its anchor \[px\] and taper is wider so far ahead of
+    /// there \[px\], and more tapered, than the hand's is known to be.
+    pub(super) fn unlike(&self, half_width_px: f64, taper: f64, ahead_px: f64) -> Vector2<f64> {
+        let more_tapered = taper - self.acquired[4];
+        Vector2::new(half_width_px - self.acquired[3] + ahead_px * more_tapered, more_tapered)
+    }
+
     /// Leaves out a thumb that was not seen for so many frames: it would hide the finger.
     pub(super) fn count_thumb(&mut self, found: &Found, most_missed: usize) {
         let seen = found.fit.is_some_and(|f| f.shape.names.len() == RIBBON_DOF);
@@ -213,17 +220,6 @@ impl Hand {
             return 0.0;
         }
         (fit.residual_rms_px.powi(2) - self.most_scale_px().powi(2)).max(0.0).sqrt()
-    }
-
-    /// By how much the half-width \[px\] and the taper of a hand that is covered in part are off what they
-    /// were while it was seen whole.
-    pub(super) fn swollen(&self, shape: &Shape) -> Vector2<f64> {
-        match shape {
-            Shape::Ribbon(x) if !self.shows_what_is_usual() => {
-                Vector2::new(x[3] - self.acquired[3], x[4] - self.acquired[4])
-            }
-            _ => Vector2::zeros(),
-        }
     }
 
     /// What its edges scatter at most about a fit in its place \[px\].

@@ -57,6 +57,14 @@ impl FingerLine {
         Self { axis: Axis { tip: axis.tip, ..told.axis }, ..told }
     }
 
+    /// The line that lies so much aside \[px\] and is turned by so much \[rad\].
+    pub(super) fn moved(self, by: &Vector2<f64>) -> Self {
+        let Axis { anchor, angle_rad, tip } = self.axis;
+        let tip_px = (tip - anchor).dot(&self.axis.direction());
+        let anchor = anchor + self.axis.normal() * by.x;
+        Self { axis: Axis::of_finger(anchor, angle_rad + by.y, tip_px), ..self }
+    }
+
     /// The same line, told beside the anchor of another.
     pub(super) fn told_beside(self, other: &Self) -> Self {
         self.told_along((other.axis.anchor - self.axis.anchor).dot(&self.axis.direction()))
@@ -75,18 +83,31 @@ impl FingerLine {
         self.misled_by_part(by_px / self.half_length_px)
     }
 
-    /// The same line, when the half-width \[px\] and the taper are off by so much: what has pushed one
-    /// flank aside and not the other has moved and turned the axis by as much.
-    pub(super) fn pushed(self, by: &Vector2<f64>) -> Self {
-        let doubt = Matrix2::from_diagonal(&by.map(|s| s * s));
-        Self { covariance: self.covariance + doubt, ..self }
-    }
-
     /// The same by a part of the half-length, which a bend may do.
     pub(super) fn misled_by_part(self, part: f64) -> Self {
         let doubt = Vector2::new(part * self.half_length_px, part * 3.0_f64.sqrt());
         let doubt = Matrix2::from_diagonal(&doubt.map(|s| s * s));
         Self { covariance: self.covariance + doubt, ..self }
+    }
+
+    /// The same line, of a finger that looks so much wider and more tapered than it is known to be
+    /// (px, 1), where these differences have such a covariance. Axis and width are the mean and the
+    /// difference of the same two flanks: a flank that is wrong as a whole, which scatters nowhere,
+    /// moves and turns the axis by as much as it changes the half-width and the taper. What they differ
+    /// by chance is no doubt.
+    pub(super) fn misshapen(self, unlike: &Vector2<f64>, foretold: &Matrix2<f64>) -> Self {
+        let Some(weight) = foretold.try_inverse() else { return self };
+        let by_chance = BY_CHANCE / unlike.dot(&(weight * unlike));
+        let doubt = unlike.map(|s| (1.0 - by_chance).max(0.0) * s * s);
+        Self { covariance: self.covariance + Matrix2::from_diagonal(&doubt), ..self }
+    }
+
+    /// How far another look at the same finger is from this line, and the covariance of that: (1 − ρ)
+    /// (C₁ + C₂), where ρ is the correlation of their errors.
+    pub(super) fn compared(&self, other: &Self) -> (Vector2<f64>, Matrix2<f64>) {
+        let other = other.told_beside(self);
+        let foretold = (1.0 - COMMON) * (self.covariance + other.covariance);
+        (self.apart(&other.axis), foretold)
     }
 
     /// Whether another look at the same finger differs by more than both may.
@@ -102,21 +123,15 @@ impl FingerLine {
     /// of their errors. Where they differ by more than they do by chance, both are worth less by as
     /// much.
     pub(super) fn joined(self, other: &Self) -> Self {
-        let Self { axis, covariance, .. } = self;
+        let covariance = self.covariance;
         let other = other.told_beside(&self);
         let apart = self.apart(&other.axis);
         let Some(weight) = (covariance + other.covariance).try_inverse() else { return self };
         let gain = covariance * weight;
         let step = gain * apart;
         let contradiction = apart.dot(&(weight * apart)) / BY_CHANCE;
-        let anchor = axis.anchor + axis.normal() * step.x;
-        let tip_px = (axis.tip - axis.anchor).dot(&axis.direction());
-        Self {
-            axis: Axis::of_finger(anchor, axis.angle_rad + step.y, tip_px),
-            covariance: (1.0 + COMMON) * contradiction.max(1.0) * gain * other.covariance,
-            source: LineSource::Both,
-            ..self
-        }
+        let covariance = (1.0 + COMMON) * contradiction.max(1.0) * gain * other.covariance;
+        Self { covariance, source: LineSource::Both, ..self.moved(&step) }
     }
 
     /// A refined line, told at the middle of the stretch that it stands for.
@@ -124,7 +139,7 @@ impl FingerLine {
         let Refined { axis, stretch, covariance, .. } = *refined;
         let half_length_px = 0.5 * stretch.length_px();
         let line = Self { axis, half_length_px, covariance, source: LineSource::Pixels };
-        line.told_along(0.5 * (stretch.from_px + stretch.to_px))
+        line.told_along(stretch.middle_px())
     }
 }
 
@@ -166,20 +181,6 @@ mod tests {
     }
 
     #[test]
-    fn a_flank_that_is_pushed_aside_takes_half_of_that_to_the_axis() {
-        let [axis, _] = axes();
-        let line = FingerLine::of_contour(&axis, &Matrix2::new(0.04, 1e-4, 1e-4, 1e-4));
-        // Right flank at 8 + 1 + 0.02 p for 8, left one at −8: axis at (right + left) / 2.
-        let (right, left) = (|p: f64| 9.0 + 0.02 * p, -8.0);
-        let [middle, ahead] = [0.0, 10.0].map(|p| 0.5 * (right(p) + left));
-        let pushed = line.pushed(&Vector2::new(0.5, 0.01));
-        let added = pushed.covariance - line.covariance;
-        assert!((added[(0, 0)].sqrt() - middle).abs() < 1e-12);
-        assert!((added[(1, 1)].sqrt() - (ahead - middle) / 10.0).abs() < 1e-12);
-        assert_eq!(pushed.axis, line.axis);
-    }
-
-    #[test]
     fn looks_contradict_each_other_beyond_what_both_allow() {
         let [axis, other] = axes();
         let line = |axis: &Axis, sigma: f64| {
@@ -202,6 +203,48 @@ mod tests {
         assert!((misled.covariance - covariance - added).norm() < 1e-12);
         assert_eq!(misled.axis, line.axis);
         assert_eq!(line.misled(0.0), line);
+    }
+
+    #[test]
+    fn a_flank_that_is_wrong_as_a_whole_shows_in_the_width() {
+        let [axis, _] = axes();
+        let line = FingerLine::of_contour(&axis, &Matrix2::new(0.04, 1e-4, 1e-4, 1e-4));
+        // Flanks lie at ±(w + τ p) about the axis. One of them is moved out by 0.8 px and turned by 0.06.
+        let [right, left] = [[0.8, 0.06], [0.0, 0.0]];
+        let axis_off = [0, 1].map(|k| 0.5 * (right[k] - left[k]));
+        let unlike = Vector2::from([0, 1].map(|k| 0.5 * (right[k] + left[k])));
+        let doubted = line.misshapen(&unlike, &(Matrix2::new(4.0, 0.0, 0.0, 0.02) * 1e-6));
+        let added = doubted.covariance - line.covariance;
+        assert!((added.diagonal().map(f64::sqrt) - Vector2::from(axis_off)).norm() < 1e-3);
+        assert_eq!(doubted.axis, line.axis);
+    }
+
+    #[test]
+    fn a_width_that_differs_by_chance_is_no_doubt() {
+        let [axis, _] = axes();
+        let line = FingerLine::of_contour(&axis, &Matrix2::new(0.04, 1e-4, 1e-4, 1e-4));
+        let foretold = Matrix2::new(0.04, 0.0, 0.0, 4e-4);
+        let unlike = |sigmas: f64| Vector2::new(-0.2 * sigmas, 0.0);
+        for sigmas in [0.0, 1.0, 2.1] {
+            assert_eq!(line.misshapen(&unlike(sigmas), &foretold), line);
+        }
+        // From there on it grows steadily: 3² − 4.6 parts of the variance.
+        let added = line.misshapen(&unlike(3.0), &foretold).covariance - line.covariance;
+        assert!((added[(0, 0)] / 0.04 - (9.0 - BY_CHANCE)).abs() < 1e-9, "{added}");
+    }
+
+    #[test]
+    fn two_looks_are_compared_beside_the_first() {
+        let [axis, other] = axes();
+        let covariance = Matrix2::new(0.04, 1e-4, 1e-4, 1e-4);
+        let (apart, foretold) = pixels(&axis, covariance).compared(&pixels(&other, covariance));
+        // The other's axis runs 2 px aside, 5 px further on.
+        let expected = Vector2::new(2.0 - 5.0 * 0.1_f64.tan(), 0.1);
+        assert!((apart - expected).norm() < 0.03, "{apart}");
+        // Its offset is told 5 px back; half of the errors is in common.
+        let back = Matrix2::new(1.0, -5.0 * 0.1_f64.cos(), 0.0, 1.0);
+        let there = back * covariance * back.transpose();
+        assert!((foretold - 0.5 * (covariance + there)).norm() < 1e-4, "{foretold}");
     }
 
     fn inverse(m: Matrix2<f64>) -> Matrix2<f64> {

@@ -243,7 +243,7 @@ impl Look {
         let measured = line.told_at(&lie.axis);
         let drawn = FingerLine { axis: lie.axis, ..measured };
         let surprise = drawn.apart(&measured.axis) - known.line;
-        let correlation = MOST_CORRELATED.min((-gone / FRESH_WIDTHS).exp());
+        let correlation = correlation(gone);
         let told = measured.covariance * ((1.0 + correlation) / (1.0 - correlation));
         let foretold = known.covariance + lie.covariance;
         let apart = (foretold + measured.covariance).try_inverse()? * surprise;
@@ -279,6 +279,11 @@ impl Look {
         let axis = Axis::of_finger(told.axis.anchor, told.axis.angle_rad, tip_px);
         Some(FingerLine { axis, ..told })
     }
+}
+
+/// How the errors of two lines of a finger correlate that has gone so far in between, in half-widths.
+pub(super) fn correlation(gone: f64) -> f64 {
+    MOST_CORRELATED.min((-gone / FRESH_WIDTHS).exp())
 }
 
 /// Variance of a line over its stretch \[px²\].

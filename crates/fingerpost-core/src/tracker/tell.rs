@@ -42,26 +42,10 @@ impl ContourTracker {
             Shape::Ribbon(x) if self.options.refine => self.refine(frame, &x, found)?,
             _ => None,
         };
-        // Where the pixels agree with a finger only so far, the contour knows other things than two
-        // bare flanks tell: the hand's colours, and its width. Of a finger that is covered in part
-        // either may be misled, and where they contradict each other, neither is believed alone.
-        let contour = self.by_contour(found);
-        let finger_line = match (refined, contour) {
-            (Some(refined), Some(contour)) if refined.source == Source::Photometric => {
-                let pixels = FingerLine::of_pixels(&refined);
-                let is_open = self.hand.is_covered && pixels.contradicts(&contour);
-                Some(if is_open { pixels.joined(&contour) } else { pixels })
-            }
-            (Some(refined), Some(contour)) if refined.source == Source::Unsure => {
-                Some(FingerLine::of_pixels(&refined).joined(&contour))
-            }
-            (Some(refined), Some(contour)) => Some(contour.doubted(&refined.axis)),
-            (None, contour) | (_, contour @ None) => contour,
-        };
-        // What covers a hand has pixels of its own.
-        if let Some(refined) = refined.filter(|_| !found.fit.is_some_and(|fit| fit.own_only)) {
+        if let Some(refined) = refined.filter(|_| has_own_pixels(found)) {
             self.sagitta.learn(&refined);
         }
+        let finger_line = self.line_of(found, refined.as_ref());
         let finger_line = match self.hand.shape {
             Shape::Ribbon(x) if self.options.refine => finger_line.map(|line| {
                 let length_px = self.waiting.measure.length_px;
@@ -75,11 +59,60 @@ impl ContourTracker {
         Ok(Track { finger_line, ..track(time_s, Status::Tracking, found, accept, None) })
     }
 
+    /// The finger line by both looks at a frame, or by the one that can be believed.
+    fn line_of(&mut self, found: &Found, refined: Option<&Refined>) -> Option<FingerLine> {
+        let contour = self.by_contour(found)?;
+        let Some(refined) = refined else { return Some(contour) };
+        let pixels = FingerLine::of_pixels(refined);
+        // Where the pixels agree with a finger only so far, the contour knows other things than two
+        // bare flanks tell: the hand's colours, and its width. Of a finger that is covered in part
+        // either may be misled, and where they contradict each other, neither is believed alone.
+        Some(match refined.source {
+            Source::Photometric if self.hand.is_covered && pixels.contradicts(&contour) => {
+                pixels.joined(&contour)
+            }
+            Source::Photometric => pixels,
+            Source::Unsure => self.by_both(found, refined, pixels)?,
+            Source::Bisector => contour.doubted(&refined.axis),
+        })
+    }
+
+    /// The line by contour and pixels where neither is believed alone. What they differ by is learned
+    /// of a hand's own pixels.
+    fn by_both(
+        &mut self,
+        found: &Found,
+        refined: &Refined,
+        pixels: FingerLine,
+    ) -> Option<FingerLine> {
+        let contour = self.bare_contour(found)?;
+        let Refined { half_width_px, taper, stretch, .. } = *refined;
+        if has_own_pixels(found) {
+            self.worth.learn(&contour, &pixels, half_width_px);
+        }
+        let (pixels, contour) = (self.worth.weighed(pixels), self.worth.corrected(contour));
+        let unlike = self.hand.unlike(half_width_px, taper, stretch.middle_px());
+        // The hand's width and taper are known from contours.
+        let foretold = pixels.covariance + contour.covariance;
+        Some(pixels.joined(&contour).misshapen(&unlike, &foretold))
+    }
+
     /// The line of a fit's contour, as far as what covers it may have led it astray.
-    fn by_contour(&self, found: &Found) -> Option<FingerLine> {
+    fn bare_contour(&self, found: &Found) -> Option<FingerLine> {
         let fit = found.fit.as_ref()?;
         let line = FingerLine::of_contour(&fit.axis, &fit.line_covariance);
-        Some(line.misled(self.hand.unusual_px(fit)).pushed(&self.hand.swollen(&found.shape)))
+        Some(line.misled(self.hand.unusual_px(fit)))
+    }
+
+    /// The same where the pixels of all frames have it, as sure as such lines are and as its width
+    /// allows.
+    fn by_contour(&self, found: &Found) -> Option<FingerLine> {
+        let line = self.worth.corrected(self.bare_contour(found)?);
+        let foretold = line.covariance;
+        Some(match found.shape {
+            Shape::Ribbon(x) => line.misshapen(&self.hand.unlike(x[3], x[4], 0.0), &foretold),
+            Shape::Planar(_) => line,
+        })
     }
 
     /// The finger by its flanks alone; none if they cannot be believed.
@@ -169,4 +202,9 @@ impl ContourTracker {
         let looks = self.hand.looks.get_or_insert_with(|| Looks::new(coloured));
         self.convergence.teach(looks, samples, frame, &finger, (keep, frames as f64))
     }
+}
+
+/// Whether the pixels about the flanks are the hand's: what covers a hand has pixels of its own.
+fn has_own_pixels(found: &Found) -> bool {
+    !found.fit.is_some_and(|fit| fit.own_only)
 }
