@@ -6,6 +6,7 @@ from itertools import islice
 from pathlib import Path
 from types import SimpleNamespace
 
+import cv2
 import numpy as np
 import pytest
 from msgspec.structs import replace
@@ -425,6 +426,8 @@ DESK_FOUND_BY = 25
 DESK_FRAMES = 40
 # A gross error; how well a bent finger is followed is tested elsewhere.
 DESK_GROSS_MM = 150.0
+# What directions may differ by, root mean square, where pictures differ in size alone.
+SAME_PICTURE_DEG = 0.25
 
 
 def left_handed(rig: Rig, frame: Frame, view: int) -> tuple[Frame, tuple[tuple[float, float], ...]]:
@@ -473,6 +476,44 @@ def test_a_hand_is_followed_when_the_light_changes(gain: float):
     after = [view.finger for views in seen[changes_at:] for view in views]
     assert len(after) >= DESK_FRAMES
     assert not [finger for finger in after if isinstance(finger, Status)]
+
+
+def directions(rig: Rig, frames: list) -> np.ndarray:
+    """Where the finger points in either view of every frame [rad]; NaN where that is not told."""
+    pointer = Pointer(rig)
+    told = [step.observations for pair in frames for step in pointer.update(pair)]
+    fingers = [[view.finger for view in views] for views in told]
+    return np.array(
+        [[np.nan if isinstance(f, Status) else f.angle_rad for f in pair] for pair in fingers]
+    )
+
+
+def test_pictures_of_twice_the_size_show_the_same():
+    rig = Rig.load(DESK / "rig.toml")
+    with ExitStack() as stack:
+        sources = [stack.enter_context(open_source(view.source)) for view in rig.views]
+        frames = list(islice(read_views(sources), DESK_FRAMES))
+    doubled = [
+        [Frame(f.index, f.time_s, cv2.resize(f.image, None, fx=2, fy=2)) for f in pair]
+        for pair in frames
+    ]
+
+    def place(px: tuple[float, float]) -> tuple[float, float]:
+        return 2.0 * px[0] + 0.5, 2.0 * px[1] + 0.5
+
+    views = tuple(
+        replace(
+            view,
+            reference_points_px=tuple(place(px) for px in view.reference_points_px),
+            start=replace(
+                view.start, tip_px=place(view.start.tip_px), length_px=2.0 * view.start.length_px
+            ),
+        )
+        for view in rig.views
+    )
+    turned = directions(replace(rig, views=views), doubled) - directions(rig, frames)
+    # As blurred as they are, they tell no more.
+    assert np.degrees(np.sqrt(np.nanmean(turned[10:] ** 2))) < SAME_PICTURE_DEG
 
 
 # --- fingers that two views cannot share -------------------------------------------------------

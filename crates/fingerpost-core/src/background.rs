@@ -744,6 +744,15 @@ impl Background {
         Some(levels)
     }
 
+    /// The level of a pixel in the light of the last frame; `None` where it is unknown.
+    pub(crate) fn level(&self, x: usize, y: usize) -> Option<f32> {
+        let i = y * self.size?.0 + x;
+        let seen = usize::from(*self.grey.seen.get(i)?);
+        let level = *self.grey.level.get(i)?;
+        let (gain, offset) = (self.light.gain as f32, self.light.offset_grey as f32);
+        (seen >= self.known_from()).then_some(gain * level + offset)
+    }
+
     /// Variance of the level to expect at a pixel inside the image, as [`ExpectedGrey::sigma_grey`].
     pub(crate) fn doubt(&self, x: usize, y: usize) -> f64 {
         let (width, _) = self.size.unwrap_or_default();

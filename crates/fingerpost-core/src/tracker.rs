@@ -37,6 +37,11 @@
 //! straight. A view sees only what of a bend lies across its line of sight. The paper's model is
 //! not looked at so.
 //!
+//! **Large.** A hand of the band model whose start pose promises a finger of 26 px across or more
+//! is followed in a picture that is smaller than the frames by a whole factor, so that its finger is
+//! 13 to 20 px wide there; what is told is told of the frame. Where a frame is sharp and its pixels
+//! agree with a finger, the line is theirs.
+//!
 //! A frame goes through `acquire` or `follow`; the latter has `choose` try the places where
 //! the hand may be. Each place is settled on by `settle`, the stages of the fit, and an accepted
 //! one yields its line, and teaches what the hand looks like, in `tell`.
@@ -56,6 +61,7 @@ mod mould;
 mod neighbours;
 mod options;
 mod pace;
+mod reduced;
 mod sagitta;
 mod scene;
 mod seek;
@@ -68,6 +74,7 @@ mod verdict;
 mod worth;
 
 use crate::background::Background;
+use crate::discriminant::DiscriminantImage;
 use crate::dynamics::{Dynamics, Gate, chi_square_quantile};
 use crate::frame::Frame;
 use crate::refine::{RefineOptions, Refiner};
@@ -86,6 +93,7 @@ pub use options::{
     AcceptOptions, AcquireOptions, DynamicsOptions, Model, TrackOptions, TrackerOptions,
 };
 use pace::Pace;
+use reduced::{Picture, Reduction};
 use sagitta::Sagitta;
 use scene::Scene;
 use seek::Seek;
@@ -143,6 +151,11 @@ pub struct ContourTracker {
     last_time_s: Option<f64>,
     /// The light in which the hand's looks are known.
     exposure: Exposure,
+    /// How much smaller than the frames the pictures are that the hand is followed in, the present
+    /// one, and the frame itself as the hand's discriminant shows it.
+    reduction: Reduction,
+    picture: Picture,
+    whole: DiscriminantImage,
 }
 
 /// The status, with what it has to remember.
@@ -172,6 +185,8 @@ impl ContourTracker {
     /// [`Error::Unsupported`] for a traced outline with [`Model::Ribbon`]: only a pistol has bands.
     pub fn new(template: Template, start: &StartPose, options: TrackerOptions) -> Result<Self> {
         options.check()?;
+        let reduction = Self::reduction(&template, start, &options);
+        let start = &reduction.start(start);
         let map = AffineMap::upright(start.tip_px, start.angle_rad, start.length_px)?;
         let length_px = start.length_px;
         let (ribbon, measure) = match template.proportions() {
@@ -219,6 +234,9 @@ impl ContourTracker {
             worth: Worth::default(),
             last_time_s: None,
             exposure: Exposure::new(),
+            reduction,
+            picture: Picture::default(),
+            whole: DiscriminantImage::default(),
             template,
             options,
             samples,
@@ -238,6 +256,17 @@ impl ContourTracker {
         let mut tracker = Self::new(template, start, options)?;
         tracker.phase = Phase::Acquiring { settled: 1 };
         Ok(tracker)
+    }
+
+    /// Hands of the band model are followed at the usual size; one of the paper's, which is not
+    /// refined, at its own.
+    fn reduction(template: &Template, start: &StartPose, options: &TrackerOptions) -> Reduction {
+        match template.proportions() {
+            Some(p) if options.model == Model::Ribbon => {
+                Reduction::of_finger(p.half_width * start.length_px)
+            }
+            _ => Reduction::NONE,
+        }
     }
 
     /// The same tracker with another instruction set than the processor's widest: slower, with the
@@ -286,6 +315,22 @@ impl ContourTracker {
         Error::within("frame time [s]", time_s, "at or after the last frame's", |t| t >= last)?;
         self.last_time_s = Some(time_s);
         self.convergence.begin_frame();
+        self.whole.clear();
+        let reduction = self.reduction;
+        if !reduction.is_smaller() {
+            return self.look(frame, time_s);
+        }
+        // Taken out while the hand is followed in it.
+        let mut picture = std::mem::take(&mut self.picture);
+        let track = picture
+            .of(frame, reduction)
+            .and_then(|reduced| self.look(&frame.reduced(reduced, reduction), time_s));
+        self.picture = picture;
+        self.convergence.enlarge(reduction);
+        track.map(|track| reduction.track(&track))
+    }
+
+    fn look(&mut self, frame: &Scene<'_>, time_s: f64) -> Result<Track> {
         self.relight(frame);
         match self.phase {
             Phase::Acquiring { settled } => self.acquire(frame, time_s, settled, None),
@@ -328,8 +373,10 @@ impl ContourTracker {
     #[must_use]
     pub fn contour(&self) -> Vec<PlacedSample> {
         let mut contour = Vec::with_capacity(self.samples.len());
-        let Self { hand, samples, waiting, .. } = self;
-        hand.outline(&hand.shape, samples, &waiting.measure, |_, placed| contour.push(placed));
+        let Self { hand, samples, waiting, reduction, .. } = self;
+        hand.outline(&hand.shape, samples, &waiting.measure, |_, placed| {
+            contour.push(reduction.sample(&placed));
+        });
         contour
     }
 

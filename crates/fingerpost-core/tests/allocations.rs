@@ -69,10 +69,16 @@ const HEIGHT: usize = 150;
 const FRAMES: usize = 8;
 
 fn scene(thumb: Thumb, k: usize, noise: &mut Noise) -> Picture {
-    let k = k as f64;
-    let tip = Point2::new(130.0 + 12.0 * (0.4 * k).sin(), 75.0 + 9.0 * (0.3 * k).sin());
-    let hand = Hand::usual(thumb, tip, -0.5 + 0.2 * (0.35 * k).sin(), 60.0);
-    Canvas::new(WIDTH, HEIGHT, 60.0).paint(&hand, 140.0).blur(0.96).take(2.0, noise)
+    scene_of(1, thumb, k, noise)
+}
+
+/// A picture that is so many times as large, with as large a hand.
+fn scene_of(times: usize, thumb: Thumb, k: usize, noise: &mut Noise) -> Picture {
+    let (k, px) = (k as f64, times as f64);
+    let tip = Point2::new(130.0 + 12.0 * (0.4 * k).sin(), 75.0 + 9.0 * (0.3 * k).sin()) * px;
+    let hand = Hand::usual(thumb, tip, -0.5 + 0.2 * (0.35 * k).sin(), 60.0 * px);
+    let canvas = Canvas::new(times * WIDTH, times * HEIGHT, 60.0).paint(&hand, 140.0);
+    canvas.blur(0.96).take(2.0, noise)
 }
 
 fn empty(noise: &mut Noise) -> Picture {
@@ -80,7 +86,13 @@ fn empty(noise: &mut Noise) -> Picture {
 }
 
 fn tracker(model: Model, thumb: Thumb) -> ContourTracker {
-    let start = StartPose { tip_px: Point2::new(131.0, 76.0), angle_rad: -0.5, length_px: 60.0 };
+    tracker_of(1, model, thumb)
+}
+
+fn tracker_of(times: usize, model: Model, thumb: Thumb) -> ContourTracker {
+    let px = times as f64;
+    let tip_px = Point2::new(131.0, 76.0) * px;
+    let start = StartPose { tip_px, angle_rad: -0.5, length_px: 60.0 * px };
     let options = TrackerOptions { model, polarity: Polarity::Bright, ..TrackerOptions::default() };
     ContourTracker::new(Template::pistol(thumb).unwrap(), &start, options).unwrap()
 }
@@ -143,6 +155,19 @@ fn the_paper_s_model() {
 fn with_colours_as_well() {
     check(Model::Ribbon, Thumb::Left, true);
     check(Model::Paper, Thumb::None, true);
+}
+
+#[test]
+fn a_hand_that_is_followed_in_a_smaller_picture() {
+    let mut tracker = tracker_of(2, Model::Ribbon, Thumb::Left);
+    let mut noise = Noise::new(0x6c61_7267);
+    for k in 0..6 + FRAMES {
+        let picture = scene_of(2, Thumb::Left, k, &mut noise);
+        let time_s = k as f64 / 30.0;
+        let (count, track) =
+            with_colours(&picture, |frame| allocations(|| tracker.update(frame, time_s).unwrap()));
+        assert!(k < 6 || (track.finger_line.is_some() && count == 0), "frame {k}: {count}");
+    }
 }
 
 #[test]

@@ -8,14 +8,14 @@ use common::{BentFinger, Canvas, Hand, Noise, Picture, Shape};
 use fingerpost_core::fit::{FitOptions, Loss};
 use fingerpost_core::frame::ColourView;
 use fingerpost_core::image::GrayView;
-use fingerpost_core::nalgebra::{Point2, Vector2};
+use fingerpost_core::nalgebra::{Matrix2, Point2, Vector2};
 use fingerpost_core::search::{Polarity, SearchOptions};
 use fingerpost_core::shape_space::{AffineMap, PlacedSample, Pose};
 use fingerpost_core::simd::Isa;
 use fingerpost_core::template::{HALF_LENGTH, OutlineAxis, Template, Thumb};
 use fingerpost_core::tracker::{
     AcceptOptions, AcquireOptions, ContourTracker, FingerLine, LineSource, Model, Refusal,
-    StartPose, Status, Track, TrackOptions, TrackerOptions,
+    SearchedLine, StartPose, Status, Track, TrackOptions, TrackerOptions,
 };
 use fingerpost_core::{Error, Frame};
 use proptest::prelude::*;
@@ -882,6 +882,108 @@ fn options_out_of_range_are_refused_with_their_value() {
     let fit: Set = |o, x| o.fit = FitOptions { loss: Loss::Tukey { cutoff: x }, ..o.fit };
     assert!(refusal(search, 0.4).unwrap().starts_with("search scale [px] is 0.4"));
     assert!(refusal(fit, 0.5).unwrap().starts_with("Tukey cutoff [robust sigma] is 0.5"));
+}
+
+/// A picture whose every pixel has become a square of so many.
+fn magnified(picture: &Picture, times: usize) -> Picture {
+    let (width, height) = (times * picture.width, times * picture.height);
+    let at = |i: usize| picture.bytes[i / width / times * picture.width + i % width / times];
+    Picture { width, height, bytes: (0..width * height).map(at).collect() }
+}
+
+#[test]
+fn a_hand_that_is_seen_larger_is_followed_alike() {
+    for (times, thumb) in [(2, Thumb::Left), (3, Thumb::None)] {
+        let px = times as f64;
+        let place = |p: Point2<f64>| p.map(|c| px * c + 0.5 * (px - 1.0));
+        let start = StartPose { tip_px: place(START.tip_px), length_px: px * LENGTH_PX, ..START };
+        let template = Template::pistol(thumb).unwrap();
+        let mut large = ContourTracker::new(template, &start, options(Model::Ribbon)).unwrap();
+        let mut usual = tracker(Model::Ribbon, thumb);
+        assert_eq!(large.contour().len(), usual.contour().len());
+        let mut noise = Noise::new(23);
+        let mut lines = 0;
+        for k in 0..12 {
+            let (picture, time_s) = (picture(&swaying(thumb, k), &mut noise), k as f64 * FRAME_S);
+            let expected = update(&mut usual, &picture, time_s);
+            let track = update(&mut large, &magnified(&picture, times), time_s);
+            assert_eq!(track.status, expected.status);
+            for (at, expected) in large.contour().iter().zip(usual.contour()) {
+                assert!((at.position - place(expected.position)).norm() < 1e-6, "frame {k}");
+            }
+            for (at, expected) in large.search_lines().zip(usual.search_lines()) {
+                assert!(
+                    (at.line.sample.position - place(expected.line.sample.position)).norm() < 1e-6
+                );
+                assert_eq!(at.line.half_length_px, px * expected.line.half_length_px);
+                let offset = |found: &SearchedLine<'_>| found.found.ok().map(|e| e.offset_px);
+                assert_eq!(offset(&at), offset(&expected).map(|offset_px| px * offset_px));
+                assert_eq!(at.agrees, expected.agrees);
+            }
+            let (told, usually) = (&track.diagnostics, &expected.diagnostics);
+            assert!((told.residual_rms_px - px * usually.residual_rms_px).abs() < 1e-9);
+            assert_eq!(told.max_residual_px, px * usually.max_residual_px);
+            if let (Some(shape), Some(expected)) = (track.shape, expected.shape) {
+                assert!(
+                    (shape.vector.xy() - place(expected.vector.xy().into()).coords).norm() < 1e-6
+                );
+                // Angle and taper are no lengths.
+                for (i, unit) in [(2, 1.0), (3, px), (4, 1.0)] {
+                    assert!((shape.vector[i] - unit * expected.vector[i]).abs() < 1e-9);
+                    let sigmas = [&shape, &expected].map(|s| s.covariance[(i, i)].sqrt());
+                    assert!((sigmas[0] - unit * sigmas[1]).abs() < 1e-9);
+                }
+            }
+            let (Some(line), Some(expected)) = (track.finger_line, expected.finger_line) else {
+                continue;
+            };
+            lines += 1;
+            assert!((line.axis.anchor - place(expected.axis.anchor)).norm() < 1e-6);
+            assert!((line.axis.tip - place(expected.axis.tip)).norm() < 1e-6);
+            assert!((line.axis.angle_rad - expected.axis.angle_rad).abs() < 1e-9);
+            assert!((line.half_length_px - px * expected.half_length_px).abs() < 1e-6);
+            let unit = Matrix2::new(px, 0.0, 0.0, 1.0);
+            let covariance = unit * expected.covariance * unit;
+            assert!((line.covariance - covariance).norm() < 1e-9 * covariance.norm());
+            assert_eq!(line.source, expected.source);
+        }
+        assert!(lines >= 10, "{lines}");
+    }
+}
+
+/// How far the finger line of a sharp hand of some length is off, in its own units, and what it says of
+/// itself: root mean squares of the angle \[rad\] over several pictures.
+fn angle_of_large(length_px: f64) -> [f64; 2] {
+    const HANDS: usize = 12;
+    let (size, tip) = (length_px * 2.6, Point2::new(length_px * 2.0, length_px * 0.8));
+    let mut noise = Noise::new(5);
+    let (mut squares, mut told) = (0.0, 0.0);
+    for k in 0..HANDS {
+        let angle_rad = START.angle_rad + 0.03 * k as f64;
+        let hand = Hand::usual(Thumb::None, tip, angle_rad, length_px);
+        let start = StartPose { tip_px: tip, angle_rad, length_px };
+        let template = Template::pistol(Thumb::None).unwrap();
+        let mut tracker = ContourTracker::new(template, &start, options(Model::Ribbon)).unwrap();
+        let canvas = Canvas::new(size as usize, size as usize, BACKGROUND).paint(&hand, HAND);
+        let canvas = canvas.blur(BLUR_PX);
+        let tracks = [0, 1]
+            .map(|k| update(&mut tracker, &canvas.take(NOISE, &mut noise), f64::from(k) * FRAME_S));
+        let line = tracks[1].finger_line.expect("a large hand");
+        assert_eq!(line.source, LineSource::Pixels);
+        squares += LineError::of(&line, &hand).angle_rad.powi(2);
+        told += line.covariance[(1, 1)];
+    }
+    [squares, told].map(|sum| (sum / HANDS as f64).sqrt())
+}
+
+#[test]
+fn a_sharp_picture_of_a_large_hand_is_worth_all_of_its_pixels() {
+    // As sure as the length of its flanks to the power of -3/2 lets it be; of means of 2 x 2 pixels it
+    // would be less so by an eighth.
+    let [usual, large] = [60.0, 120.0].map(angle_of_large);
+    assert!(large[0] < 0.5 * usual[0], "{large:?} {usual:?}");
+    assert!(large[1] < 0.37 * usual[1], "{large:?} {usual:?}");
+    assert!((0.5..2.0).contains(&(large[0] / large[1])), "{large:?}");
 }
 
 #[test]

@@ -22,6 +22,9 @@ pub struct KnownBackground<'a> {
     image: Option<GrayView<'a>>,
     width: usize,
     height: usize,
+    /// A pixel is the mean of a square of so many, and the images that it was learned from are so wide.
+    factor: usize,
+    recorded_width: usize,
 }
 
 /// Where the levels come from.
@@ -34,7 +37,14 @@ enum Levels<'a> {
 impl<'a> From<&'a Background> for KnownBackground<'a> {
     fn from(learned: &'a Background) -> Self {
         let (width, height) = learned.size();
-        Self { levels: Levels::Learned(learned), image: None, width, height }
+        Self {
+            levels: Levels::Learned(learned),
+            image: None,
+            width,
+            height,
+            factor: 1,
+            recorded_width: width,
+        }
     }
 }
 
@@ -65,7 +75,14 @@ impl<'a> KnownBackground<'a> {
                 return Err(Error::WrongCount { what, given, needed });
             }
         }
-        Ok(Self { levels: Levels::Maps { mean_grey, sigma_grey }, image: None, width, height })
+        Ok(Self {
+            levels: Levels::Maps { mean_grey, sigma_grey },
+            image: None,
+            width,
+            height,
+            factor: 1,
+            recorded_width: width,
+        })
     }
 
     /// The same, behind what `image` shows: where the refined frame is another picture of the scene,
@@ -73,6 +90,13 @@ impl<'a> KnownBackground<'a> {
     #[must_use]
     pub fn behind(self, image: GrayView<'a>) -> Self {
         Self { image: Some(image), ..self }
+    }
+
+    /// The same, of pictures that are smaller by a whole factor.
+    pub(crate) fn reduced(self, factor: usize) -> Self {
+        let factor = factor.min(self.width).min(self.height).max(1);
+        let (width, height) = (self.width / factor, self.height / factor);
+        Self { width, height, factor, ..self }
     }
 
     /// The picture that it is the background of, if that is not the refined frame.
@@ -116,6 +140,7 @@ impl<'a> KnownBackground<'a> {
             return None;
         }
         match self.levels {
+            _ if self.factor > 1 => self.means_about(x, y),
             Levels::Learned(background) => background.about(x, y),
             Levels::Maps { mean_grey, .. } => {
                 let row = |y: usize| {
@@ -127,14 +152,84 @@ impl<'a> KnownBackground<'a> {
         }
     }
 
+    /// The same of a picture that is smaller.
+    fn means_about(&self, x: usize, y: usize) -> Option<[[f32; 3]; 3]> {
+        let mut means = [[0.0; 3]; 3];
+        for (v, row) in (y - 1..).zip(&mut means) {
+            for (u, mean) in (x - 1..).zip(row) {
+                *mean = self.mean(u, v, |u, v| self.recorded_level(u, v))?;
+            }
+        }
+        Some(means)
+    }
+
+    /// The mean over the square of a pixel of a picture that is smaller.
+    fn mean(&self, x: usize, y: usize, of: impl Fn(usize, usize) -> Option<f32>) -> Option<f32> {
+        let mut sum = 0.0;
+        for v in y * self.factor..(y + 1) * self.factor {
+            for u in x * self.factor..(x + 1) * self.factor {
+                sum += of(u, v)?;
+            }
+        }
+        Some(sum / (self.factor * self.factor) as f32)
+    }
+
+    /// Level of a pixel as it was recorded, if it is known.
+    fn recorded_level(&self, x: usize, y: usize) -> Option<f32> {
+        match self.levels {
+            Levels::Learned(background) => background.level(x, y),
+            Levels::Maps { mean_grey, .. } => mean_grey.get(y * self.recorded_width + x).copied(),
+        }
+    }
+
     /// Variance of a pixel inside the image; `None` where it was never seen.
     fn doubt(&self, x: usize, y: usize) -> Option<f32> {
+        if self.factor == 1 {
+            return self.recorded_doubt(x, y);
+        }
+        let mean = self.mean(x, y, |u, v| self.recorded_doubt(u, v))?;
+        Some(mean / (self.factor * self.factor) as f32)
+    }
+
+    /// Variance of a pixel as it was recorded.
+    fn recorded_doubt(&self, x: usize, y: usize) -> Option<f32> {
         match self.levels {
             Levels::Learned(background) => Some(background.doubt(x, y) as f32),
             Levels::Maps { sigma_grey, .. } => {
-                let sigma = *sigma_grey.get(y * self.width + x)?;
+                let sigma = *sigma_grey.get(y * self.recorded_width + x)?;
                 (sigma >= 0.0 && sigma.is_finite()).then_some(sigma * sigma)
             }
         }
+    }
+}
+
+// Only trackers of this crate look at smaller pictures.
+#[cfg(test)]
+#[expect(clippy::unwrap_used, reason = "a test may panic")]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_smaller_background_has_the_means_of_squares() {
+        let (width, height) = (11, 9);
+        let mut mean: Vec<f32> = (0..99).map(|i: i32| (7 * i % 31) as f32).collect();
+        let sigma: Vec<f32> = (0..99).map(|i: i32| 0.1 * (i % 5) as f32).collect();
+        mean[5 * width + 7] = f32::NAN;
+        let known = KnownBackground::new(&mean, &sigma, width, height).unwrap().reduced(2);
+        assert_eq!((known.width(), known.height()), (5, 4));
+        let over = |of: &dyn Fn(usize) -> f32, x: usize, y: usize| {
+            let at = |u: usize, v: usize| of((2 * y + v) * width + 2 * x + u);
+            0.25 * (at(0, 0) + at(1, 0) + at(0, 1) + at(1, 1))
+        };
+        let [level, doubt] = known.level(1, 1).unwrap();
+        assert!((level - over(&|i| mean[i], 1, 1)).abs() < 1e-5);
+        assert!((doubt - 0.25 * over(&|i| sigma[i] * sigma[i], 1, 1)).abs() < 1e-6);
+        let [at, slope, ..] = known.local(1, 1, Vector2::new(0.0, 1.0)).unwrap();
+        assert!((at - level).abs() < 1e-6);
+        let below = over(&|i| mean[i], 1, 2) - over(&|i| mean[i], 1, 0);
+        assert!((slope - 0.5 * below).abs() < 1e-5);
+        // On the border there are no derivatives, and of one pixel nothing is known.
+        assert_eq!(known.level(0, 1), None);
+        assert_eq!(known.level(3, 2), None);
     }
 }

@@ -165,7 +165,7 @@ impl ContourTracker {
             }
             for ((sum, count), px) in sides.iter_mut().zip([-away_px, away_px]) {
                 let at = placed.position + placed.normal * px;
-                if let Some(likely) = background.foreground(frame, at.x, at.y) {
+                if let Some(likely) = background.foreground(at) {
                     *sum += likely;
                     *count += 1.0;
                 }

@@ -3,11 +3,11 @@
 use super::looks::{Lead, Looks, Shaft, Sight, Silhouette};
 use super::neighbours::alike;
 use super::options::{AcceptOptions, TrackerOptions};
-use super::scene::Scene;
+use super::reduced::Reduction;
+use super::scene::{Behind, Scene};
 use super::{MAX_DOF, SearchedLine, ShapeEstimate};
 use crate::Result;
 use crate::appearance::{Appearance, INSIDE_PX};
-use crate::background::Background;
 use crate::discriminant::{DiscriminantImage, Mixture, region_about};
 use crate::dynamics::{Expectation, Gate};
 use crate::fit::{EquationBuffer, Equations, FitReport, Fitter, Outcome, Prior};
@@ -291,6 +291,19 @@ impl Convergence {
         found.map(|((line, found), &agrees)| SearchedLine { line, found, agrees })
     }
 
+    /// Tells the last search of a picture in its frame.
+    pub fn enlarge(&mut self, reduction: Reduction) {
+        let px = reduction.px();
+        for (line, found) in self.lines.iter_mut().zip(&mut self.measurements) {
+            line.sample = reduction.sample(&line.sample);
+            line.half_length_px *= px;
+            if let Ok(edge) = found {
+                edge.offset_px *= px;
+                edge.variance_px2 *= px * px;
+            }
+        }
+    }
+
     /// Shows the finger's samples of the last search whose edges agree with the fit, each moved to
     /// its edge, to the looks of the hand; see [`Looks::learn`]. The finger's are the first
     /// `samples` of all. A thumb may be lit quite differently, and it is the finger that points.
@@ -397,10 +410,7 @@ impl Convergence {
         mixture: Option<&Mixture>,
         finger: &Finger,
     ) -> Result<Frame<'a>> {
-        let (axis, reach) = (finger.axis, 2.0 * finger.half_width_px + KERNEL_REACH_PX);
-        let from = finger.flanks[0].from_px.min(finger.flanks[1].from_px);
-        let ends = [axis.tip, axis.anchor + axis.direction() * from];
-        self.image.shown(frame, mixture, || region_about(ends.iter().map(|end| (*end, reach))))
+        self.image.shown(frame, mixture, || finger_region(finger))
     }
 
     /// The frame about some pixels, as a mixture shows it.
@@ -530,11 +540,11 @@ impl Convergence {
         self.replaced.clear();
         for (i, line) in self.lines.iter().enumerate() {
             let Ok(edge) = &self.measurements[i] else { continue };
-            if !is_background(frame, background, line, edge.offset_px) {
+            if !is_background(background, line, edge.offset_px) {
                 continue;
             }
             self.measurements[i] = Err(Miss::NoContrast);
-            if let Some(begins_px) = where_hand_begins(frame, background, line) {
+            if let Some(begins_px) = where_hand_begins(background, line) {
                 let sample = PlacedSample {
                     position: line.sample.position + line.sample.normal * begins_px,
                     ..line.sample
@@ -547,7 +557,7 @@ impl Convergence {
         for (&Replaced { line, begins_px }, found) in self.replaced.iter().zip(&self.found_again) {
             let Ok(mut edge) = *found else { continue };
             edge.offset_px += begins_px;
-            if !is_background(frame, background, &self.lines[line], edge.offset_px) {
+            if !is_background(background, &self.lines[line], edge.offset_px) {
                 self.measurements[line] = Ok(edge);
             }
         }
@@ -660,26 +670,15 @@ fn at_edge(line: &SearchLine, edge: &Edge) -> PlacedSample {
 }
 
 /// How likely a place on a search line is foreground.
-fn foreground(
-    frame: &Frame<'_>,
-    background: &Background,
-    line: &SearchLine,
-    at: f64,
-) -> Option<f64> {
-    let place = line.sample.position + line.sample.normal * at;
-    background.foreground(frame, place.x, place.y)
+fn foreground(background: Behind<'_>, line: &SearchLine, at: f64) -> Option<f64> {
+    background.foreground(line.sample.position + line.sample.normal * at)
 }
 
 /// Whether what is inside of an edge is the background; not if that is unknown.
-fn is_background(
-    frame: &Frame<'_>,
-    background: &Background,
-    line: &SearchLine,
-    offset_px: f64,
-) -> bool {
+fn is_background(background: Behind<'_>, line: &SearchLine, offset_px: f64) -> bool {
     let (mut sum, mut count) = (0.0, 0.0);
     for inside_px in INSIDE_PX {
-        if let Some(likely) = foreground(frame, background, line, offset_px - inside_px) {
+        if let Some(likely) = foreground(background, line, offset_px - inside_px) {
             sum += likely;
             count += 1.0;
         }
@@ -689,12 +688,12 @@ fn is_background(
 
 /// Where along a line foreground ends and background begins, from inside outwards: the place that
 /// parts them best; none without both.
-fn where_hand_begins(frame: &Frame<'_>, background: &Background, line: &SearchLine) -> Option<f64> {
+fn where_hand_begins(background: Behind<'_>, line: &SearchLine) -> Option<f64> {
     let reach = line.half_length_px.floor();
     let (mut sum, mut best, mut begins_px) = (0.0, 0.0, None);
     let mut at = -reach;
     while at <= reach {
-        sum += foreground(frame, background, line, at).map_or(0.0, |likely| likely - 0.5);
+        sum += foreground(background, line, at).map_or(0.0, |likely| likely - 0.5);
         if sum > best && at < reach {
             (best, begins_px) = (sum, Some(at + 0.5));
         }
@@ -722,6 +721,14 @@ fn linearise<'a, S: ShapeSpace<D>, const D: usize>(
 
 /// A search line reads no further beyond its end than this \[px\]: the reach of the widest kernel.
 const KERNEL_REACH_PX: f64 = 32.0;
+
+/// The part of the image that a finger is refined in.
+pub(super) fn finger_region(finger: &Finger) -> [f64; 4] {
+    let (axis, reach) = (finger.axis, 2.0 * finger.half_width_px + KERNEL_REACH_PX);
+    let from = finger.flanks[0].from_px.min(finger.flanks[1].from_px);
+    let ends = [axis.tip, axis.anchor + axis.direction() * from];
+    region_about(ends.iter().map(|end| (*end, reach)))
+}
 
 /// The part of the image that search lines read: columns and rows, from and to \[px\].
 fn region(lines: &[SearchLine]) -> [f64; 4] {

@@ -1,20 +1,35 @@
 //! A frame, and what its camera shows where no hand is.
 
+use super::reduced::Reduction;
 use crate::background::Background;
 use crate::frame::Frame;
+use crate::refine::KnownBackground;
+use nalgebra::Point2;
 use std::ops::Deref;
 
-/// A frame before a background that may be known; otherwise it is the frame.
+/// A frame before a background that may be known; otherwise it is the frame, or the picture that it is
+/// reduced to.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Scene<'a> {
     frame: Frame<'a>,
     background: Option<&'a Background>,
+    whole: Frame<'a>,
+    reduction: Reduction,
 }
 
 impl<'a> Scene<'a> {
     /// A frame and its background, which counts only where its edges are.
     pub fn new(frame: &Frame<'a>, background: Option<&'a Background>) -> Self {
-        Self { frame: *frame, background: background.filter(|b| b.is_exact()) }
+        let background = background.filter(|b| b.is_exact());
+        Self { frame: *frame, background, whole: *frame, reduction: Reduction::NONE }
+    }
+
+    /// The same, to be looked at in a smaller picture.
+    pub fn reduced<'b>(&self, picture: Frame<'b>, reduction: Reduction) -> Scene<'b>
+    where
+        'a: 'b,
+    {
+        Scene { frame: picture, reduction, ..*self }
     }
 
     /// The frame alone.
@@ -22,9 +37,14 @@ impl<'a> Scene<'a> {
         Self { background: None, ..*self }
     }
 
+    /// The frame as it was recorded, where it is looked at in a smaller picture.
+    pub fn whole(&self) -> Option<&Frame<'a>> {
+        self.reduction.is_smaller().then_some(&self.whole)
+    }
+
     /// What is behind the hand, if that is known.
-    pub fn background(&self) -> Option<&'a Background> {
-        self.background
+    pub fn background(&self) -> Option<Behind<'_>> {
+        self.background.map(|background| Behind { background, scene: self })
     }
 }
 
@@ -33,5 +53,31 @@ impl<'a> Deref for Scene<'a> {
 
     fn deref(&self) -> &Frame<'a> {
         &self.frame
+    }
+}
+
+/// What is behind the hand.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Behind<'a> {
+    background: &'a Background,
+    scene: &'a Scene<'a>,
+}
+
+impl<'a> Behind<'a> {
+    /// How likely a place is foreground, 0–1; see [`Background::foreground`].
+    pub fn foreground(self, at: Point2<f64>) -> Option<f64> {
+        let Scene { reduction, whole, .. } = self.scene;
+        let at = reduction.in_frame(at);
+        self.background.foreground(whole, at.x, at.y)
+    }
+
+    /// What is known of it in the frame as it was recorded.
+    pub fn known_whole(self) -> KnownBackground<'a> {
+        KnownBackground::from(self.background)
+    }
+
+    /// The same in the picture that is looked at.
+    pub fn known(self) -> KnownBackground<'a> {
+        self.known_whole().reduced(self.scene.reduction.factor())
     }
 }

@@ -1,6 +1,7 @@
 //! The story of an accepted frame: the finger line, from pixels and contour and the frames before,
 //! and what the frame teaches of the hand.
 
+use super::convergence::finger_region;
 use super::found::Found;
 use super::line::FingerLine;
 use super::looks::{Lead, Looks};
@@ -11,7 +12,7 @@ use super::steady::Shown;
 use super::track::{Track, track};
 use super::{ContourTracker, Status};
 use crate::Result;
-use crate::refine::{Bend, Finger, KnownBackground, Refined, Source, Stretch};
+use crate::refine::{Bend, Finger, Refined, Source, Stretch};
 use crate::shape_space::{BandMeasure, Pose, RIBBON_DOF, RibbonVector, ShapeSpace};
 use crate::template::Part;
 
@@ -23,6 +24,11 @@ const CROTCH_PX: f64 = 2.0;
 const BEYOND_OUTLINE: f64 = 0.07;
 /// Both go round the tip to this part of the half-width beyond the middle of its round end.
 const CAP: f64 = 0.7;
+
+/// A picture of half the size blurs an edge that is blurred by this \[px\] or more by hardly more, and
+/// tells as much of it; but the noise of such a picture may be as blurred as its edges, and no longer
+/// independent from pixel to pixel.
+const SHARP_PX: f64 = 1.5;
 
 /// Looks change slowly where a hand stays: one frame in so many teaches them, and counts as often.
 /// One that has moved by more than this part of its half-width is before something else, and smeared.
@@ -123,12 +129,35 @@ impl ContourTracker {
         found: &Found,
     ) -> Result<Option<Refined>> {
         let Some(finger) = self.finger(x, found)? else { return Ok(None) };
+        if let Some(refined) = self.refine_whole(frame, &finger)? {
+            return Ok(Some(refined));
+        }
         let sight = self.hand.sight(frame, Lead::HandEdges, self.options.polarity);
         let shown = self.convergence.shown(frame, sight.mixture, &finger)?;
         let looks = sight.cue.appearance();
         // What is known of the background are grey levels, whatever mixture shows the hand best.
-        let known = frame.background().map(|b| KnownBackground::from(b).behind(*frame.image()));
+        let behind = frame.background();
+        let known = behind.as_ref().map(|b| b.known().behind(*frame.image()));
         self.refiner.refine(&shown, &finger, sight.polarity, looks, known.as_ref())
+    }
+
+    /// The same in the frame as it was recorded, where that is followed in a smaller picture: none
+    /// unless its pixels agree with a finger, and are sharp enough to tell more than the picture's.
+    fn refine_whole(&mut self, frame: &Scene<'_>, finger: &Finger) -> Result<Option<Refined>> {
+        let (Some(whole), reduction) = (frame.whole(), self.reduction) else { return Ok(None) };
+        let finger = reduction.finger(finger);
+        let sight = self.hand.sight(frame, Lead::HandEdges, self.options.polarity);
+        let shown = self.whole.shown(whole, sight.mixture, || finger_region(&finger))?;
+        let looks = sight.cue.appearance();
+        let behind = frame.background();
+        let known = behind.as_ref().map(|b| b.known_whole().behind(*whole.image()));
+        let refined =
+            self.refiner.refine(&shown, &finger, sight.polarity, looks, known.as_ref())?;
+        let tells_more = |refined: &Refined| {
+            let is_sharp = refined.photometric.is_some_and(|report| report.blur_px <= SHARP_PX);
+            refined.source == Source::Photometric && is_sharp
+        };
+        Ok(refined.filter(tells_more).map(|refined| reduction.refined(&refined)))
     }
 
     /// The finger that the band template stands for, as far as both its flanks were seen by a fit.
