@@ -226,7 +226,7 @@ impl DiscriminantImage {
         self.made = None;
     }
 
-    /// Makes room for a frame, so that none has to be made while a hand is followed.
+    /// Makes room for a frame, so that none has to be made once a hand is known.
     pub(crate) fn reserve(&mut self, frame: &Frame<'_>) {
         let pixels = frame.image().width() * frame.image().height();
         self.pixels.reserve(pixels.saturating_sub(self.pixels.len()));

@@ -315,6 +315,9 @@ impl Convergence {
         finger: &Silhouette,
         weights: (f64, f64),
     ) -> Result<()> {
+        if looks.is_coloured() {
+            self.image.reserve(frame);
+        }
         self.gather_agreeing(samples);
         self.leave_out_covered(looks, frame)?;
         looks.learn(frame, &mut self.image, &self.agreeing, finger, weights)
@@ -323,9 +326,6 @@ impl Convergence {
     /// Looks that know nothing yet, to be [given back](Self::take_back).
     pub fn lend_looks(&mut self, frame: &Frame<'_>) -> Looks {
         let coloured = frame.colour().is_some();
-        if coloured {
-            self.image.reserve(frame);
-        }
         let kept = self.leading.take().filter(|looks| looks.is_coloured() == coloured);
         let mut looks = kept.unwrap_or_else(|| Looks::new(coloured));
         looks.forget();
@@ -338,17 +338,22 @@ impl Convergence {
     }
 
     /// Shows a contour to looks where it is placed, whatever edges are there; they forget all else.
+    /// Tells whether what is inside of it differs at all from what is outside.
     pub fn teach_at(
         &mut self,
         looks: &mut Looks,
         frame: &Scene<'_>,
         contour: impl Iterator<Item = PlacedSample>,
         finger: &Silhouette,
-    ) -> Result<()> {
+    ) -> Result<bool> {
         self.agreeing.clear();
         self.agreeing.extend(contour);
+        if looks.told_apart(frame, &self.agreeing, finger, None) <= 0.0 {
+            return Ok(false);
+        }
         looks.forget();
-        looks.learn(frame, &mut self.image, &self.agreeing, finger, (0.0, 1.0))
+        looks.learn(frame, &mut self.image, &self.agreeing, finger, (0.0, 1.0))?;
+        Ok(true)
     }
 
     /// How well the inside of a finger of which nothing is known differs from its outside, by the edges

@@ -287,29 +287,29 @@ impl Mould<'_> {
         polarity: Polarity,
     ) -> Result<Converged<RIBBON_DOF>> {
         let mut looks = convergence.lend_looks(frame);
-        self.teach_at(convergence, frame, &mut looks, from)?;
         // First it only moves and turns: its width is that of what has been inside.
         let reach_px = self.options.acquire.reach_px(self.waiting[3]);
         let mut led = Converged::at(*from);
-        if let Some(votes) = looks.sight(frame, Lead::Votes, polarity) {
+        if self.teach_at(convergence, frame, &mut looks, from)?
+            && let Some(votes) = looks.sight(frame, Lead::Votes, polarity)
+        {
             led = self.seen::<3>(convergence, frame, (from, from), reach_px, votes)?;
         }
-        if led.fit.is_some() {
-            self.teach_at(convergence, frame, &mut looks, &led.x)?;
+        if led.fit.is_some() && self.teach_at(convergence, frame, &mut looks, &led.x)? {
             led = self.led(convergence, frame, &looks, (&led.x, from), polarity)?;
         }
         convergence.take_back(looks);
         Ok(led)
     }
 
-    /// Shows looks that know nothing yet what is inside of a finger and what is not.
+    /// Shows looks that know nothing yet what is inside of a finger and what is not, if that differs.
     fn teach_at(
         &self,
         convergence: &mut Convergence,
         frame: &Scene<'_>,
         looks: &mut Looks,
         x: &RibbonVector,
-    ) -> Result<()> {
+    ) -> Result<bool> {
         let pose =
             Ribbon::<5>::about(x, &self.measure.with_thumb(false))?.pose(&Ribbon::<5>::free(x));
         let contour = finger_samples(self.samples).iter().map(|sample| pose.place(sample));
