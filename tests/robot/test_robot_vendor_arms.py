@@ -7,6 +7,7 @@ Where a vendor's library is installed, the fakes' methods are compared with it, 
 
 import importlib
 import inspect
+import itertools
 import math
 import sys
 import threading
@@ -231,6 +232,25 @@ def test_an_arm_that_creeps_does_not_stand(fake_ur):
         here = robot.pose()
         goal = replace(here, y_m=here.y_m + 0.005)
         robot.move_to(goal, speed_m_s=0.02)
+        assert robot.pose().distance_m(goal) < 1e-3
+
+
+def test_an_arm_whose_answer_is_late_does_not_stand(fake_ur, monkeypatch):
+    # The second of two readings is as good as at once, but told when the stall time is over.
+    with ur(poll_s=0.001) as robot:
+        robot.home()
+        here, position = robot.pose(), fake_ur.arm.position
+        late_s = itertools.cycle([0.0, 0.15])
+
+        def told_late():
+            at = position()
+            time.sleep(next(late_s))
+            return at
+
+        goal = replace(here, y_m=here.y_m + 0.02)
+        robot.move_to(goal, speed_m_s=0.02, wait=False)
+        monkeypatch.setattr(fake_ur.arm, "position", told_late)
+        robot.wait()
         assert robot.pose().distance_m(goal) < 1e-3
 
 

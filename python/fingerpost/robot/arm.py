@@ -508,6 +508,8 @@ class Arm(ABC):
         rule = self._arrival
         still_since_s, readings, stands_at = self._clock(), 0, None
         while True:
+            # An answer may be late: the pose is of some time after this one.
+            asked_s = self._clock()
             pose = self._measured_pose(turn)
             if stands_at is not None and _same(pose, stands_at, rule.still_m, rule.still_rad):
                 readings += 1
@@ -517,7 +519,7 @@ class Arm(ABC):
                 if _same(pose, goal, rule.near_m, rule.near_rad):
                     self._goal, self._state = None, RobotState.IDLE
                     return
-                if self._clock() - still_since_s > rule.stall_s:
+                if asked_s - still_since_s > rule.stall_s:
                     raise NotArrivedError(f"the arm stands at {pose}, sent to {goal}")
             self._pause(rule.poll_s, turn)
 
