@@ -232,8 +232,8 @@ pub(super) struct Convergence {
     agreeing: Vec<PlacedSample>,
     /// Residual offsets of those along the contour, part by part of the outline.
     left_over: Vec<(Part, f64)>,
-    /// Looks of a hand of which nothing is known: those that are judged, and, made when they are first
-    /// asked for, those that lead.
+    /// Looks of a hand of which nothing is known: those that are judged, and those that lead, unless they
+    /// are lent.
     unknown: Looks,
     leading: Option<Looks>,
     /// The present frame as the hand's discriminant shows it.
@@ -254,6 +254,8 @@ struct Replaced {
 
 impl Convergence {
     pub fn new(options: &TrackerOptions) -> Result<Self> {
+        let mut leading = Looks::new(false);
+        leading.reserve(options.samples);
         Ok(Self {
             search: EdgeSearch::new(options.search)?,
             fitter: Fitter::new(options.fit)?,
@@ -267,7 +269,7 @@ impl Convergence {
             agreeing: Vec::with_capacity(options.samples),
             left_over: Vec::with_capacity(options.samples),
             unknown: Looks::new(false),
-            leading: None,
+            leading: Some(leading),
             image: DiscriminantImage::default(),
             again: Vec::with_capacity(options.samples),
             replaced: Vec::with_capacity(options.samples),

@@ -159,6 +159,11 @@ impl Looks {
         }
     }
 
+    /// Makes room for what a contour of so many samples shows.
+    pub fn reserve(&mut self, samples: usize) {
+        self.pixels.reserve(samples * (REACH_PX + MOST_REACH_PX) as usize);
+    }
+
     /// Forgets all.
     pub fn forget(&mut self) {
         self.plain.fade(0.0);

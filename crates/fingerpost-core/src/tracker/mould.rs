@@ -449,16 +449,7 @@ impl Mould<'_> {
     ) -> Result<Converged<RIBBON_DOF>> {
         let has_thumb = D > 5;
         let samples = if has_thumb { self.samples } else { finger_samples(self.samples) };
-        let attempt = Attempt {
-            samples,
-            sight,
-            scale: Scale::Fine,
-            half_length_px,
-            window: None,
-            rest: Rest::Told,
-            own_only: false,
-            most_scale_px: f64::INFINITY,
-        };
+        let attempt = attempt(samples, sight, half_length_px);
         let space = Ribbon::<D>::about(x, &self.measure.with_thumb(has_thumb))?;
         let prior = (D > 3).then(|| self.belief::<D>(believed));
         let start = Ribbon::<D>::free(x);
@@ -522,16 +513,7 @@ impl Mould<'_> {
         let space = Ribbon::<RIBBON_DOF>::about(x, &self.measure)?;
         let samples = thumb_samples(self.samples);
         let sight = Sight::unknown(polarity);
-        let attempt = Attempt {
-            samples,
-            sight,
-            scale: Scale::Fine,
-            half_length_px: reach_px,
-            window: None,
-            rest: Rest::Told,
-            own_only: false,
-            most_scale_px: f64::INFINITY,
-        };
+        let attempt = attempt(samples, sight, reach_px);
         let offsets = convergence.offsets(frame, &space, x, &attempt)?;
         Ok(offsets.map(|d| (1000.0 * (1.0 - (d / reach_px).abs()).max(0.0)) as u64).sum())
     }
@@ -560,6 +542,24 @@ impl Mould<'_> {
             mean[4] = 0.0;
         }
         Prior { mean, information }
+    }
+}
+
+/// A search by some samples of a hand of which no motion is known yet.
+fn attempt<'a>(
+    samples: &'a [TemplateSample],
+    sight: Sight<'a>,
+    half_length_px: f64,
+) -> Attempt<'a> {
+    Attempt {
+        samples,
+        sight,
+        scale: Scale::Fine,
+        half_length_px,
+        window: None,
+        rest: Rest::Told,
+        own_only: false,
+        most_scale_px: f64::INFINITY,
     }
 }
 
