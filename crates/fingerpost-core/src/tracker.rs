@@ -11,6 +11,8 @@
 //! **Tracking.** Of the band model everything stays free, but what a hand cannot change is held
 //! near its acquired value by a prior, which follows slowly. The finger comes first: its thumb is
 //! fitted afterwards and does not turn it, and is left out once it has not been seen for a while.
+//! Either flank counts from the tip on for as far as it agrees: behind may be a thumb that lies along
+//! the finger.
 //! The finger line comes from the pixels about the flanks where they can be believed
 //! ([`crate::refine`]), else from the contour; the lines of the frames before have a say in it where
 //! they tell it better, carried along by the finger's skin. It is told for one stretch of the finger,
@@ -52,6 +54,7 @@ mod acquire;
 mod choose;
 mod convergence;
 mod exposure;
+mod flanks;
 mod follow;
 mod found;
 mod hand;

@@ -1204,6 +1204,31 @@ fn a_hand_that_comes_too_fast_for_edges_to_lead_from_frame_to_frame_is_acquired(
     assert!(acquired);
 }
 
+#[test]
+fn a_thumb_that_lies_along_the_finger_does_not_turn_its_line() {
+    for (waiting, side) in [(Thumb::None, 1.0), (Thumb::None, -1.0), (Thumb::Right, 1.0)] {
+        for angle_deg in [15.0, 20.0, 30.0, 40.0_f64] {
+            let mut hand = held_up(Thumb::Right);
+            if let Some(thumb) = &mut hand.thumb {
+                (thumb.side, thumb.angle_rad) = (side, angle_deg.to_radians());
+                thumb.length_px = 0.6 * LENGTH_PX;
+            }
+            let (mut tracker, mut noise) =
+                (tracker(Model::Ribbon, waiting), Noise::new(0x616c_6f6e));
+            let mut time_s = acquire(&mut tracker, &hand, &mut noise);
+            for _ in 0..5 {
+                let track = update(&mut tracker, &picture(&hand, &mut noise), time_s);
+                time_s += FRAME_S;
+                let line = track.finger_line.unwrap();
+                let error = LineError::of(&line, &hand);
+                let what = format!("{waiting:?}, {angle_deg}° to {side}: {error:?}");
+                assert!(error.angle_rad.abs() < 0.012 && error.offset_px.abs() < 0.3, "{what}");
+                assert!(error.squared_mahalanobis(&line) < 20.0, "{what}");
+            }
+        }
+    }
+}
+
 /// A finger that lies along the waiting template, with its joint in the middle.
 fn pointing() -> BentFinger {
     let ahead = Vector2::new(START.angle_rad.cos(), START.angle_rad.sin());

@@ -404,10 +404,19 @@ impl Convergence {
         Ok(())
     }
 
-    /// From where along the finger a flank was visible in the last search, in units of the template.
-    pub fn beginning(&self, samples: &[TemplateSample], flank: Part) -> Option<f64> {
-        let seen = self.visible.iter().filter_map(|&i| samples.get(i));
-        seen.filter(|s| s.part() == flank).map(|s| s.along).min_by(f64::total_cmp)
+    /// Where along its limb each visible sample of a part of the outline is in the last search, in units
+    /// of the template, and whether its edge agrees with the fit; None without an edge.
+    pub fn edges_along(
+        &self,
+        samples: &[TemplateSample],
+        part: Part,
+    ) -> impl DoubleEndedIterator<Item = (f64, Option<bool>)> {
+        let told = self.measurements.iter().zip(&self.agrees);
+        let searched = self.visible.iter().zip(told);
+        searched.filter_map(move |(&i, (found, &agrees))| {
+            let sample = samples.get(i).filter(|s| s.part() == part)?;
+            Some((sample.along, found.is_ok().then_some(agrees)))
+        })
     }
 
     /// The frame about a finger, as a mixture shows it.

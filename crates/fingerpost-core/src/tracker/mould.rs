@@ -453,7 +453,7 @@ impl Mould<'_> {
         let space = Ribbon::<D>::about(x, &self.measure.with_thumb(has_thumb))?;
         let prior = (D > 3).then(|| self.belief::<D>(believed));
         let start = Ribbon::<D>::free(x);
-        let found = convergence.run(frame, &space, start, &attempt, prior.as_ref())?;
+        let found = convergence.run_bands(frame, &space, start, &attempt, prior.as_ref())?;
         Ok(Converged { x: space.full(&found.x), fit: found.fit, iterations: found.iterations })
     }
 

@@ -191,7 +191,7 @@ impl ContourTracker {
         };
         let attempt = self.hand.attempt(samples, frame, look, self.options.polarity);
         let x = Ribbon::<D>::free(from);
-        let found = self.convergence.run(frame, &space, x, &attempt, held)?;
+        let found = self.convergence.run_bands(frame, &space, x, &attempt, held)?;
         Ok(Converged { x: space.full(&found.x), fit: found.fit, iterations: found.iterations })
     }
 

@@ -35,6 +35,15 @@ const SHARP_PX: f64 = 1.5;
 const FRAMES_A_LESSON: usize = 3;
 const STAYS: f64 = 0.5;
 
+/// How much of the flanks of a finger counts.
+#[derive(Debug, Clone, Copy)]
+enum Flanks {
+    /// All that no other limb of the template hides: of a bent finger half does not agree.
+    Visible,
+    /// As much as agrees with the fit from the tip on.
+    Agreeing,
+}
+
 impl ContourTracker {
     /// The story of a frame whose fit was accepted, with the finger line.
     pub(super) fn tracked(
@@ -128,7 +137,9 @@ impl ContourTracker {
         x: &RibbonVector,
         found: &Found,
     ) -> Result<Option<Refined>> {
-        let Some(finger) = self.finger(x, found)? else { return Ok(None) };
+        // What covers a hand may lie over the middle of a flank; its own pixels are told otherwise.
+        let flanks = if has_own_pixels(found) { Flanks::Agreeing } else { Flanks::Visible };
+        let Some(finger) = self.finger(x, found, flanks)? else { return Ok(None) };
         if let Some(refined) = self.refine_whole(frame, &finger)? {
             return Ok(Some(refined));
         }
@@ -160,12 +171,16 @@ impl ContourTracker {
         Ok(refined.filter(tells_more).map(|refined| reduction.refined(&refined)))
     }
 
-    /// The finger that the band template stands for, as far as both its flanks were seen by a fit.
-    fn finger(&self, x: &RibbonVector, found: &Found) -> Result<Option<Finger>> {
+    /// The finger that the band template stands for, by so much of both its flanks.
+    fn finger(&self, x: &RibbonVector, found: &Found, flanks: Flanks) -> Result<Option<Finger>> {
         let BandMeasure { length_px, round_end_px, .. } = self.waiting.measure;
         let (half_width_px, taper) = (x[3], x[4]);
-        let flank = |flank| {
-            let from = self.convergence.beginning(&self.samples, flank)?;
+        let stretch = |flank| {
+            let extent = self.convergence.extent(&self.samples, flank)?;
+            let from = match flanks {
+                Flanks::Visible => extent.visible_from,
+                Flanks::Agreeing => extent.agrees_from,
+            };
             let whole = self.samples.iter().filter(|s| s.part() == flank).all(|s| s.along >= from);
             Some(Stretch {
                 from_px: if whole {
@@ -176,7 +191,8 @@ impl ContourTracker {
                 to_px: round_end_px + CAP * half_width_px,
             })
         };
-        let (Some(right), Some(left)) = (flank(Part::RightFlank), flank(Part::LeftFlank)) else {
+        let (Some(right), Some(left)) = (stretch(Part::RightFlank), stretch(Part::LeftFlank))
+        else {
             return Ok(None);
         };
         let flanks = [right, left];
@@ -189,7 +205,7 @@ impl ContourTracker {
     /// How the finger of a fit that counts is bent, if its flanks tell; never of the paper's model.
     pub(super) fn bend(&mut self, frame: &Scene<'_>, found: &Found) -> Result<Option<Bend>> {
         let Shape::Ribbon(x) = found.shape else { return Ok(None) };
-        let Some(finger) = self.finger(&x, found)? else { return Ok(None) };
+        let Some(finger) = self.finger(&x, found, Flanks::Visible)? else { return Ok(None) };
         let sight = self.hand.sight(frame, Lead::HandEdges, self.options.polarity);
         let shown = self.convergence.shown(frame, sight.mixture, &finger)?;
         self.refiner.bend(&shown, &finger, sight.polarity, sight.cue.appearance())
