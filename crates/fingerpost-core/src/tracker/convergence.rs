@@ -225,8 +225,9 @@ pub(super) struct Convergence {
     visible: Vec<usize>,
     lines: Vec<SearchLine>,
     measurements: Vec<EdgeMeasurement>,
-    /// Whether the edge of each line agrees with the fit to them; none does without a fit.
-    agrees: Vec<bool>,
+    /// How far the edge of each line is from the fit to them \[px\], infinite where it does not agree with
+    /// it; none does without a fit.
+    left_px: Vec<f64>,
     equations: EquationBuffer,
     /// Where edges agree with the fit.
     agreeing: Vec<PlacedSample>,
@@ -264,7 +265,7 @@ impl Convergence {
             visible: Vec::with_capacity(options.samples),
             lines: Vec::with_capacity(options.samples),
             measurements: Vec::with_capacity(options.samples),
-            agrees: Vec::with_capacity(options.samples),
+            left_px: Vec::with_capacity(options.samples),
             equations: EquationBuffer::with_capacity(options.samples, MAX_DOF),
             agreeing: Vec::with_capacity(options.samples),
             left_over: Vec::with_capacity(options.samples),
@@ -289,8 +290,8 @@ impl Convergence {
 
     /// The last search, what each line found, and whether that agrees with the fit.
     pub fn search_lines(&self) -> impl ExactSizeIterator<Item = SearchedLine<'_>> {
-        let found = self.lines.iter().zip(&self.measurements).zip(&self.agrees);
-        found.map(|((line, found), &agrees)| SearchedLine { line, found, agrees })
+        let found = self.lines.iter().zip(&self.measurements).zip(&self.left_px);
+        found.map(|((line, found), px)| SearchedLine { line, found, agrees: px.is_finite() })
     }
 
     /// Tells the last search of a picture in its frame.
@@ -405,17 +406,18 @@ impl Convergence {
     }
 
     /// Where along its limb each visible sample of a part of the outline is in the last search, in units
-    /// of the template, and whether its edge agrees with the fit; None without an edge.
+    /// of the template, and how far its edge is from the fit \[px\]: infinitely, if it does not agree.
+    /// None without an edge.
     pub fn edges_along(
         &self,
         samples: &[TemplateSample],
         part: Part,
-    ) -> impl DoubleEndedIterator<Item = (f64, Option<bool>)> {
-        let told = self.measurements.iter().zip(&self.agrees);
+    ) -> impl DoubleEndedIterator<Item = (f64, Option<f64>)> {
+        let told = self.measurements.iter().zip(&self.left_px);
         let searched = self.visible.iter().zip(told);
-        searched.filter_map(move |(&i, (found, &agrees))| {
+        searched.filter_map(move |(&i, (found, &px))| {
             let sample = samples.get(i).filter(|s| s.part() == part)?;
-            Some((sample.along, found.is_ok().then_some(agrees)))
+            Some((sample.along, found.is_ok().then_some(px)))
         })
     }
 
@@ -534,8 +536,8 @@ impl Convergence {
                 });
             }
         }
-        self.agrees.clear();
-        self.agrees.resize(self.lines.len(), false);
+        self.left_px.clear();
+        self.left_px.resize(self.lines.len(), f64::INFINITY);
         let shown = self.image.shown(frame, attempt.sight.mixture, || region(&self.lines))?;
         let Attempt { sight, scale, .. } = attempt;
         self.search.search(&shown, sight.cue, *scale, &self.lines, &mut self.measurements)?;
@@ -611,11 +613,14 @@ impl Convergence {
         Ok(own as f64 / visible.max(1) as f64)
     }
 
-    /// Notes whose edges agree with the last solution.
+    /// Notes how far edges are from the last solution, if they agree with it.
     fn mark_agreeing(&mut self) {
-        let hits = self.agrees.iter_mut().zip(&self.measurements).filter(|(_, m)| m.is_ok());
-        for ((agrees, _), is_inlier) in hits.zip(self.fitter.agreeing()) {
-            *agrees = is_inlier;
+        let hits = self.left_px.iter_mut().zip(&self.measurements).filter(|(_, m)| m.is_ok());
+        let fitted = self.fitter.residuals().iter().zip(self.fitter.agreeing());
+        for ((left_px, _), (residual_px, agrees)) in hits.zip(fitted) {
+            if agrees {
+                *left_px = residual_px.abs();
+            }
         }
     }
 

@@ -3,8 +3,8 @@
 //! A thumb that lies along the finger hides the part of a flank that is next to the knuckle, and has an
 //! edge of its own there, as straight and as strong: a finger that is fitted to it is turned by some
 //! degrees. What is next to the tip is hidden by nothing but a cover. So a flank counts from the tip on,
-//! for as long as more of its edges agree than not; and a fit that leaves much of a flank unexplained is
-//! tried once more from the front.
+//! for as long as more of its edges agree than not; and a fit that leaves much of one flank unexplained,
+//! or fits it far less exactly than the other, is tried once more from the front.
 
 use super::convergence::{Attempt, Converged, Convergence, Fit, MIN_HALF_LENGTH_PX, Rest};
 use super::scene::Scene;
@@ -18,6 +18,10 @@ const FLANKS: [Part; 2] = [Part::LeftFlank, Part::RightFlank];
 /// A flank of whose edges a smaller part agrees from the tip on may be another limb's. Of plain fingers
 /// nearly all do, and of one with a thumb along it that is fitted to both hardly half.
 const MOST: f64 = 0.75;
+/// A flank whose edges are so many times as far from the fit as the other's, and at least so far \[px\],
+/// may be another limb's in part: a fit that leans on both halves agrees with neither exactly.
+const LEANS: f64 = 2.0;
+const LEANS_PX: f64 = 0.3;
 /// The finger alone, with its width and taper: a shape that only moves and turns cannot lean on a thumb.
 const FINGER_DOF: usize = 5;
 /// So sure that no edge changes it \[px, rad, 1\].
@@ -37,16 +41,17 @@ pub(super) struct FlankExtent {
 }
 
 impl FlankExtent {
-    /// Of a flank's samples from the tip on: where each is, and whether its edge agrees, if it has one.
-    fn of(from_tip: impl Iterator<Item = (f64, Option<bool>)>) -> Option<Self> {
+    /// Of a flank's samples from the tip on: where each is, and how far its edge is from the fit, if it
+    /// has one. Edges agree that are nearer than `within_px`.
+    fn of(from_tip: impl Iterator<Item = (f64, Option<f64>)>, within_px: f64) -> Option<Self> {
         let mut extent = None::<Self>;
         let mut sum = 0;
-        for (along, agrees) in from_tip {
-            sum += agrees.map_or(0, balance);
+        for (along, left_px) in from_tip {
+            sum += left_px.map_or(0, |px| balance(px, within_px));
             let start = Self { visible_from: along, agrees_from: along, agreeing: sum, edges: 0 };
             let extent = extent.get_or_insert(start);
             extent.visible_from = along;
-            extent.edges += i32::from(agrees.is_some());
+            extent.edges += i32::from(left_px.is_some());
             if sum >= extent.agreeing {
                 (extent.agrees_from, extent.agreeing) = (along, sum);
             }
@@ -61,16 +66,26 @@ impl FlankExtent {
 }
 
 impl Convergence {
-    /// How much of a flank agrees with the last fit.
-    pub fn extent(&self, samples: &[TemplateSample], flank: Part) -> Option<FlankExtent> {
+    /// How much of a flank agrees with the last fit to within so much.
+    pub fn extent(
+        &self,
+        samples: &[TemplateSample],
+        flank: Part,
+        within_px: f64,
+    ) -> Option<FlankExtent> {
         let edges = || self.edges_along(samples, flank);
         // The outline runs along one flank to the tip and back along the other.
         let (first, last) = (edges().next()?.0, edges().next_back()?.0);
-        if first < last { FlankExtent::of(edges().rev()) } else { FlankExtent::of(edges()) }
+        if first < last {
+            FlankExtent::of(edges().rev(), within_px)
+        } else {
+            FlankExtent::of(edges(), within_px)
+        }
     }
 
-    /// [`run`](Self::run) for the bands of a hand. A finger alone of which a flank strays is fitted by its
-    /// front half, and then by what agrees with that; this counts if more agrees from the tip on.
+    /// [`run`](Self::run) for the bands of a hand. A finger alone one of whose flanks may be another
+    /// limb's in part is fitted by its front half, and then by what agrees with that; this counts if more
+    /// of the finger agrees with it from the tip on, or more exactly.
     pub fn run_bands<S: ShapeSpace<D>, const D: usize>(
         &mut self,
         frame: &Scene<'_>,
@@ -80,12 +95,21 @@ impl Convergence {
         believed: Option<&Prior<D>>,
     ) -> Result<Converged<D>> {
         let found = self.run(frame, space, x, attempt, believed)?;
-        if D != FINGER_DOF || found.fit.is_none() || !self.strays(attempt.samples) {
+        let Some(fit) = found.fit.filter(|_| D == FINGER_DOF) else { return Ok(found) };
+        let samples = attempt.samples;
+        let strays = self.straying(samples, f64::INFINITY) > 0;
+        if !strays && !self.leans(samples) {
             return Ok(found);
         }
-        let agreeing = self.agreeing_from_tip(attempt.samples);
+        let exact_px = LEANS_PX.max(fit.residual_rms_px / LEANS);
+        let within_px = if strays { f64::INFINITY } else { exact_px };
+        let agreeing = self.agreeing_from_tip(samples, within_px);
         let from_front = self.run_from_front(frame, space, x, attempt, believed)?;
-        if from_front.fit.is_some() && self.agreeing_from_tip(attempt.samples) > agreeing {
+        // Where both flanks turn, the finger is bent.
+        if from_front.fit.is_some()
+            && (strays || self.straying(samples, within_px) <= 1)
+            && self.agreeing_from_tip(samples, within_px) > agreeing
+        {
             return Ok(from_front);
         }
         // Once more, so that the last search is that of the best.
@@ -118,33 +142,58 @@ impl Convergence {
         Ok(Converged { fit, iterations, ..own })
     }
 
-    fn strays(&self, samples: &[TemplateSample]) -> bool {
-        FLANKS.into_iter().filter_map(|flank| self.extent(samples, flank)).any(|e| e.strays())
+    /// How many flanks leave much unexplained to within so much.
+    fn straying(&self, samples: &[TemplateSample], within_px: f64) -> usize {
+        self.extents(samples, within_px).filter(FlankExtent::strays).count()
+    }
+
+    /// Whether one flank is fitted far less exactly than the other.
+    fn leans(&self, samples: &[TemplateSample]) -> bool {
+        let [left, right] = FLANKS.map(|flank| self.rms_px(samples, flank));
+        left.max(right) > (LEANS * left.min(right)).max(LEANS_PX)
+    }
+
+    /// Root mean square of how far the agreeing edges of a part of the outline are from the fit \[px\].
+    fn rms_px(&self, samples: &[TemplateSample], part: Part) -> f64 {
+        let edges = self.edges_along(samples, part).filter_map(|(_, px)| px);
+        let (square, count) = edges
+            .filter(|px| px.is_finite())
+            .fold((0.0, 0), |(square, count), px| (square + px * px, count + 1));
+        (square / f64::from(count.max(1))).sqrt()
     }
 
     /// By how many more edges agree than do not, of the tip and of either flank as far as it agrees.
-    fn agreeing_from_tip(&self, samples: &[TemplateSample]) -> i32 {
-        let flanks = FLANKS.into_iter().filter_map(|flank| self.extent(samples, flank));
-        let tip = self.edges_along(samples, Part::Tip).filter_map(|(_, agrees)| agrees);
-        flanks.map(|e| e.agreeing).sum::<i32>() + tip.map(balance).sum::<i32>()
+    fn agreeing_from_tip(&self, samples: &[TemplateSample], within_px: f64) -> i32 {
+        let tip = self.edges_along(samples, Part::Tip).filter_map(|(_, px)| px);
+        let flanks = self.extents(samples, within_px).map(|extent| extent.agreeing);
+        flanks.sum::<i32>() + tip.map(|px| balance(px, within_px)).sum::<i32>()
     }
 
     /// The finger's samples without those behind where a flank agrees.
     fn agreeing_samples<'a>(&self, samples: &'a [TemplateSample]) -> &'a [TemplateSample] {
-        let from =
-            |flank| self.extent(samples, flank).map_or(f64::INFINITY, |extent| extent.agrees_from);
-        let (left, right) = (from(Part::LeftFlank), from(Part::RightFlank));
+        let from = FLANKS.map(|flank| {
+            let extent = self.extent(samples, flank, f64::INFINITY);
+            extent.map_or(f64::INFINITY, |extent| extent.agrees_from)
+        });
         between(samples, |s| match s.part() {
-            Part::LeftFlank => s.along >= left,
-            Part::RightFlank => s.along >= right,
+            Part::LeftFlank => s.along >= from[0],
+            Part::RightFlank => s.along >= from[1],
             Part::Tip | Part::Thumb => true,
         })
     }
+
+    fn extents(
+        &self,
+        samples: &[TemplateSample],
+        within_px: f64,
+    ) -> impl Iterator<Item = FlankExtent> {
+        FLANKS.into_iter().filter_map(move |flank| self.extent(samples, flank, within_px))
+    }
 }
 
-/// What an edge adds to how many agree more than do not.
-fn balance(agrees: bool) -> i32 {
-    if agrees { 1 } else { -1 }
+/// What an edge so far from the fit adds to how many agree to within so much more than do not.
+fn balance(left_px: f64, within_px: f64) -> i32 {
+    if left_px < within_px { 1 } else { -1 }
 }
 
 /// A shape vector that stays what it is.

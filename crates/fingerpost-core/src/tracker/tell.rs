@@ -176,7 +176,7 @@ impl ContourTracker {
         let BandMeasure { length_px, round_end_px, .. } = self.waiting.measure;
         let (half_width_px, taper) = (x[3], x[4]);
         let stretch = |flank| {
-            let extent = self.convergence.extent(&self.samples, flank)?;
+            let extent = self.convergence.extent(&self.samples, flank, f64::INFINITY)?;
             let from = match flanks {
                 Flanks::Visible => extent.visible_from,
                 Flanks::Agreeing => extent.agrees_from,
