@@ -195,3 +195,17 @@ def test_a_bumped_camera_lets_go_of_what_it_knew(session, shift_px):
     # It will not come back: learned anew.
     session.show(60, changed=shifted(*shift_px))
     assert session.is_exact == [True, True]
+
+
+@pytest.mark.parametrize("scale", [0.6, 1.4])
+def test_a_template_of_the_wrong_length_acquires_the_finger(scale):
+    # One that is too long might take the prong for a part of a bent finger.
+    options = ExperimentOptions(
+        targets=24,
+        start_offset_px=(0.0, 0.0),
+        start_angle_deg=(0.0, 0.0),
+        start_scale=(scale, scale),
+    )
+    trials = run_experiment(options, workers=1).trials
+    assert all(len(trial.lines) == 2 for trial in trials)
+    assert np.sqrt(np.mean([trial.error**2 for trial in trials])) < KNOWN_RMS_MM

@@ -6,7 +6,8 @@
 //! when, over [`AcquireOptions::settle_frames`] accepted frames in a row, no frame changed the
 //! finger's half-width by more than [`AcquireOptions::settle_change`] of it: the hand may move
 //! meanwhile, from any place that the waiting template reaches to any other. Then it is looked at
-//! anew in its own colours, and [`Model::Paper`] deforms affinely once more and freezes the size.
+//! anew in its own colours; [`Model::Ribbon`] is shortened where it reaches beyond the finger, and
+//! [`Model::Paper`] deforms affinely once more and freezes the size.
 //!
 //! **Tracking.** Of the band model everything stays free, but what a hand cannot change is held
 //! near its acquired value by a prior, which follows slowly. The finger comes first: its thumb is
@@ -58,6 +59,7 @@ mod flanks;
 mod follow;
 mod found;
 mod hand;
+mod length;
 mod line;
 mod looks;
 mod mould;
@@ -88,9 +90,8 @@ use crate::template::{HALF_LENGTH, Template, TemplateSample};
 use crate::{Error, Result};
 use convergence::Convergence;
 use exposure::Exposure;
-use hand::{Hand, MOST_COVERED_FRAMES, Waiting};
+use hand::{Hand, MOST_COVERED_FRAMES, Remembered, Waiting};
 pub use line::{FingerLine, LineSource};
-use mould::Kind;
 use nalgebra::{Point2, Vector2};
 pub use options::{
     AcceptOptions, AcquireOptions, DynamicsOptions, Model, TrackOptions, TrackerOptions,
@@ -100,7 +101,6 @@ use reduced::{Picture, Reduction};
 use sagitta::Sagitta;
 use scene::Scene;
 use seek::Seek;
-use shape::Shape;
 use steady::Steady;
 pub use track::{Diagnostics, MAX_DOF, SearchedLine, ShapeEstimate, Track};
 use verdict::Posture;
@@ -152,6 +152,8 @@ pub struct ContourTracker {
     sagitta: Sagitta,
     worth: Worth,
     last_time_s: Option<f64>,
+    /// Whether the template waits with a length that is longer than the finger, for all that is known.
+    takes_length: bool,
     /// The light in which the hand's looks are known.
     exposure: Exposure,
     /// How much smaller than the frames the pictures are that the hand is followed in, the present
@@ -169,7 +171,7 @@ enum Phase {
     /// `missed` frames in a row without an accepted fit.
     Tracking { missed: usize },
     /// Where the hand was last, and what it showed; `settled` accepted frames in a row since.
-    Lost { last: (Shape, Kind), settled: usize },
+    Lost { last: Remembered, settled: usize },
 }
 
 /// A hand that moves as foretold stays below what counts as a surprise with this probability.
@@ -211,6 +213,7 @@ impl ContourTracker {
             shape: waiting.shape(&template),
             acquired: ribbon,
             kind: waiting.kind(&options),
+            measure,
             moulded: Vec::with_capacity(samples.len()),
             looks: None,
             taught_at_px: Vector2::zeros(),
@@ -237,6 +240,7 @@ impl ContourTracker {
             worth: Worth::default(),
             last_time_s: None,
             exposure: Exposure::new(),
+            takes_length: true,
             reduction,
             picture: Picture::default(),
             whole: DiscriminantImage::default(),
@@ -251,13 +255,14 @@ impl ContourTracker {
     /// A tracker whose hand is believed to be at `start` already, as a candidate of
     /// [`candidates`](crate::candidates) is: the first frame is fitted there at once, from the
     /// template's own width, where a template that waits would try several places, angles and
-    /// widths. When that frame shows no hand there, the template waits.
+    /// widths, and keeps its length. When that frame shows no hand there, the template waits.
     ///
     /// # Errors
     /// Those of [`new`](Self::new).
     pub fn at_hand(template: Template, start: &StartPose, options: TrackerOptions) -> Result<Self> {
         let mut tracker = Self::new(template, start, options)?;
         tracker.phase = Phase::Acquiring { settled: 1 };
+        tracker.takes_length = false;
         Ok(tracker)
     }
 
@@ -376,8 +381,8 @@ impl ContourTracker {
     #[must_use]
     pub fn contour(&self) -> Vec<PlacedSample> {
         let mut contour = Vec::with_capacity(self.samples.len());
-        let Self { hand, samples, waiting, reduction, .. } = self;
-        hand.outline(&hand.shape, samples, &waiting.measure, |_, placed| {
+        let Self { hand, samples, reduction, .. } = self;
+        hand.outline(&hand.shape, samples, |_, placed| {
             contour.push(reduction.sample(&placed));
         });
         contour

@@ -4,9 +4,9 @@
 use super::choose::Sought;
 use super::follow::misfit;
 use super::found::Found;
-use super::hand::{Look, MOST_COVERED_FRAMES};
+use super::hand::{Look, MOST_COVERED_FRAMES, Remembered};
 use super::looks::{Lead, Shaft};
-use super::mould::{Kind, Mould, STANDS_OUT};
+use super::mould::{Mould, STANDS_OUT};
 use super::options::{AcquireOptions, Model};
 use super::pace::Pace;
 use super::sagitta::Sagitta;
@@ -19,7 +19,7 @@ use super::{ContourTracker, NEAR_PX, Phase, Status};
 use crate::Result;
 use crate::dynamics::Dynamics;
 use crate::search::Scale;
-use crate::shape_space::{AffineMap, Pose, RIBBON_DOF, ShapeSpace};
+use crate::shape_space::{AffineMap, Pose, RIBBON_DOF, RibbonVector, ShapeSpace};
 use crate::template::{Limb, Part};
 use nalgebra::Vector2;
 
@@ -53,10 +53,11 @@ impl ContourTracker {
         frame: &Scene<'_>,
         time_s: f64,
         settled: usize,
-        last: (Shape, Kind),
+        last: Remembered,
     ) -> Result<Track> {
-        let (shape, kind) = last;
+        let Remembered { shape, kind, measure } = last;
         let settling = std::mem::replace(&mut self.hand.kind, kind);
+        self.hand.measure = measure;
         let reach_px = LOST_REACH * self.largeness() * self.options.track.half_length_px;
         let accept = self.options.acquire.accept;
         let Sought { found, likeness, .. } = self.find(frame, shape, reach_px, None)?;
@@ -70,6 +71,7 @@ impl ContourTracker {
             }
         }
         self.hand.kind = settling;
+        self.hand.measure = self.waiting.measure;
         self.acquire(frame, time_s, settled, Some(last))
     }
 
@@ -79,7 +81,7 @@ impl ContourTracker {
         frame: &Scene<'_>,
         time_s: f64,
         settled: usize,
-        lost: Option<(Shape, Kind)>,
+        lost: Option<Remembered>,
     ) -> Result<Track> {
         let AcquireOptions { accept, settle_frames, settle_change, .. } = self.options.acquire;
         let width_before = self.hand.shape.width();
@@ -102,6 +104,7 @@ impl ContourTracker {
             self.hand.shape = self.waiting.shape(&self.template);
             self.hand.kind = self.waiting.kind(&self.options);
         }
+        self.hand.measure = self.waiting.measure;
         if settled >= settle_frames {
             let before = self.hand.clone();
             if let Some(acquired) = self.freeze(frame, &found)? {
@@ -159,7 +162,7 @@ impl ContourTracker {
         let Some(background) = frame.background() else { return true };
         let away_px = (FREE_PART * shape.width()).max(FREE_PX);
         let mut sides = [(0.0, 0.0); 2];
-        self.hand.outline(shape, &self.samples, &self.waiting.measure, |part, placed| {
+        self.hand.outline(shape, &self.samples, |part, placed| {
             if part == Part::Thumb {
                 return;
             }
@@ -203,6 +206,10 @@ impl ContourTracker {
     /// paper's template cannot take them on, or explains them badly.
     fn freeze(&mut self, frame: &Scene<'_>, settled: &Found) -> Result<Option<Found>> {
         self.bed_in(frame, settled)?;
+        if self.takes_length && self.options.model == Model::Ribbon {
+            self.take_length(frame, settled)?;
+        }
+        let ahead_px = self.waiting.measure.round_end_px - self.hand.measure.round_end_px;
         if let Some(looks) = &mut self.hand.looks {
             looks.anchor();
         }
@@ -213,7 +220,7 @@ impl ContourTracker {
             }
             (Shape::Ribbon(x), Model::Paper) => {
                 self.hand.acquired = x;
-                let length_px = self.waiting.measure.length_px;
+                let length_px = self.hand.measure.length_px;
                 // A thumb that the image shows nearly along the finger makes no pistol; the finger
                 // does without it.
                 let with_thumb = self.hand.kind.has_thumb;
@@ -230,7 +237,7 @@ impl ContourTracker {
             (Shape::Planar(map), _) => self.affine(frame, map, NEAR_PX)?,
         };
         // A hand that stays has not slid along what is behind it.
-        let slid = frozen.shape.placement() - settled.shape.placement();
+        let slid = frozen.shape.placement() - settled.shape.ahead(ahead_px).placement();
         let length_px = self.waiting.measure.length_px;
         let most_px =
             self.options.acquire.reach_px(self.waiting.ribbon[3]).max(MOST_SLID * length_px);
@@ -267,11 +274,7 @@ impl ContourTracker {
             let finger = self.run_ribbon::<5>(frame, &turned.x, Limb::Finger, look, Some(&held))?;
             let found = Found::from(finger);
             if found.is_accepted(&self.options.acquire.accept) {
-                let slid = finger.x.fixed_rows::<2>(0) - x.fixed_rows::<2>(0);
-                let mut moved = finger.x;
-                // The thumb stays where it was.
-                moved[5] -= slid.dot(&Vector2::new(x[2].cos(), x[2].sin()));
-                self.hand.shape = Shape::Ribbon(moved);
+                self.hand.shape = Shape::Ribbon(with_thumb_of(&x, &finger.x));
                 let now = self.told_apart(frame);
                 let explained = found.explains_finger();
                 if now < STILL_TOLD * told || explained < STILL_TOLD * explained_before {
@@ -286,9 +289,9 @@ impl ContourTracker {
 
     /// How well the last search's contour tells the inside of the finger from its outside.
     pub(super) fn told_apart(&mut self, frame: &Scene<'_>) -> f64 {
-        let Self { hand, samples, waiting, convergence, .. } = self;
+        let Self { hand, samples, convergence, .. } = self;
         let shaft = match &hand.shape {
-            Shape::Ribbon(x) => Some(Shaft::of_band(x, waiting.measure.length_px)),
+            Shape::Ribbon(x) => Some(Shaft::of_band(x, hand.measure.length_px)),
             Shape::Planar(_) => None,
         };
         convergence.told_apart(
@@ -321,4 +324,12 @@ impl ContourTracker {
         self.phase = Phase::Tracking { missed: 0 };
         Ok(())
     }
+}
+
+/// A finger that was fitted alone, its thumb where that of the hand was.
+pub(super) fn with_thumb_of(hand: &RibbonVector, finger: &RibbonVector) -> RibbonVector {
+    let slid = finger.fixed_rows::<2>(0) - hand.fixed_rows::<2>(0);
+    let mut together = *finger;
+    together[5] -= slid.dot(&Vector2::new(hand[2].cos(), hand[2].sin()));
+    together
 }

@@ -184,7 +184,7 @@ impl ContourTracker {
             Some(_) => self.motion(&found, foretold)?.cost,
             None => f64::INFINITY,
         };
-        let beyond = self.goes_on_px(frame, &found.shape)? / self.waiting.measure.length_px;
+        let beyond = self.goes_on_px(frame, &found.shape)? / self.hand.measure.length_px;
         let own = self.own_share(frame, self.hand.own_within_px())? / (1.0 + beyond);
         Ok(Way { found, path, own, cost })
     }
@@ -200,7 +200,7 @@ impl ContourTracker {
     /// How far the hand goes on ahead of the tip of a finger \[px\], for all that looks tell.
     fn goes_on_px(&mut self, frame: &Scene<'_>, shape: &Shape) -> Result<f64> {
         let Shape::Ribbon(x) = shape else { return Ok(0.0) };
-        let shaft = Shaft::of_band(x, self.waiting.measure.length_px);
+        let shaft = Shaft::of_band(x, self.hand.measure.length_px);
         let sight = self.hand.sight(frame, Lead::Votes, self.options.polarity);
         let Some(looks) = sight.cue.appearance() else { return Ok(0.0) };
         let shown =
@@ -252,7 +252,7 @@ impl ContourTracker {
 
     /// The pose about another that looks most like the hand.
     fn seek(&mut self, frame: &Scene<'_>, about: Shape, reach_px: f64) -> Result<Shape> {
-        let Self { hand, samples, waiting, seek, convergence, options, .. } = self;
+        let Self { hand, samples, seek, convergence, options, .. } = self;
         let sight = hand.sight(frame, Lead::Votes, options.polarity);
         let Some(appearance) = sight.cue.appearance() else { return Ok(about) };
         let mut best = (f32::NEG_INFINITY, about);
@@ -261,7 +261,7 @@ impl ContourTracker {
             placement[2] += turn_rad;
             seek.clear(hand.acquired[3]);
             let turned = about.placed(&placement);
-            hand.outline(&turned, samples, &waiting.measure, |_, placed| seek.push(&placed));
+            hand.outline(&turned, samples, |_, placed| seek.push(&placed));
             let shown = convergence.shown_about(frame, sight.mixture, seek.pixels(), reach_px)?;
             let Judged { by_px, separation } = seek.best(&shown, appearance, reach_px);
             if separation > best.0 {

@@ -501,16 +501,18 @@ impl Convergence {
         alike(left_over)
     }
 
-    /// Offsets of the edges that the contour at `x` finds, without fitting anything.
-    pub fn offsets<S: ShapeSpace<D>, const D: usize>(
+    /// The samples of the contour at `x` that nothing hides, in order, and the offsets of the edges that
+    /// they find, without fitting anything.
+    pub fn sought<S: ShapeSpace<D>, const D: usize>(
         &mut self,
         frame: &Scene<'_>,
         space: &S,
         x: &SVector<f64, D>,
         attempt: &Attempt<'_>,
-    ) -> Result<impl Iterator<Item = f64>> {
+    ) -> Result<impl Iterator<Item = (usize, Option<f64>)>> {
         self.measure(frame, &space.pose(x), attempt, attempt.half_length_px)?;
-        Ok(self.measurements.iter().flatten().map(|edge| edge.offset_px))
+        let offsets = self.measurements.iter().map(|found| Some(found.as_ref().ok()?.offset_px));
+        Ok(self.visible.iter().copied().zip(offsets))
     }
 
     /// Searches the image along the normals of the contour as `pose` places it.

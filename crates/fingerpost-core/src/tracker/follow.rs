@@ -70,7 +70,7 @@ impl ContourTracker {
         let TrackOptions { half_length_px, accept, lose_after_frames, .. } = self.options.track;
         let from = self.hand.shape;
         let Some(foretold) = self.foretell(time_s)? else {
-            return self.recover(frame, time_s, 0, (from, self.hand.kind));
+            return self.recover(frame, time_s, 0, self.hand.remembered(from));
         };
         let expected = foretold.window.expected.vector;
         // It may as well have stopped or turned round, and the longer it is unseen the more it may.
@@ -118,7 +118,7 @@ impl ContourTracker {
         }
         let missed = missed + 1;
         let status = if missed >= lose_after_frames {
-            self.phase = Phase::Lost { last: (from, self.hand.kind), settled: 0 };
+            self.phase = Phase::Lost { last: self.hand.remembered(from), settled: 0 };
             Status::Lost
         } else {
             self.phase = Phase::Tracking { missed };
@@ -156,7 +156,7 @@ impl ContourTracker {
         let patience = self.hand.straight_frames.min(MOST_BENT_FRAMES);
         let is_over = self.hand.bent_frames > patience;
         self.phase = if is_over {
-            Phase::Lost { last: (found.shape, self.hand.kind), settled: 0 }
+            Phase::Lost { last: self.hand.remembered(found.shape), settled: 0 }
         } else {
             Phase::Tracking { missed: 0 }
         };
@@ -171,7 +171,7 @@ impl ContourTracker {
     ) -> Known<'_> {
         let Hand { acquired, .. } = &self.hand;
         let pace = if self.hand.is_known_whole() { self.pace } else { Pace::unknown() };
-        let cell = (PLACE_PART * self.waiting.measure.length_px).powi(2) * PLACE_PART;
+        let cell = (PLACE_PART * self.hand.measure.length_px).powi(2) * PLACE_PART;
         let motion = innovation.map(|i| Motion::of(i, self.surprise, pace.unlikely(i, cell)));
         let most_scatter_px = self.hand.most_scale_px();
         Known { accept: *accept, acquired, motion, most_scatter_px }

@@ -48,6 +48,8 @@ pub(super) struct Hand {
     pub(super) acquired: RibbonVector,
     /// What the acquired hand shows.
     pub(super) kind: Kind,
+    /// Where along its finger the samples stand: as far as that shows.
+    pub(super) measure: BandMeasure,
     /// The planar template moulded to this hand; unused by the band model.
     pub(super) moulded: Vec<TemplateSample>,
     /// What it looks like, once it was seen.
@@ -69,6 +71,14 @@ pub(super) struct Hand {
     pub(super) partly_frames: usize,
     /// Whether something may cover it in part, for all that is known of it.
     pub(super) is_covered: bool,
+}
+
+/// A lost hand: where it was last, and what it showed.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Remembered {
+    pub(super) shape: Shape,
+    pub(super) kind: Kind,
+    pub(super) measure: BandMeasure,
 }
 
 /// How far a convergence looks along the normals, and whether by the pixels' votes or by edges.
@@ -107,6 +117,11 @@ impl Hand {
         if self.moulded.is_empty() { samples } else { &self.moulded }
     }
 
+    /// What is kept of it where it is lost in this shape.
+    pub(super) fn remembered(&self, shape: Shape) -> Remembered {
+        Remembered { shape, kind: self.kind, measure: self.measure }
+    }
+
     /// Lets the dimensions that a hand cannot change follow slowly: it may come nearer.
     pub(super) fn grow(&mut self) {
         if let Shape::Ribbon(x) = self.shape {
@@ -137,7 +152,6 @@ impl Hand {
         &self,
         shape: &Shape,
         samples: &[TemplateSample],
-        measure: &BandMeasure,
         mut each: impl FnMut(Part, PlacedSample),
     ) {
         match shape {
@@ -145,7 +159,7 @@ impl Hand {
                 self.planar(samples).iter().for_each(|s| each(s.part(), map.place(s)));
             }
             Shape::Ribbon(x) => {
-                let measure = measure.with_thumb(self.kind.has_thumb);
+                let measure = self.measure.with_thumb(self.kind.has_thumb);
                 if let Ok(space) = Ribbon::<RIBBON_DOF>::about(x, &measure) {
                     let pose = space.pose(x);
                     let placed = self.bands(samples).iter().map(|s| (s, pose.place(s)));

@@ -22,6 +22,8 @@ const STEP_WIDTHS: f64 = 1.0 / 8.0;
 const LEAST_STEP_PX: f64 = 1.0;
 const PLACES: usize = 5;
 const ACROSS: f64 = 0.6;
+/// What is beside a flank is looked at so far from the edge's own pixels \[half-widths\].
+const BESIDE: [f64; 3] = [0.2, 0.4, 0.6];
 /// A stretch of it that counts: so many steps.
 const STRETCH: usize = 3;
 /// What lies ahead of its tip is looked at this far \[half-widths\].
@@ -109,14 +111,46 @@ impl Shaft {
 
     /// The mean vote there.
     fn vote(&self, frame: &Frame<'_>, looks: &Appearance, ahead_px: f64) -> f64 {
-        let votes =
-            self.across(ahead_px).map(|place| f64::from(looks.vote(frame, place.x, place.y)));
-        votes.sum::<f64>() / PLACES as f64
+        mean_vote(frame, looks, self.across(ahead_px))
     }
 
     /// Where what lies ahead of it is looked at.
     pub fn places_ahead(&self) -> impl Iterator<Item = Point2<f64>> {
         [self.half_width_px, self.length_px].into_iter().flat_map(|ahead_px| self.across(ahead_px))
+    }
+
+    /// How far back from its tip a finger shows, on its right and on its left \[px\]: hand between its
+    /// flanks and none beside them, at most as far as it is long. Behind its knuckle is no hand, or more
+    /// of it on either side.
+    pub fn shows_px(&self, frame: &Frame<'_>, looks: &Appearance) -> [f64; 2] {
+        [1.0, -1.0].map(|side| {
+            let (mut sum, mut best, mut end_px) = (0.0, 0.0, 0.0);
+            for back_px in self.steps(self.half_width_px, self.length_px) {
+                let beside = mean_vote(frame, looks, self.beside(-back_px, side));
+                // No place says more than another: what is told is how many of them are a finger's.
+                sum += self.vote(frame, looks, -back_px).min(-beside).clamp(-1.0, 1.0);
+                if sum > best {
+                    (best, end_px) = (sum, back_px);
+                }
+            }
+            end_px
+        })
+    }
+
+    /// Places beside a flank, so far ahead of the tip.
+    fn beside(&self, ahead_px: f64, side: f64) -> impl Iterator<Item = Point2<f64>> + use<> {
+        let Self { axis, half_width_px, .. } = *self;
+        BESIDE.into_iter().map(move |out| {
+            let across_px = half_width_px * (1.0 + out) + EDGE_PX;
+            axis.tip + axis.direction() * ahead_px + axis.normal() * (side * across_px)
+        })
+    }
+
+    /// The corners of where it is looked at, and beside.
+    pub fn corners(&self) -> impl Iterator<Item = Point2<f64>> {
+        [self.half_width_px, -self.length_px]
+            .into_iter()
+            .flat_map(|ahead_px| self.beside(ahead_px, 1.0).chain(self.beside(ahead_px, -1.0)))
     }
 
     /// How far ahead of its tip the hand goes on \[px\], beyond what may lie across it: to the end of
@@ -131,6 +165,20 @@ impl Shaft {
         }
         if best >= LIKE_HAND * self.half_width_px { end_px } else { 0.0 }
     }
+}
+
+/// How places vote on average.
+fn mean_vote(
+    frame: &Frame<'_>,
+    looks: &Appearance,
+    places: impl Iterator<Item = Point2<f64>>,
+) -> f64 {
+    let (mut sum, mut count) = (0.0, 0.0);
+    for place in places {
+        sum += f64::from(looks.vote(frame, place.x, place.y));
+        count += 1.0;
+    }
+    sum / count
 }
 
 /// The looks of one hand.

@@ -514,7 +514,7 @@ impl Mould<'_> {
         let samples = thumb_samples(self.samples);
         let sight = Sight::unknown(polarity);
         let attempt = attempt(samples, sight, reach_px);
-        let offsets = convergence.offsets(frame, &space, x, &attempt)?;
+        let offsets = convergence.sought(frame, &space, x, &attempt)?.filter_map(|(_, px)| px);
         Ok(offsets.map(|d| (1000.0 * (1.0 - (d / reach_px).abs()).max(0.0)) as u64).sum())
     }
 

@@ -196,7 +196,7 @@ impl ContourTracker {
     }
 
     pub(super) fn ribbon<const D: usize>(&self, about: &RibbonVector) -> Result<Ribbon<D>> {
-        Ribbon::about(about, &self.waiting.measure.with_thumb(self.hand.kind.has_thumb))
+        Ribbon::about(about, &self.hand.measure.with_thumb(self.hand.kind.has_thumb))
     }
 
     /// How wide a finger is that something may cover in part; None of one that nothing does.
@@ -215,7 +215,7 @@ impl ContourTracker {
     /// thumb is near where it was in the last frame.
     pub(super) fn held<const D: usize>(&self, last: &RibbonVector, slack: f64) -> Prior<D> {
         let acquired = &self.hand.acquired;
-        let thumb_px = HELD_THUMB_SIGMA * self.waiting.measure.length_px;
+        let thumb_px = HELD_THUMB_SIGMA * self.hand.measure.length_px;
         let held = [
             (0.0, f64::INFINITY),
             (0.0, f64::INFINITY),

@@ -63,7 +63,7 @@ impl ContourTracker {
         let finger_line = self.line_of(found, refined.as_ref());
         let finger_line = match self.hand.shape {
             Shape::Ribbon(x) if self.options.refine => finger_line.map(|line| {
-                let length_px = self.waiting.measure.length_px;
+                let length_px = self.hand.measure.length_px;
                 let shown = Shown { half_width_px: x[3], taper: x[4], length_px };
                 let line = self.sagitta.told(line, x[3]);
                 let line = self.steady.follow(frame.image(), time_s, line, &shown);
@@ -173,7 +173,7 @@ impl ContourTracker {
 
     /// The finger that the band template stands for, by so much of both its flanks.
     fn finger(&self, x: &RibbonVector, found: &Found, flanks: Flanks) -> Result<Option<Finger>> {
-        let BandMeasure { length_px, round_end_px, .. } = self.waiting.measure;
+        let BandMeasure { length_px, round_end_px, .. } = self.hand.measure;
         let (half_width_px, taper) = (x[3], x[4]);
         let stretch = |flank| {
             let extent = self.convergence.extent(&self.samples, flank, f64::INFINITY)?;
