@@ -23,20 +23,28 @@ pub(super) fn alike(residuals: &[(Part, f64)]) -> f64 {
     if square <= 0.0 {
         return 1.0;
     }
-    let farthest = (WITHIN * residuals.len() as f64).round() as usize;
-    // Neighbour by neighbour of each, so that the sums need not wait for each other; the window's
-    // heights are in units of the last one.
-    let shared: f64 = residuals
-        .iter()
-        .enumerate()
-        .map(|(i, (part, residual))| {
-            let ahead = residuals[i + 1..].iter().zip((1..=farthest).rev());
-            let same = ahead.filter(|((other, _), _)| other == part);
-            residual * same.map(|((_, other), height)| other * height as f64).sum::<f64>()
-        })
-        .sum();
-    let shared = shared / (farthest + 1) as f64;
-    (1.0 + 2.0 * shared / square).max(1.0)
+    let window = (WITHIN * residuals.len() as f64).round() as usize + 1;
+    // Two residuals are together in the more of the windows, the nearer they are: the triangle.
+    let parts = residuals.chunk_by(|(part, _), (next, _)| part == next);
+    let together: f64 = parts.map(|part| squared_sums(part, window)).sum();
+    (together / (window as f64 * square)).max(1.0)
+}
+
+/// Squares of the sums of so many neighbours, over all places that such a window may have; what it
+/// covers beyond the ends is nothing.
+fn squared_sums(part: &[(Part, f64)], window: usize) -> f64 {
+    let mut sum = 0.0;
+    let mut squares = 0.0;
+    let mut slide = |step: f64| {
+        sum += step;
+        squares += sum * sum;
+    };
+    let within = window.min(part.len());
+    part[..within].iter().for_each(|(_, last)| slide(*last));
+    (within..window).for_each(|_| slide(0.0));
+    part.iter().zip(&part[within..]).for_each(|((_, first), (_, last))| slide(last - first));
+    part[part.len() - within..].iter().for_each(|(_, first)| slide(-first));
+    squares
 }
 
 #[cfg(test)]
