@@ -14,6 +14,7 @@
 )]
 
 use crate::frame::{Frame, SidedPixel};
+use crate::image::GrayView;
 use crate::logarithm::ln;
 use crate::simd::{Isa, Work};
 use nalgebra::{Point2, Vector2};
@@ -21,8 +22,9 @@ use std::array::from_fn;
 
 /// Bins per colour channel: 16 grey levels wide.
 const COLOUR_BINS: usize = 16;
-/// Bins of a grey histogram: 4 grey levels wide.
-const GRAY_BINS: usize = 64;
+/// Bins of a grey histogram: 4 grey levels wide, a power of two.
+const GRAY_BINS: usize = 256 >> GRAY_BIN_BITS;
+pub(crate) const GRAY_BIN_BITS: u32 = 2;
 /// A vote counts for no more than this: a colour never seen on one side proves little.
 const MAX_VOTE: f32 = 3.0;
 /// Every bin starts with this part of an even distribution.
@@ -150,28 +152,38 @@ impl Appearance {
 
     /// Counts pixels, all that lie in the frame, `times` times each.
     pub(crate) fn observe_all(&mut self, frame: &Frame<'_>, pixels: &[SidedPixel], times: f64) {
+        if !self.coloured {
+            return self.observe_grey(frame.image(), pixels, times);
+        }
+        let Some(colours) = frame.colour() else { return };
         let mut counts = [0_u32; 2];
         let once = times as f32;
-        let mut count = |bin: Option<usize>, is_hand: bool| {
+        for &SidedPixel { x, y, is_hand } in pixels {
             let side = if is_hand { &mut self.hand } else { &mut self.background };
+            let bin = colours.pixel(x as usize, y as usize).map(colour_bin);
             if let Some(seen) = bin.and_then(|bin| side.bins.get_mut(bin)) {
                 *seen += once;
                 counts[usize::from(is_hand)] += 1;
             }
-        };
-        if self.coloured {
-            let Some(colours) = frame.colour() else { return };
-            for &SidedPixel { x, y, is_hand } in pixels {
-                count(colours.pixel(x as usize, y as usize).map(colour_bin), is_hand);
-            }
-        } else {
-            let image = frame.image();
-            for &SidedPixel { x, y, is_hand } in pixels {
-                count(image.pixel(x as usize, y as usize).map(grey_bin), is_hand);
-            }
         }
         self.background.total += times * f64::from(counts[0]);
         self.hand.total += times * f64::from(counts[1]);
+    }
+
+    /// The same of grey levels, whose bins are so few that they are counted apart first.
+    fn observe_grey(&mut self, image: &GrayView<'_>, pixels: &[SidedPixel], times: f64) {
+        let mut counts = [[0_u32; GRAY_BINS]; 2];
+        for &SidedPixel { x, y, is_hand } in pixels {
+            if let Some(grey) = image.pixel(x as usize, y as usize) {
+                counts[usize::from(is_hand)][grey_bin(grey)] += 1;
+            }
+        }
+        for (side, counts) in [&mut self.background, &mut self.hand].into_iter().zip(&counts) {
+            for (seen, &count) in side.bins.iter_mut().zip(counts) {
+                *seen += (times * f64::from(count)) as f32;
+            }
+            side.total += times * f64::from(counts.iter().sum::<u32>());
+        }
     }
 
     /// Works the votes out anew from the histograms, each smoothed by (1 2 1)/4 along every axis.
@@ -262,7 +274,7 @@ fn colour_bin(colour: [u8; 3]) -> usize {
 }
 
 fn grey_bin(grey: u8) -> usize {
-    usize::from(grey) >> 2
+    usize::from(grey >> GRAY_BIN_BITS)
 }
 
 /// The pixels that vote, and how.
