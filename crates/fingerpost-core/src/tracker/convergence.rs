@@ -23,6 +23,9 @@ use nalgebra::{Matrix2, Point2, SMatrix, SVector, Vector3};
 const CONVERGED_PX: f64 = 0.05;
 const THUMB_RESTS_PX: f64 = 0.1;
 const TAKEN_OVER_PX: f64 = 1.0;
+/// Where another shape space takes over, which looks at all samples, one in so many is enough to bring
+/// it near.
+const TAKEN_OVER_SAMPLES: usize = 2;
 /// What the search lines shrink by once a step stays well inside them, and how short they get.
 const SHRINK: f64 = 0.7;
 pub(super) const MIN_HALF_LENGTH_PX: f64 = 5.0;
@@ -78,6 +81,11 @@ impl Rest {
             Self::TakenOver => TAKEN_OVER_PX,
             Self::Thumb => THUMB_RESTS_PX,
         }
+    }
+
+    /// One sample in so many takes part.
+    fn samples(self) -> usize {
+        if self == Self::TakenOver { TAKEN_OVER_SAMPLES } else { 1 }
     }
 }
 
@@ -525,7 +533,7 @@ impl Convergence {
     ) -> Result<()> {
         self.visible.clear();
         self.lines.clear();
-        for (i, sample) in attempt.samples.iter().enumerate() {
+        for (i, sample) in attempt.samples.iter().enumerate().step_by(attempt.rest.samples()) {
             let placed = pose.place(sample);
             if !pose.is_hidden(sample, &placed) {
                 self.visible.push(i);
