@@ -62,15 +62,16 @@ impl Exposure {
         };
         // Whether the median tells a change is counted; only then is it looked for.
         let (mut count, mut brighter, mut darker) = (0, 0, 0);
-        for (&then, &now) in told() {
+        for (&then, &now) in self.grid.iter().zip(&self.now) {
+            let tells = LEVELS.contains(&then) & LEVELS.contains(&now);
             let (then, now) = (f32::from(then), f32::from(now));
-            count += 1;
-            brighter += usize::from(now >= BRIGHTER * then);
-            darker += usize::from(now <= then / BRIGHTER);
+            count += u32::from(tells);
+            brighter += u32::from(tells) * u32::from(now >= BRIGHTER * then);
+            darker += u32::from(tells) * u32::from(now <= then / BRIGHTER);
         }
         // Of an even number the upper one of the two in the middle is meant.
         let is_changed = 2 * brighter >= count || 2 * darker > count;
-        if !is_changed || (count as f64) < ENOUGH * (columns * rows) as f64 {
+        if !is_changed || f64::from(count) < ENOUGH * (columns * rows) as f64 {
             return None;
         }
         self.ratios.clear();
