@@ -23,9 +23,6 @@ use nalgebra::{Matrix2, Point2, SMatrix, SVector, Vector3};
 const CONVERGED_PX: f64 = 0.05;
 const THUMB_RESTS_PX: f64 = 0.1;
 const TAKEN_OVER_PX: f64 = 1.0;
-/// Where another shape space takes over, which looks at all samples, one in so many is enough to bring
-/// it near.
-const TAKEN_OVER_SAMPLES: usize = 2;
 /// What the search lines shrink by once a step stays well inside them, and how short they get.
 const SHRINK: f64 = 0.7;
 pub(super) const MIN_HALF_LENGTH_PX: f64 = 5.0;
@@ -46,8 +43,9 @@ const BESIDES_PX: f64 = 1.0;
 /// How one convergence searches.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Attempt<'a> {
-    /// The samples that take part.
+    /// The samples that take part: every one, or one in so many.
     pub samples: &'a [TemplateSample],
+    pub every: usize,
     /// What the search lines look for, and in which image.
     pub sight: Sight<'a>,
     pub scale: Scale,
@@ -81,11 +79,6 @@ impl Rest {
             Self::TakenOver => TAKEN_OVER_PX,
             Self::Thumb => THUMB_RESTS_PX,
         }
-    }
-
-    /// One sample in so many takes part.
-    fn samples(self) -> usize {
-        if self == Self::TakenOver { TAKEN_OVER_SAMPLES } else { 1 }
     }
 }
 
@@ -533,7 +526,7 @@ impl Convergence {
     ) -> Result<()> {
         self.visible.clear();
         self.lines.clear();
-        for (i, sample) in attempt.samples.iter().enumerate().step_by(attempt.rest.samples()) {
+        for (i, sample) in attempt.samples.iter().enumerate().step_by(attempt.every) {
             let placed = pose.place(sample);
             if !pose.is_hidden(sample, &placed) {
                 self.visible.push(i);

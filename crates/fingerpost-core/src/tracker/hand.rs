@@ -89,6 +89,8 @@ pub(super) struct Look {
     pub(super) scale: Scale,
     pub(super) window: Option<Window>,
     pub(super) rest: Rest,
+    /// One sample in so many takes part.
+    pub(super) every: usize,
     pub(super) own_only: bool,
 }
 
@@ -186,10 +188,20 @@ impl Hand {
         look: Look,
         polarity: Polarity,
     ) -> Attempt<'a> {
-        let Look { half_length_px, scale, lead, window, rest, own_only } = look;
+        let Look { half_length_px, scale, lead, window, rest, every, own_only } = look;
         let sight = self.sight(frame, lead, polarity);
         let most_scale_px = if own_only { self.most_scale_px() } else { f64::INFINITY };
-        Attempt { samples, sight, scale, half_length_px, window, rest, own_only, most_scale_px }
+        Attempt {
+            samples,
+            every,
+            sight,
+            scale,
+            half_length_px,
+            window,
+            rest,
+            own_only,
+            most_scale_px,
+        }
     }
 
     /// Whether it was seen whole of late: what never was may be none, and moves as it likes.
@@ -279,6 +291,7 @@ impl Look {
             scale: Scale::Fine,
             window: None,
             rest: Rest::Told,
+            every: 1,
             own_only: false,
         }
     }

@@ -558,6 +558,7 @@ fn attempt<'a>(
         half_length_px,
         window: None,
         rest: Rest::Told,
+        every: 1,
         own_only: false,
         most_scale_px: f64::INFINITY,
     }

@@ -29,6 +29,9 @@ const HELD_THUMB_SIGMA: f64 = 0.1;
 /// part of it is explained.
 const THUMB_CHANGE: f64 = 1.7;
 const THUMB_SEEN: f64 = 0.4;
+/// Before all samples tell the shear of the paper's template, one in so many is enough to place and turn
+/// it. Bands get a width of their own by theirs, and would miss one frame in thirty of a fast hand.
+const ENOUGH_TO_TURN: usize = 2;
 /// While the thumb is fitted, the finger stays within this of where it is \[px, rad, 1\].
 const PINNED_SIGMA: f64 = 1e-4;
 
@@ -54,7 +57,8 @@ impl ContourTracker {
         let before_others = Look { rest: Rest::TakenOver, ..first };
         Ok(match from {
             Shape::Planar(map) if self.shows_shear() => {
-                let turned = self.planar::<Rigid, 3>(frame, map, before_others)?;
+                let near = Look { every: ENOUGH_TO_TURN, ..before_others };
+                let turned = self.planar::<Rigid, 3>(frame, map, near)?;
                 self.planar::<RigidShear, 4>(frame, turned.shape, look)?.into()
             }
             Shape::Planar(map) => self.planar::<Rigid, 3>(frame, map, first)?.into(),
