@@ -169,6 +169,42 @@ fn a_known_motion_is_followed() {
     }
 }
 
+/// The longest of the last search's lines \[px\].
+fn longest_px(tracker: &ContourTracker) -> f64 {
+    tracker.search_lines().map(|s| s.line.half_length_px).fold(0.0, f64::max)
+}
+
+#[test]
+fn a_hand_in_its_place_is_searched_no_further_than_its_edges_and_a_thumb_that_leans_is() {
+    let (mut tracker, mut noise) = (tracker(Model::Paper, Thumb::Right), Noise::new(0x6c65_616e));
+    let mut hand = held_up(Thumb::Right);
+    let mut time_s = acquire(&mut tracker, &hand, &mut noise);
+    for _ in 0..8 {
+        let track = update(&mut tracker, &picture(&hand, &mut noise), time_s);
+        assert_eq!((track.status, longest_px(&tracker)), (Status::Tracking, 5.0));
+        time_s += FRAME_S;
+    }
+    // The thumb's end goes to and fro by 8 px at once, the finger stays.
+    let thumb_rad = hand.thumb.as_ref().unwrap().angle_rad;
+    let mut shears_px = [0.0; 2];
+    for k in 0..6 {
+        let leans = (k + 1) % 2;
+        hand.thumb.as_mut().unwrap().angle_rad = thumb_rad + 0.25 * leans as f64;
+        let track = update(&mut tracker, &picture(&hand, &mut noise), time_s);
+        let error = LineError::of(&track.finger_line.unwrap(), &hand);
+        assert!(error.offset_px.abs() < 0.2 && error.angle_rad.abs() < 0.01, "{k}: {error:?}");
+        assert!(track.diagnostics.agreement > 0.8, "{k}: {:?}", track.diagnostics);
+        let shear_px = track.shape.unwrap().vector[3];
+        assert!(
+            k < 2 || (shear_px - shears_px[leans]).abs() < 0.5,
+            "{k}: {shear_px} {shears_px:?}"
+        );
+        shears_px[leans] = shear_px;
+        time_s += FRAME_S;
+    }
+    assert!(shears_px[0] - shears_px[1] > 14.0, "{shears_px:?}");
+}
+
 #[test]
 fn the_covariance_of_a_hand_at_rest_is_honest() {
     // Nothing changes but the noise: every frame's line has to be as far off as it says.

@@ -1,5 +1,6 @@
 //! Gauss–Newton in one shape space: measure, linearise, solve, move, until nothing moves.
 
+use super::hand::SURE;
 use super::looks::{Lead, Looks, Shaft, Sight, Silhouette};
 use super::neighbours::alike;
 use super::options::{AcceptOptions, TrackerOptions};
@@ -51,6 +52,9 @@ pub(super) struct Attempt<'a> {
     pub scale: Scale,
     /// The longest search line.
     pub half_length_px: f64,
+    /// No edge is expected further away than this \[px\]: lines need be no longer, and the fit takes
+    /// those that they find as it would take them on longer ones.
+    pub edges_within_px: f64,
     /// What shortens the lines further, if the hand's motion is known.
     pub window: Option<Window>,
     pub rest: Rest,
@@ -120,11 +124,14 @@ pub(super) struct Converged<const D: usize> {
     /// The last fit, if it was determined.
     pub fit: Option<Fit>,
     pub iterations: usize,
+    /// No edge that was found is further from here than this, for a stage that takes over \[px\];
+    /// infinite where too few were found to tell, or it did not come to rest.
+    pub edges_within_px: f64,
 }
 
 impl<const D: usize> Converged<D> {
     pub fn at(x: SVector<f64, D>) -> Self {
-        Self { x, fit: None, iterations: 0 }
+        Self { x, fit: None, iterations: 0, edges_within_px: f64::INFINITY }
     }
 
     /// The part of the finger's visible samples that the fit explains, 0–1; nothing without a fit.
@@ -459,7 +466,8 @@ impl Convergence {
         while at.iterations < self.max_iterations {
             at.iterations += 1;
             let pose = space.pose(&at.x);
-            self.measure(frame, &pose, attempt, half_length_px)?;
+            let searched_px = half_length_px.min(attempt.edges_within_px);
+            self.measure(frame, &pose, attempt, searched_px)?;
             let prior = believed.map(|b| Prior { mean: b.mean - at.x, information: b.information });
             let samples = self.visible.iter().map(|&i| &attempt.samples[i]);
             let measured = samples.zip(&self.lines).zip(&self.measurements);
@@ -475,6 +483,7 @@ impl Convergence {
             at.x += fit.step;
             last = Some(fit);
             if moved_px < attempt.rest.px() {
+                at.edges_within_px = self.edges_within_px(moved_px);
                 break;
             }
             if moved_px < half_length_px / 2.0 {
@@ -489,6 +498,17 @@ impl Convergence {
             at.fit = last.map(|fit| self.summarise(space, &at.x, &fit, attempt));
         }
         Ok(at)
+    }
+
+    /// No edge that the last search found is further than this from its solution, whose step moved the
+    /// contour so far; infinite where so many lines found none that theirs may be beyond them.
+    fn edges_within_px(&self, moved_px: f64) -> f64 {
+        let residuals = self.fitter.residuals();
+        if (residuals.len() as f64) < SURE * self.lines.len() as f64 {
+            return f64::INFINITY;
+        }
+        let furthest_px = residuals.iter().fold(0.0, |px: f64, r| px.max(r.abs()));
+        (furthest_px + LEFT * moved_px).max(MIN_HALF_LENGTH_PX)
     }
 
     /// As how many edge measurements that are independent the last ones count once.

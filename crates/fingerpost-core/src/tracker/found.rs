@@ -11,6 +11,8 @@ pub(super) struct Found<T = Shape> {
     pub(super) shape: T,
     pub(super) fit: Option<Fit>,
     pub(super) iterations: usize,
+    /// As [`Converged::edges_within_px`].
+    pub(super) edges_within_px: f64,
 }
 
 impl Found {
@@ -45,15 +47,16 @@ impl<T> Found<T> {
 
 impl From<Found<AffineMap>> for Found {
     fn from(found: Found<AffineMap>) -> Self {
-        let Found { shape, fit, iterations } = found;
-        Self { shape: Shape::Planar(shape), fit, iterations }
+        let Found { shape, fit, iterations, edges_within_px } = found;
+        Self { shape: Shape::Planar(shape), fit, iterations, edges_within_px }
     }
 }
 
 impl From<Converged<RIBBON_DOF>> for Found {
     fn from(found: Converged<RIBBON_DOF>) -> Self {
-        let Converged { x, fit, iterations } = found;
+        let Converged { x, fit, iterations, edges_within_px } = found;
         // A band that is turned inside out is no finger.
-        Self { shape: Shape::Ribbon(x), fit: fit.filter(|_| x[3] > 0.0), iterations }
+        let fit = fit.filter(|_| x[3] > 0.0);
+        Self { shape: Shape::Ribbon(x), fit, iterations, edges_within_px }
     }
 }

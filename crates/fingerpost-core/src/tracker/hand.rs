@@ -85,6 +85,8 @@ pub(super) struct Remembered {
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Look {
     pub(super) half_length_px: f64,
+    /// As [`Attempt::edges_within_px`].
+    pub(super) edges_within_px: f64,
     pub(super) lead: Lead,
     pub(super) scale: Scale,
     pub(super) window: Option<Window>,
@@ -188,7 +190,8 @@ impl Hand {
         look: Look,
         polarity: Polarity,
     ) -> Attempt<'a> {
-        let Look { half_length_px, scale, lead, window, rest, every, own_only } = look;
+        let Look { half_length_px, edges_within_px, scale, lead, window, rest, every, own_only } =
+            look;
         let sight = self.sight(frame, lead, polarity);
         let most_scale_px = if own_only { self.most_scale_px() } else { f64::INFINITY };
         Attempt {
@@ -197,6 +200,7 @@ impl Hand {
             sight,
             scale,
             half_length_px,
+            edges_within_px,
             window,
             rest,
             own_only,
@@ -287,6 +291,7 @@ impl Look {
     pub(super) fn edges(half_length_px: f64) -> Self {
         Self {
             half_length_px,
+            edges_within_px: f64::INFINITY,
             lead: Lead::HandEdges,
             scale: Scale::Fine,
             window: None,

@@ -454,7 +454,8 @@ impl Mould<'_> {
         let prior = (D > 3).then(|| self.belief::<D>(believed));
         let start = Ribbon::<D>::free(x);
         let found = convergence.run_bands(frame, &space, start, &attempt, prior.as_ref())?;
-        Ok(Converged { x: space.full(&found.x), fit: found.fit, iterations: found.iterations })
+        let Converged { x, fit, iterations, edges_within_px } = found;
+        Ok(Converged { x: space.full(&x), fit, iterations, edges_within_px })
     }
 
     /// The thumb of a finger that was found: the grid's best, fitted with the finger.
@@ -556,6 +557,7 @@ fn attempt<'a>(
         sight,
         scale: Scale::Fine,
         half_length_px,
+        edges_within_px: f64::INFINITY,
         window: None,
         rest: Rest::Told,
         every: 1,

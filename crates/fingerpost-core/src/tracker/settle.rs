@@ -59,7 +59,9 @@ impl ContourTracker {
             Shape::Planar(map) if self.shows_shear() => {
                 let near = Look { every: ENOUGH_TO_TURN, ..before_others };
                 let turned = self.planar::<Rigid, 3>(frame, map, near)?;
-                self.planar::<RigidShear, 4>(frame, turned.shape, look)?.into()
+                // Bands search all of their lines: cut short, their point was worse on grey footage.
+                let within = Look { edges_within_px: turned.edges_within_px, ..look };
+                self.planar::<RigidShear, 4>(frame, turned.shape, within)?.into()
             }
             Shape::Planar(map) => self.planar::<Rigid, 3>(frame, map, first)?.into(),
             Shape::Ribbon(x) => {
@@ -110,7 +112,12 @@ impl ContourTracker {
         look: Look,
     ) -> Result<Found<AffineMap>> {
         let Ok((space, x)) = S::through(&from) else {
-            return Ok(Found { shape: from, fit: None, iterations: 0 });
+            return Ok(Found {
+                shape: from,
+                fit: None,
+                iterations: 0,
+                edges_within_px: f64::INFINITY,
+            });
         };
         let samples = self.hand.planar(&self.samples);
         let attempt = self.hand.attempt(samples, frame, look, self.options.polarity);
@@ -121,6 +128,7 @@ impl ContourTracker {
             shape: if sound { map } else { from },
             fit: found.fit.filter(|_| sound),
             iterations: found.iterations,
+            edges_within_px: found.edges_within_px,
         })
     }
 
@@ -164,6 +172,7 @@ impl ContourTracker {
             x: shape.vector,
             fit: Some(Fit { shape, rank: with_thumb.rank, seen: with_thumb.seen, ..*fit }),
             iterations,
+            ..whole
         })
     }
 
@@ -196,7 +205,8 @@ impl ContourTracker {
         let attempt = self.hand.attempt(samples, frame, look, self.options.polarity);
         let x = Ribbon::<D>::free(from);
         let found = self.convergence.run_bands(frame, &space, x, &attempt, held)?;
-        Ok(Converged { x: space.full(&found.x), fit: found.fit, iterations: found.iterations })
+        let Converged { x, fit, iterations, edges_within_px } = found;
+        Ok(Converged { x: space.full(&x), fit, iterations, edges_within_px })
     }
 
     pub(super) fn ribbon<const D: usize>(&self, about: &RibbonVector) -> Result<Ribbon<D>> {
