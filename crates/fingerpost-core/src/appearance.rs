@@ -22,9 +22,8 @@ use std::array::from_fn;
 
 /// Bins per colour channel: 16 grey levels wide.
 const COLOUR_BINS: usize = 16;
-/// Bins of a grey histogram: 4 grey levels wide, a power of two.
-const GRAY_BINS: usize = 256 >> GRAY_BIN_BITS;
-pub(crate) const GRAY_BIN_BITS: u32 = 2;
+/// Bins of a grey histogram: 4 grey levels wide.
+const GRAY_BINS: usize = 64;
 /// A vote counts for no more than this: a colour never seen on one side proves little.
 const MAX_VOTE: f32 = 3.0;
 /// Every bin starts with this part of an even distribution.
@@ -274,7 +273,7 @@ fn colour_bin(colour: [u8; 3]) -> usize {
 }
 
 fn grey_bin(grey: u8) -> usize {
-    usize::from(grey >> GRAY_BIN_BITS)
+    usize::from(grey) >> 2
 }
 
 /// The pixels that vote, and how.

@@ -69,8 +69,7 @@ impl Default for SearchOptions {
 pub enum Cue<'a> {
     /// The strongest edge.
     Edges,
-    /// The edge that best separates the hand from what is behind it. Where grey levels vote, they are
-    /// those between pixels in which edges are found; colours are those of the nearest pixels.
+    /// The edge that best separates the hand from what is behind it.
     HandEdges(&'a Appearance),
     /// The place where the pixels' votes change sides, edge or none: coarse, but the same from any
     /// distance and under any motion blur.

@@ -329,25 +329,6 @@ fn the_hand_s_edge_is_told_from_stronger_ones() {
     }
 }
 
-/// Edges are found between pixels, and what is on either side of them is looked at there as well: rows
-/// of two levels that were never seen look like their mean in the middle, which was.
-#[test]
-fn grey_levels_vote_as_they_are_between_pixels() {
-    let scene = |behind: [u8; 2]| -> Vec<u8> {
-        let level = |i: usize| if i % 64 <= 33 { 150 } else { behind[i / 64 % 2] };
-        (0..64 * 64).map(level).collect()
-    };
-    let (flat, rows) = (scene([60; 2]), scene([40, 80]));
-    let view = |pixels| GrayView::new(pixels, 64, 64, 64).unwrap();
-    let appearance = learned(&view(&flat).into(), |x, _| x <= 33);
-    let lines: Vec<_> =
-        (8..56).map(|y| line(Point2::new(32.0, f64::from(y) + 0.5), Vector2::x())).collect();
-    let cue = Cue::HandEdges(&appearance);
-    for edge in search_all(options(), view(&rows), cue, Scale::Fine, &lines) {
-        assert!(edge.unwrap().separation.unwrap() > 5.0, "{edge:?}");
-    }
-}
-
 #[test]
 fn votes_need_no_edge() {
     // A smear of 30 px between hand and background: no kernel sees a step in it.

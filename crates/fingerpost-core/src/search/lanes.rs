@@ -16,15 +16,13 @@
 )]
 
 use super::{Miss, Polarity};
-use crate::appearance::{Ballot, GRAY_BIN_BITS, VOTE_UNIT, Voters, Votes};
+use crate::appearance::{Ballot, VOTE_UNIT, Voters, Votes};
 use crate::image::GrayView;
 use crate::logarithm::ln;
 use crate::simd::{Layout, Places, each};
 
 /// The answer's and the samples' unit is a grey level over this.
 pub(super) const ANSWER_UNIT: f64 = 128.0;
-/// A bin of grey levels in the samples' unit, as a power of two.
-const SAMPLE_BIN_BITS: u32 = 7 + GRAY_BIN_BITS;
 /// One pixel in fixed point, as a power of two.
 const PIXEL_BITS: u32 = 16;
 /// Half a step of the interpolation across and down: rounds a coordinate to its nearest step.
@@ -201,13 +199,13 @@ impl<const N: usize> Lanes<N> {
             Voters::Gray(bytes, stride) => {
                 self.locate(stride, 1, HALF_PIXEL);
                 self.places.read_words(bytes);
-                self.cast_votes(ballot.votes, |word| (word & 0xff) >> GRAY_BIN_BITS);
+                self.sum_up(ballot.votes, |word| (word & 0xff) >> 2);
             }
             Voters::Colour(bytes, stride) => {
                 self.locate(stride, 3, HALF_PIXEL);
                 self.places.read_words(bytes);
                 // The upper halves of three bytes, the first one's in front.
-                self.cast_votes(ballot.votes, |word| {
+                self.sum_up(ballot.votes, |word| {
                     ((word & 0xf0) << 4) | ((word >> 8) & 0xf0) | ((word >> 20) & 0xf)
                 });
             }
@@ -319,10 +317,7 @@ impl<const N: usize> Lanes<N> {
         strength: impl Fn(i16) -> i16 + Copy,
     ) {
         if let Some((ballot, scoring)) = ballot {
-            match ballot.pixels {
-                Voters::Gray(..) => self.count_grey_votes(ballot.votes),
-                _ => self.count_votes(ballot),
-            }
+            self.count_votes(ballot);
             self.best_separated(kernel, *scoring, strength);
         } else {
             self.strongest(kernel.least, strength);
@@ -383,21 +378,9 @@ impl<const N: usize> Lanes<N> {
         self.peaks = each(|j| at[j] as i16);
     }
 
-    /// Sums up the votes of the samples' grey levels: what was read for the edges need not be read
-    /// again.
+    /// The sums of the votes of all samples, each in the bin that `bin` makes of its bytes.
     #[inline(always)]
-    fn count_grey_votes(&mut self, votes: &Votes) {
-        for (cast, grey) in self.cast.iter_mut().zip(&self.grey) {
-            for (vote, &grey) in cast.iter_mut().zip(grey) {
-                *vote = votes[usize::from(grey >> SAMPLE_BIN_BITS)];
-            }
-        }
-        self.sum_up();
-    }
-
-    /// Casts the votes of all samples, each in the bin that `bin` makes of its bytes, and sums them up.
-    #[inline(always)]
-    fn cast_votes(&mut self, votes: &Votes, bin: impl Fn(u32) -> u32) {
+    fn sum_up(&mut self, votes: &Votes, bin: impl Fn(u32) -> u32) {
         let words = self.places.words_mut();
         for words in &mut *words {
             *words = each(|j| bin(words[j]));
@@ -407,12 +390,6 @@ impl<const N: usize> Lanes<N> {
                 *vote = votes[bin as usize % votes.len()];
             }
         }
-        self.sum_up();
-    }
-
-    /// The sums of the votes up to each sample.
-    #[inline(always)]
-    fn sum_up(&mut self) {
         let mut sum = [0; N];
         self.votes[0] = sum;
         for (total, cast) in self.votes[1..].iter_mut().zip(&self.cast) {
