@@ -151,11 +151,11 @@ def plane_view(
 
 
 def central_differences(function, x: np.ndarray, scale: np.ndarray) -> np.ndarray:
-    """Jacobian of `function` at `x`, steps of 1e-6 of `scale`; columns belong to entries of x."""
+    """Jacobian of `function` at `x`, steps of 1e-5 of `scale`; columns belong to entries of x."""
     columns = []
     for k, size in enumerate(np.asarray(scale, dtype=float)):
         step = np.zeros(len(x))
-        step[k] = 1e-6 * size
+        step[k] = 1e-5 * size
         columns.append((function(x + step) - function(x - step)) / (2 * step[k]))
     return np.stack(columns, axis=-1)
 

@@ -17,7 +17,7 @@ from fingerpost.homography import (
     transfer_to_plane,
 )
 
-# Central differences with a step of 1e-6 of the value leave about 1e-9 of truncation and rounding.
+# Central differences with a step of 1e-5 of the value leave about 1e-8 of truncation and rounding.
 DERIVATIVE_TOLERANCE = 1e-7
 
 GRID = np.array([[x, y] for x in (0.0, 200.0, 400.0) for y in (0.0, 200.0, 400.0)])

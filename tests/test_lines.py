@@ -51,7 +51,7 @@ def test_the_jacobian_meets_central_differences(point, angle):
         lambda p: line_at_angle(point + p[0] * normal, angle + p[1]), np.zeros(2), [1.0, 1.0]
     )
     analytic = line_at_angle_jacobian(point, angle)
-    # c is of the size of the coordinates: differences over 1e-6 leave 1e4 · 1e-16 / 1e-6 of it.
+    # c is of the size of the coordinates: differences over 1e-5 leave 1e4 · 1e-16 / 1e-5 of it.
     assert np.allclose(analytic, numeric, rtol=1e-7, atol=1e-5)
 
 
