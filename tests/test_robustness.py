@@ -100,6 +100,23 @@ def test_a_hand_that_has_passed_one_of_the_templates_is_found():
     assert np.hypot(*(step.fix.point - shot.truth.indicated_mm)) < COVERED_MM
 
 
+def test_a_table_that_looks_like_the_other_view_of_a_hand_is_left_for_it():
+    # In the first view a dark ellipse lies where the finger comes; their lines nearly agree.
+    rig = SimulatedRig(background=Background(clutter=50, seed=0))
+    pose = DevicePose((450.4, 252.2, 144.8), azimuth_deg=-88.8, slant_deg=64.6)
+    pointer = Pointer(waiting_rig(rig, pose), pointing_options=PointingOptions())
+    rng = np.random.default_rng(0x656C6C69)
+    for k in range(TABLE_FRAMES + BACK_FRAMES):
+        shot = rig.render(pose if k >= TABLE_FRAMES else None, rng=rng)
+        together = [Frame(k, k / FPS, image) for image in shot.images]
+        (step,) = pointer.update(together)
+        if k == TABLE_FRAMES - 1:
+            lines = [observation.track.finger_line for observation in step.observations]
+            assert [line is None for line in lines] == [False, True]
+    assert step.fix.status is Status.OK
+    assert np.hypot(*(step.fix.point - shot.truth.indicated_mm)) < COVERED_MM
+
+
 def waiting_rig(rig: SimulatedRig, pose: DevicePose) -> Rig:
     """A rig whose templates wait exactly where a hand is in this pose."""
     fingers = [view.finger for view in rig.truth(pose).views]

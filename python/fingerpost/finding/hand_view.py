@@ -275,13 +275,17 @@ class HandView:
         """Whether another view follows the same finger as this one, and has found nothing else.
 
         It matters where something else has been found here. A finger that is there but gives no
-        line in a frame, as one that seems bent, is backed.
+        line in a frame, as one that seems bent, is backed. A hand that came when the table was
+        known backs only what has come, too: the table may well look like its other view.
         """
         if not self.has_rival or self._track is None:
             return False
         if not self._shows_finger:
             return self._track.status == "tracking"
-        return any(shared.are_one(self, other) and not other.has_rival for other in others)
+        return any(
+            shared.are_one(self, other) and not (other.has_rival or other.has_newcomer)
+            for other in others
+        )
 
     def _recognise(self, others: Sequence[HandView], shared: Shared) -> None:
         """Take for a hand what was here before the table was known, if another view shows one come.
