@@ -33,8 +33,8 @@ const PRIOR_WEIGHT: f32 = 0.5;
 /// much: motion smears the hand farther than light does.
 pub(crate) const INSIDE_PX: [f64; 3] = [2.0, 3.0, 4.0];
 const OUTSIDE_PX: [f64; 3] = [4.0, 6.0, 8.0];
-const OWN_VOTE: f32 = 0.5;
-const BEHIND_VOTE: f32 = 0.25;
+const OWN_VOTE: f64 = 0.5;
+const BEHIND_VOTE: f64 = 0.25;
 
 /// A vote's unit is one over this.
 pub(crate) const VOTE_UNIT: f32 = 1024.0;
@@ -226,6 +226,20 @@ impl Appearance {
         self.bin(frame, u, v).map_or(0.0, |bin| f32::from(self.votes[bin]) / VOTE_UNIT)
     }
 
+    /// How places vote on average.
+    pub(crate) fn mean_vote(
+        &self,
+        frame: &Frame<'_>,
+        places: impl IntoIterator<Item = Point2<f64>>,
+    ) -> f64 {
+        let (mut sum, mut count) = (0.0, 0.0);
+        for place in places {
+            sum += f64::from(self.vote(frame, place.x, place.y));
+            count += 1.0;
+        }
+        sum / count
+    }
+
     /// Whether what is inside of an edge looks like the hand, and what is outside of it, in the
     /// direction of the unit vector `normal`, like what has been seen behind that: what covers a hand
     /// in part has an edge as well.
@@ -235,13 +249,8 @@ impl Appearance {
         edge: Point2<f64>,
         normal: Vector2<f64>,
     ) -> bool {
-        let mean = |outward_px: [f64; 3]| {
-            let votes = outward_px.map(|px| {
-                let place = edge + normal * px;
-                self.vote(frame, place.x, place.y)
-            });
-            votes.iter().sum::<f32>() / votes.len() as f32
-        };
+        let mean =
+            |outward_px: [f64; 3]| self.mean_vote(frame, outward_px.map(|px| edge + normal * px));
         mean(INSIDE_PX.map(|px| -px)) >= OWN_VOTE && mean(OUTSIDE_PX) <= -BEHIND_VOTE
     }
 

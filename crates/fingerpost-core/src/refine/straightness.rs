@@ -18,11 +18,11 @@ use super::bisector::{Bisector, BisectorFit, STATION_PX};
 use super::sketch::Sketch;
 use super::{BisectorOptions, BisectorReport, Finger, Stretch};
 use crate::Result;
-use crate::appearance::Appearance;
 use crate::frame::Frame;
 use crate::search::{Cue, Polarity};
 use crate::shape_space::Axis;
 use crate::simd::Isa;
+use nalgebra::Point2;
 
 /// How far a finger is from straight, as its image shows it.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -56,7 +56,7 @@ const WIDTH: f64 = 1.25;
 const TURNS_RAD: [f64; 4] = [0.45, -0.45, 0.9, -0.9];
 /// Between its flanks it looks like the hand: the pixels' votes are at least this part of those of
 /// its neighbour, looked at on these lines along it \[half-widths\].
-const HAND_PART: f32 = 0.6;
+const HAND_PART: f64 = 0.6;
 const ACROSS: [f64; 3] = [-0.6, 0.0, 0.6];
 /// The joint that the half with the knuckle is turned about is looked for at the beginning of the
 /// half with the tip and so far behind it, and that half from here to there, counted from the joint
@@ -179,7 +179,7 @@ impl Straightness {
         flanks: [Stretch; 2],
     ) -> Result<Option<BisectorFit>> {
         let Some(appearance) = look.cue.appearance() else { return Ok(None) };
-        let vote = |part: &Sketch| mean_vote(look.frame, appearance, part);
+        let vote = |part: &Sketch| appearance.mean_vote(look.frame, between_flanks(part));
         let least = HAND_PART * vote(other);
         let (joint, half_width_px) = (other.place(joint_px, 0.0), other.half_width_at(joint_px));
         if half_width_px <= 0.0 {
@@ -222,19 +222,13 @@ fn bend(knuckle: &BisectorFit, tip: &BisectorFit) -> Bend {
     Bend { angle_rad: from.perp(&to).atan2(from.dot(&to)), sigma_rad: variance.sqrt() }
 }
 
-/// How the pixels between the flanks vote, on average.
-fn mean_vote(frame: &Frame<'_>, appearance: &Appearance, part: &Sketch) -> f32 {
-    let (mut sum, mut count) = (0.0, 0.0);
-    let mut p = -part.half_length_px;
-    while p <= part.half_length_px {
-        for across in ACROSS {
-            let at = part.place(p, across * part.half_width_at(p));
-            sum += appearance.vote(frame, at.x, at.y);
-            count += 1.0;
-        }
-        p += STATION_PX;
-    }
-    sum / count
+/// The places between the flanks.
+fn between_flanks(part: &Sketch) -> impl Iterator<Item = Point2<f64>> {
+    let stations = (2.0 * part.half_length_px / STATION_PX) as usize;
+    (0..=stations).flat_map(move |i| {
+        let p = i as f64 * STATION_PX - part.half_length_px;
+        ACROSS.map(|across| part.place(p, across * part.half_width_at(p)))
+    })
 }
 
 /// Whether the flanks that were found about a sketch are those of a finger like it.

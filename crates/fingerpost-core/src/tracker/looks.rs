@@ -111,7 +111,7 @@ impl Shaft {
 
     /// The mean vote there.
     fn vote(&self, frame: &Frame<'_>, looks: &Appearance, ahead_px: f64) -> f64 {
-        mean_vote(frame, looks, self.across(ahead_px))
+        looks.mean_vote(frame, self.across(ahead_px))
     }
 
     /// Where what lies ahead of it is looked at.
@@ -126,7 +126,7 @@ impl Shaft {
         [1.0, -1.0].map(|side| {
             let (mut sum, mut best, mut end_px) = (0.0, 0.0, 0.0);
             for back_px in self.steps(self.half_width_px, self.length_px) {
-                let beside = mean_vote(frame, looks, self.beside(-back_px, side));
+                let beside = looks.mean_vote(frame, self.beside(-back_px, side));
                 // No place says more than another: what is told is how many of them are a finger's.
                 sum += self.vote(frame, looks, -back_px).min(-beside).clamp(-1.0, 1.0);
                 if sum > best {
@@ -165,20 +165,6 @@ impl Shaft {
         }
         if best >= LIKE_HAND * self.half_width_px { end_px } else { 0.0 }
     }
-}
-
-/// How places vote on average.
-fn mean_vote(
-    frame: &Frame<'_>,
-    looks: &Appearance,
-    places: impl Iterator<Item = Point2<f64>>,
-) -> f64 {
-    let (mut sum, mut count) = (0.0, 0.0);
-    for place in places {
-        sum += f64::from(looks.vote(frame, place.x, place.y));
-        count += 1.0;
-    }
-    sum / count
 }
 
 /// The looks of one hand.
