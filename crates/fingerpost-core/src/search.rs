@@ -217,9 +217,9 @@ impl EdgeSearch {
     /// Searches every line for `cue`; `measurements` is refilled, one entry a line, in the same
     /// order.
     ///
-    /// Lines of one length and polarity that follow each other are searched side by side. A line
-    /// that leaves the image is searched alone, as far as it is inside, which takes several times
-    /// as long; an image of one row or one column has no edges.
+    /// Lines of one length and polarity are searched side by side, if no more than one other length is
+    /// in between. A line that leaves the image is searched alone, as far as it is inside, which takes
+    /// several times as long; an image of one row or one column has no edges.
     ///
     /// # Errors
     /// When a line's half-length is not finite, not positive or above [`MAX_HALF_LENGTH_PX`], or
@@ -241,28 +241,14 @@ impl EdgeSearch {
         let variance_px2 = kernel.variance_at_one_grey * options.noise_grey.powi(2);
         let pass = Pass { kernel, variance_px2, isa: *isa, image, ballot, by_votes };
         measurements.clear();
-        measurements.reserve(lines.len());
+        measurements.resize(lines.len(), Err(Miss::OutOfImage));
         match isa {
             Isa::Avx2 => pass.measure_all(wide, lines, measurements)?,
             Isa::Baseline => pass.measure_all(narrow, lines, measurements)?,
             Isa::Scalar => pass.measure_all(alone, lines, measurements)?,
         }
-        if !measurements.contains(&Err(Miss::OutOfImage)) {
-            return Ok(());
-        }
-        // What is out of the image may be inside in part.
-        let reach = kernel.reach() as i32;
-        for (i, line) in lines.iter().enumerate() {
-            if matches!(measurements[i], Err(Miss::OutOfImage)) {
-                let wanted = whole_half_length(line)? + reach;
-                if let Some(span) = visible_span(image, &line.sample, wanted)
-                    .filter(|visible| visible.holds_answers(reach))
-                {
-                    let batch = Batch::of_one((span, line.polarity), &line.sample);
-                    pass.search(alone, &batch);
-                    measurements[i] = pass.found(alone, 0, batch.key);
-                }
-            }
+        if measurements.contains(&Err(Miss::OutOfImage)) {
+            pass.measure_visible(alone, lines, measurements)?;
         }
         Ok(())
     }
@@ -283,15 +269,21 @@ pub(crate) fn check_size(frame: &Frame<'_>) -> Result<()> {
 }
 
 /// The whole pixels that a line reaches to either side.
-fn whole_half_length(line: &SearchLine) -> Result<i32> {
-    let SearchLine { sample: PlacedSample { position, normal }, half_length_px, .. } = line;
-    Error::within("search half-length [px]", *half_length_px, "positive and at most 128", |l| {
+fn whole_half_length(half_length_px: f64) -> Result<i32> {
+    Error::within("search half-length [px]", half_length_px, "positive and at most 128", |l| {
         l > 0.0 && l <= MAX_HALF_LENGTH_PX as f64
     })?;
-    Error::finite("search position [px]", position.x + position.y)?;
-    Error::finite("search normal", normal.x + normal.y)?;
-    let whole = *half_length_px as i32;
-    Ok(whole + i32::from(f64::from(whole) < *half_length_px))
+    let whole = half_length_px as i32;
+    Ok(whole + i32::from(f64::from(whole) < half_length_px))
+}
+
+/// Refuses a line that begins or leads nowhere.
+fn check_sample(PlacedSample { position, normal }: &PlacedSample) -> Result<()> {
+    if !(position.x + position.y + normal.x + normal.y).is_finite() {
+        Error::finite("search position [px]", position.x + position.y)?;
+        Error::finite("search normal", normal.x + normal.y)?;
+    }
+    Ok(())
 }
 
 /// The whole offsets of a line's samples, both ends included.
@@ -313,51 +305,34 @@ impl Span {
     }
 }
 
-/// Lines to be searched side by side: samples at the same offsets, edges of the same polarity.
+/// Lines to be searched side by side.
 #[derive(Debug, Clone, Copy)]
 struct Batch<const N: usize> {
+    /// What all of them have in common: at which offsets their samples are, and what edges they look for.
     key: (Span, Polarity),
     starts: Starts<N>,
+    /// Which lines they are.
+    lines: [usize; N],
     count: usize,
 }
 
-impl<const N: usize> Default for Batch<N> {
-    fn default() -> Self {
-        Self {
-            key: (Span { from: 0, to: 0 }, Polarity::Unknown),
-            starts: Starts::default(),
-            count: 0,
-        }
-    }
-}
-
-impl Batch<1> {
-    fn of_one(key: (Span, Polarity), sample: &PlacedSample) -> Self {
-        let mut batch = Self { key, ..Self::default() };
-        batch.push(sample);
-        batch
-    }
-}
-
 impl<const N: usize> Batch<N> {
-    fn is_empty(&self) -> bool {
-        self.count == 0
-    }
-
-    fn is_full(&self) -> bool {
-        self.count == N
+    fn of(key: (Span, Polarity)) -> Self {
+        Self { key, starts: Starts::default(), lines: [0; N], count: 0 }
     }
 
     #[inline]
-    fn push(&mut self, sample: &PlacedSample) {
+    fn push(&mut self, line: usize, sample: &PlacedSample) {
         let PlacedSample { position, normal } = sample;
+        let j = self.count;
         for (axis, (p, n)) in
             [(position.x, normal.x), (position.y, normal.y)].into_iter().enumerate()
         {
-            self.starts.positions[axis][self.count] = p;
-            self.starts.normals[axis][self.count] = n;
+            self.starts.positions[axis][j] = p;
+            self.starts.normals[axis][j] = n;
         }
-        self.count += 1;
+        self.lines[j] = line;
+        self.count = j + 1;
     }
 }
 
@@ -373,44 +348,79 @@ struct Pass<'a> {
 }
 
 impl Pass<'_> {
-    /// Searches all lines, those that follow each other and can be side by side.
+    /// Searches all lines, those that can be side by side. The measurement of a line that leaves the
+    /// image says so.
     fn measure_all<const N: usize>(
         &self,
         lanes: &mut Lanes<N>,
         lines: &[SearchLine],
-        measurements: &mut Vec<EdgeMeasurement>,
+        measurements: &mut [EdgeMeasurement],
     ) -> Result<()> {
         let reach = self.kernel.reach() as i32;
-        let mut batch = Batch::default();
-        for line in lines {
-            let wanted = whole_half_length(line)? + reach;
-            let key = (Span { from: -wanted, to: wanted }, line.polarity);
-            if batch.is_full() || (batch.key != key && !batch.is_empty()) {
-                self.measure(lanes, &batch, measurements);
-                batch.count = 0;
+        // Along a contour, lengths that a motion asks for go to and fro between two.
+        let [mut one, mut another] =
+            [Batch::<N>::of((Span { from: 0, to: 0 }, Polarity::Unknown)); 2];
+        let (mut open, mut other) = (&mut one, &mut another);
+        let mut last = None;
+        for (i, line) in lines.iter().enumerate() {
+            // Most lines are as long as the one before.
+            let asked = Some((line.half_length_px.to_bits(), line.polarity));
+            if last != asked || open.count == N {
+                last = asked;
+                let wanted = whole_half_length(line.half_length_px)? + reach;
+                let key = (Span { from: -wanted, to: wanted }, line.polarity);
+                if open.key != key {
+                    std::mem::swap(&mut open, &mut other);
+                }
+                if open.key != key || open.count == N {
+                    self.measure(lanes, open, measurements);
+                    (open.key, open.count) = (key, 0);
+                }
             }
-            batch.key = key;
-            batch.push(&line.sample);
+            check_sample(&line.sample)?;
+            open.push(i, &line.sample);
         }
-        self.measure(lanes, &batch, measurements);
+        self.measure(lanes, open, measurements);
+        self.measure(lanes, other, measurements);
         Ok(())
     }
 
-    /// Searches the lines of a batch, if there are any, and adds what they find.
+    /// Searches those lines that leave the image as far as they are inside.
+    fn measure_visible(
+        &self,
+        alone: &mut Lanes<1>,
+        lines: &[SearchLine],
+        measurements: &mut [EdgeMeasurement],
+    ) -> Result<()> {
+        let reach = self.kernel.reach() as i32;
+        for (i, line) in lines.iter().enumerate() {
+            if matches!(measurements[i], Err(Miss::OutOfImage)) {
+                let wanted = whole_half_length(line.half_length_px)? + reach;
+                if let Some(span) = visible_span(self.image, &line.sample, wanted)
+                    .filter(|visible| visible.holds_answers(reach))
+                {
+                    let mut batch = Batch::of((span, line.polarity));
+                    batch.push(i, &line.sample);
+                    self.measure(alone, &batch, measurements);
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Searches the lines of a batch, if there are any, and notes what they find.
     fn measure<const N: usize>(
         &self,
         lanes: &mut Lanes<N>,
         batch: &Batch<N>,
-        measurements: &mut Vec<EdgeMeasurement>,
+        measurements: &mut [EdgeMeasurement],
     ) {
-        if !batch.is_empty() {
-            self.search(lanes, batch);
-            measurements.extend((0..batch.count).map(|j| self.found(lanes, j, batch.key)));
+        if batch.count > 0 {
+            self.isa.run(Search { pass: self, lanes, batch });
+            for (j, &line) in batch.lines[..batch.count].iter().enumerate() {
+                measurements[line] = self.found(lanes, j, batch.key);
+            }
         }
-    }
-
-    fn search<const N: usize>(&self, lanes: &mut Lanes<N>, batch: &Batch<N>) {
-        self.isa.run(Search { pass: self, lanes, batch });
     }
 
     /// What the last search found on line `j`; nothing where the line leaves the image.
