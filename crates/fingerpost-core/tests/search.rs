@@ -329,6 +329,60 @@ fn the_hand_s_edge_is_told_from_stronger_ones() {
     }
 }
 
+/// The mean vote of the pixels nearest to some samples of a line, whose coordinates are 16.16 fixed
+/// point, counted from its inner end on.
+fn mean_vote(
+    frame: &Frame<'_>,
+    appearance: &Appearance,
+    sample: &PlacedSample,
+    first_px: f64,
+    samples: std::ops::Range<i64>,
+) -> f64 {
+    let fixed = |x: f64| (x * 65536.0).round_ties_even() as i64;
+    let first = sample.position + sample.normal * first_px;
+    let count = samples.clone().count();
+    let nearest = |start: f64, step: f64, i: i64| {
+        let at = fixed(start) + fixed(step) * i;
+        ((at + (1 << 15)) >> 16) as f64
+    };
+    let votes = samples.map(|i| {
+        let u = nearest(first.x, sample.normal.x, i);
+        f64::from(appearance.vote(frame, u, nearest(first.y, sample.normal.y, i)))
+    });
+    votes.sum::<f64>() / count as f64
+}
+
+#[test]
+fn the_nearest_pixels_vote_on_either_side_of_an_edge() {
+    let picture = cluttered();
+    let frame = picture.view().into();
+    let appearance = learned(&frame, |x, _| x <= 33);
+    // The kernel of 1.6 px reaches 5 px; a line is read that much beyond its ends.
+    let (half, reach) = (8, 5);
+    let lines: Vec<_> = (0..600)
+        .map(|i| SearchLine {
+            half_length_px: half as f64,
+            ..line(
+                Point2::new(31.0 + 0.0137 * f64::from(i % 97), 16.0 + 0.0531 * f64::from(i)),
+                at_angle(0.4 * f64::from(i).sin()),
+            )
+        })
+        .collect();
+    let found =
+        search_all(options(), picture.view(), Cue::HandEdges(&appearance), Scale::Fine, &lines);
+    let mut compared = 0;
+    for (line, edge) in lines.iter().zip(&found) {
+        let Ok(edge) = edge else { continue };
+        let at = edge.offset_px.round() as i64 + half + reach;
+        let first_px = -(half + reach) as f64;
+        let mean = |samples| mean_vote(&frame, &appearance, &line.sample, first_px, samples);
+        let separation = mean(at - reach..at) - mean(at + 1..at + 1 + reach);
+        assert!((edge.separation.unwrap() - separation).abs() < 1e-5, "{edge:?}: {separation}");
+        compared += 1;
+    }
+    assert!(compared > 500, "{compared}");
+}
+
 #[test]
 fn votes_need_no_edge() {
     // A smear of 30 px between hand and background: no kernel sees a step in it.

@@ -29,6 +29,8 @@ const PIXEL_BITS: u32 = 16;
 const HALF_STEP: [i32; 2] = [1 << 7, 1 << 8];
 /// Half a pixel: rounds a coordinate to the nearest pixel.
 const HALF_PIXEL: [i32; 2] = [1 << 15; 2];
+/// From these fractions on, rounded to a step of the interpolation, the next pixel is the nearest.
+const BEYOND_HALF: [u16; 2] = [(1 << 15) + HALF_STEP[0] as u16, (1 << 15) + HALF_STEP[1] as u16];
 /// The longest side of an image whose pixels have 16.16 coordinates \[px\].
 pub(super) const MAX_SIDE_PX: usize = i16::MAX as usize;
 /// The longest row, so that the place of every byte fits 32 bits.
@@ -86,12 +88,12 @@ pub(super) struct Peak {
 pub(super) struct Lanes<const N: usize> {
     start: [[i32; N]; 2],
     step: [[i32; N]; 2],
-    /// Whether all samples of a line are inside the image.
-    inside: [bool; N],
+    /// All bits where all samples of a line are inside the image, none elsewhere.
+    inside: [i32; N],
     /// The places of the bytes of every sample.
     places: Places<N>,
-    /// The votes of the samples.
-    cast: Vec<[i16; N]>,
+    /// The bins of the pixels nearest to the samples of a grey image.
+    bins: Vec<[u8; N]>,
     /// The kernel's weights, repeated in every lane.
     weights: Vec<[u16; N]>,
     /// Grey levels at the samples, in 1/128.
@@ -112,9 +114,9 @@ impl<const N: usize> Lanes<N> {
         Self {
             start: [[0; N]; 2],
             step: [[0; N]; 2],
-            inside: [false; N],
+            inside: [0; N],
             places: Places::with_capacity(samples),
-            cast: Vec::with_capacity(samples),
+            bins: Vec::with_capacity(samples),
             weights: Vec::with_capacity(samples),
             grey: Vec::with_capacity(samples),
             answers: Vec::with_capacity(samples),
@@ -136,7 +138,7 @@ impl<const N: usize> Lanes<N> {
     ) {
         let steps = samples as i32 - 1;
         let (first, last) = (f64::from(from), f64::from(from + steps));
-        let mut inside = each(|j| j < count);
+        let mut inside: [i32; N] = each(|j| -i32::from(j < count));
         for (axis, &side) in size.iter().enumerate() {
             let (position, normal) = (&starts.positions[axis], &starts.normals[axis]);
             let side = side as i32 - 1;
@@ -148,22 +150,21 @@ impl<const N: usize> Lanes<N> {
             let far: [f64; N] = each(|j| position[j] + normal[j] * last);
             self.start[axis] = each(|j| fixed(near[j]).clamp(0, limit.max(0)));
             self.step[axis] = each(|j| fixed(normal[j]));
+            // An image is convex: a line with both ends inside is inside. Such an end does not
+            // overflow; but rounding may have put it outside.
+            let ends_inside: [i64; N] =
+                each(|j| -i64::from((near[j].min(far[j]) >= 0.0) & (near[j].max(far[j]) <= side)));
             inside = each(|j| {
-                // An image is convex: a line with both ends inside is inside. Such an end does not
-                // overflow; but rounding may have put it outside.
                 let end = self.step[axis][j].wrapping_mul(steps).wrapping_add(self.start[axis][j]);
-                let ends_inside =
-                    (near[j] >= 0.0) & (near[j] <= side) & (far[j] >= 0.0) & (far[j] <= side);
-                inside[j] & ends_inside & (0 <= end) & (end <= limit)
+                inside[j] & ends_inside[j] as i32 & -i32::from((0 <= end) & (end <= limit))
             });
         }
-        let kept: [i32; N] = each(|j| -i32::from(inside[j]));
         for axis in 0..2 {
-            self.start[axis] = each(|j| self.start[axis][j] & kept[j]);
-            self.step[axis] = each(|j| self.step[axis][j] & kept[j]);
+            self.start[axis] = each(|j| self.start[axis][j] & inside[j]);
+            self.step[axis] = each(|j| self.step[axis][j] & inside[j]);
         }
         self.inside = inside;
-        self.cast.resize(samples, [0; N]);
+        self.bins.resize(samples, [0; N]);
         self.grey.resize(samples, [0; N]);
         self.votes.resize(samples + 1, [0; N]);
     }
@@ -171,7 +172,7 @@ impl<const N: usize> Lanes<N> {
     /// Whether line `j` was searched: all its samples are inside the image.
     #[inline]
     pub fn is_inside(&self, j: usize) -> bool {
-        self.inside[j]
+        self.inside[j] != 0
     }
 
     /// Finds the best peak of every line.
@@ -183,12 +184,21 @@ impl<const N: usize> Lanes<N> {
         ballot: Option<(&Ballot<'_>, &Scoring)>,
     ) {
         self.locate(image.stride(), 1, HALF_STEP);
-        self.interpolate(image);
+        if let Some((Ballot { pixels: Voters::Gray(..), votes }, _)) = ballot {
+            self.interpolate::<true>(image);
+            add_up(&mut self.votes, &self.bins, |bin| votes[usize::from(bin)]);
+        } else {
+            self.interpolate::<false>(image);
+            if let Some((ballot, _)) = ballot {
+                self.count_votes(ballot);
+            }
+        }
         self.correlate(kernel.weights);
+        let scoring = ballot.map(|(_, scoring)| scoring);
         match kernel.polarity {
-            Polarity::Bright => self.choose(kernel, ballot, |r| r),
-            Polarity::Dark => self.choose(kernel, ballot, |r| -r),
-            Polarity::Unknown => self.choose(kernel, ballot, |r| if r < 0 { -r } else { r }),
+            Polarity::Bright => self.choose(kernel, scoring, |r| r),
+            Polarity::Dark => self.choose(kernel, scoring, |r| -r),
+            Polarity::Unknown => self.choose(kernel, scoring, |r| if r < 0 { -r } else { r }),
         }
     }
 
@@ -217,15 +227,10 @@ impl<const N: usize> Lanes<N> {
     #[inline]
     pub fn peak(&self, j: usize, kernel: &Kernel<'_>) -> Result<Peak, Miss> {
         let at = usize::from(self.peaks[j] as u16);
-        if self.peaks[j] == NONE {
-            return Err(if self.rises_to_end(j, kernel) {
-                Miss::BeyondEnd
-            } else {
-                Miss::NoContrast
-            });
-        }
-        let answers = each(|i| self.answers[at + i - 1][j]);
-        Ok(Peak { at, answers })
+        let about = at.checked_sub(1).and_then(|before| self.answers.get(before..)?.first_chunk());
+        about.map(|about: &[_; 3]| Peak { at, answers: each(|i| about[i][j]) }).ok_or_else(|| {
+            if self.rises_to_end(j, kernel) { Miss::BeyondEnd } else { Miss::NoContrast }
+        })
     }
 
     /// Whether line `j` answers more and more, as is wanted, up to one of its ends.
@@ -277,16 +282,18 @@ impl<const N: usize> Lanes<N> {
         self.places.locate([start(0), start(1)], self.step, self.grey.len(), layout);
     }
 
-    /// Grey levels at all samples.
+    /// Grey levels at all samples, and if they `VOTE` the bins of the nearest pixels.
     #[inline(always)]
-    fn interpolate(&mut self, image: &GrayView<'_>) {
-        let (places, bytes, stride) = (&self.places, image.data(), image.stride());
+    fn interpolate<const VOTE: bool>(&mut self, image: &GrayView<'_>) {
+        let Self { places, start, step, grey, bins, .. } = self;
+        let (bytes, stride) = (image.data(), image.stride());
         if let Some(cells) = places.wide_cells(bytes, stride) {
-            blend(&mut self.grey, cells, self.start, self.step);
+            blend::<_, VOTE>(grey, bins, cells, *start, *step);
         } else if let Some(cells) = places.cells(bytes, stride) {
-            blend(&mut self.grey, cells, self.start, self.step);
+            blend::<_, VOTE>(grey, bins, cells, *start, *step);
         } else {
-            self.grey.fill([0; N]);
+            // Where there is no edge, no vote is asked for.
+            grey.fill([0; N]);
         }
     }
 
@@ -313,11 +320,10 @@ impl<const N: usize> Lanes<N> {
     fn choose(
         &mut self,
         kernel: &Kernel<'_>,
-        ballot: Option<(&Ballot<'_>, &Scoring)>,
+        scoring: Option<&Scoring>,
         strength: impl Fn(i16) -> i16 + Copy,
     ) {
-        if let Some((ballot, scoring)) = ballot {
-            self.count_votes(ballot);
+        if let Some(scoring) = scoring {
             self.best_separated(kernel, *scoring, strength);
         } else {
             self.strongest(kernel.least, strength);
@@ -385,24 +391,33 @@ impl<const N: usize> Lanes<N> {
         for words in &mut *words {
             *words = each(|j| bin(words[j]));
         }
-        for (vote, bins) in self.cast.iter_mut().zip(words.iter()) {
-            for (vote, &bin) in vote.iter_mut().zip(bins) {
-                *vote = votes[bin as usize % votes.len()];
-            }
-        }
-        let mut sum = [0; N];
-        self.votes[0] = sum;
-        for (total, cast) in self.votes[1..].iter_mut().zip(&self.cast) {
-            sum = each(|j| sum[j] + i32::from(cast[j]));
-            *total = sum;
-        }
+        add_up(&mut self.votes, words, |bin| votes[bin as usize % votes.len()]);
     }
 }
 
-/// Grey levels of samples from `start` on and `step` apart, by the pixels that are about them.
+/// Sums of the votes of bins, from the first sample up to each; nothing in front of that.
 #[inline(always)]
-fn blend<const N: usize>(
+fn add_up<B: Copy, const N: usize>(
+    sums: &mut [[i32; N]],
+    bins: &[[B; N]],
+    vote_of: impl Fn(B) -> i16,
+) {
+    let mut sum = [0; N];
+    let [nothing, sums @ ..] = sums else { return };
+    *nothing = sum;
+    for (total, bins) in sums.iter_mut().zip(bins) {
+        let votes: [i16; N] = each(|j| vote_of(bins[j]));
+        sum = each(|j| sum[j] + i32::from(votes[j]));
+        *total = sum;
+    }
+}
+
+/// Grey levels of samples from `start` on and `step` apart, by the pixels that are about them, and if
+/// they `VOTE` the bins of the nearest of these.
+#[inline(always)]
+fn blend<const N: usize, const VOTE: bool>(
     grey: &mut [[u16; N]],
+    bins: &mut [[u8; N]],
     cells: impl Iterator<Item = [[u16; N]; 2]>,
     start: [[i32; N]; 2],
     step: [[i32; N]; 2],
@@ -413,12 +428,19 @@ fn blend<const N: usize>(
         (start, each(|j| step[axis][j] as u16))
     };
     let ((mut x, dx), (mut y, dy)) = (fraction(0), fraction(1));
-    for (grey, [above, below]) in grey.iter_mut().zip(cells) {
+    for ((grey, bins), [above, below]) in grey.iter_mut().zip(bins).zip(cells) {
         *grey = each(|j| {
             let (right, lower) = (x[j] >> 8, y[j] >> 9);
             let row = |pair: u16| (pair & 255) * (256 - right) + (pair >> 8) * right;
             high(row(above[j]), (128 - lower) << 8) + high(row(below[j]), lower << 8)
         });
+        if VOTE {
+            *bins = each(|j| {
+                let row = if y[j] < BEYOND_HALF[1] { above[j] } else { below[j] };
+                let pixel = if x[j] < BEYOND_HALF[0] { row & 255 } else { row >> 8 };
+                (pixel >> 2) as u8
+            });
+        }
         x = each(|j| x[j].wrapping_add(dx[j]));
         y = each(|j| y[j].wrapping_add(dy[j]));
     }
