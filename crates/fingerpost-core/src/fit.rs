@@ -126,6 +126,23 @@ impl EquationBuffer {
         self.variances_px2.clear();
         Equations(self)
     }
+
+    /// Makes room for the next equations. (Apart, so that [`Equations::push`] is inlined.)
+    #[inline(always)]
+    fn begin_group<const D: usize>(&mut self) {
+        self.rows.extend_from_slice(&[[0.0; LANES]; D]);
+        self.offsets_px.push([0.0; LANES]);
+        self.variances_px2.push([1.0; LANES]);
+    }
+}
+
+/// Refuses an equation that has no meaning.
+#[cold]
+fn check(sum_of_row: f64, offset_px: f64, variance_px2: f64) -> Result<()> {
+    Error::finite("offset [px]", offset_px)?;
+    Error::finite("row of the Jacobian", sum_of_row)?;
+    Error::within("variance [px²]", variance_px2, "positive", |v| v > 0.0)?;
+    Ok(())
 }
 
 /// Linear equations for the step: row · δ = offset ± √variance.
@@ -138,20 +155,16 @@ impl<const D: usize> Equations<'_, D> {
     ///
     /// # Errors
     /// When a number is not finite or the variance not positive; nothing is added then.
-    #[inline]
+    #[inline(always)]
     pub fn push(&mut self, row: &SVector<f64, D>, offset_px: f64, variance_px2: f64) -> Result<()> {
-        if !((offset_px + row.sum()).is_finite() && variance_px2 > 0.0 && variance_px2.is_finite())
+        if !((offset_px + row.sum()).is_finite() && variance_px2 > 0.0 && variance_px2 <= f64::MAX)
         {
-            Error::finite("offset [px]", offset_px)?;
-            Error::finite("row of the Jacobian", row.sum())?;
-            Error::within("variance [px²]", variance_px2, "positive", |v| v > 0.0)?;
+            check(row.sum(), offset_px, variance_px2)?;
         }
         let buffer = &mut *self.0;
         let lane = buffer.count % LANES;
         if lane == 0 {
-            buffer.rows.extend_from_slice(&[[0.0; LANES]; D]);
-            buffer.offsets_px.push([0.0; LANES]);
-            buffer.variances_px2.push([1.0; LANES]);
+            buffer.begin_group::<D>();
         }
         if let (Some(rows), Some(offsets_px), Some(variances_px2)) = (
             buffer.rows.last_chunk_mut::<D>(),
