@@ -237,8 +237,9 @@ pub(super) struct Convergence {
     /// it; none does without a fit.
     left_px: Vec<f64>,
     equations: EquationBuffer,
-    /// Where edges agree with the fit.
+    /// Where edges agree with the fit, and which of them look like the hand inside.
     agreeing: Vec<PlacedSample>,
+    own: Vec<bool>,
     /// Residual offsets of those along the contour, part by part of the outline.
     left_over: Vec<(Part, f64)>,
     /// Looks of a hand of which nothing is known: those that are judged, and those that lead, unless they
@@ -276,6 +277,7 @@ impl Convergence {
             left_px: Vec::with_capacity(options.samples),
             equations: EquationBuffer::with_capacity(options.samples, MAX_DOF),
             agreeing: Vec::with_capacity(options.samples),
+            own: Vec::with_capacity(options.samples),
             left_over: Vec::with_capacity(options.samples),
             unknown: Looks::new(false),
             leading: Some(leading),
@@ -406,9 +408,11 @@ impl Convergence {
         let Some(known) = sight.cue.appearance() else { return Ok(()) };
         let edges = self.agreeing.iter().map(|edge| (edge.position, KERNEL_REACH_PX));
         let shown = self.image.shown(frame, sight.mixture, || region_about(edges))?;
-        let own = |edge: &PlacedSample| is_own(&shown, known, edge);
-        if 2 * self.agreeing.iter().filter(|edge| own(edge)).count() >= self.agreeing.len() {
-            self.agreeing.retain(own);
+        self.own.clear();
+        self.own.extend(self.agreeing.iter().map(|edge| is_own(&shown, known, edge)));
+        if 2 * self.own.iter().filter(|&&own| own).count() >= self.agreeing.len() {
+            let mut own = self.own.iter();
+            self.agreeing.retain(|_| own.next().is_some_and(|&own| own));
         }
         Ok(())
     }
