@@ -27,6 +27,9 @@ const SHORTEST: f64 = 4.0;
 /// One that is not longer or shorter by this factor than the finger is as long: of 30 views of a device
 /// with templates of the right length, 25 are as long by their edges alone and all by both signs.
 const AS_LONG: f64 = 1.1;
+/// A finger stays as wide when its template is shortened, to within this factor: on footage it becomes
+/// 0.84 to 1.10 times as wide. What becomes another finger altogether is none.
+const SAME_WIDTH: f64 = 1.3;
 /// The length is taken anew with the width and the looks of a template as long as it was before, at
 /// most so often.
 const ROUNDS: usize = 3;
@@ -60,8 +63,10 @@ impl ContourTracker {
             };
             let before = self.hand.clone();
             let found = self.resized(frame, &x, BandMeasure::of(&proportions, length_px))?;
-            let is_accepted = found.is_accepted(&self.options.acquire.accept);
-            let Some(resized) = found.fit.filter(|_| is_accepted) else {
+            let change = self.hand.shape.width() / before.shape.width();
+            let is_same = (1.0 / SAME_WIDTH..=SAME_WIDTH).contains(&change)
+                && found.is_accepted(&self.options.acquire.accept);
+            let Some(resized) = found.fit.filter(|_| is_same) else {
                 self.hand = before;
                 break;
             };
