@@ -253,11 +253,19 @@ const HAND: Colour = [90, 110, 160];
 /// A hand over a dark table, whose right-hand part is of one grey with the hand.
 fn scene(hand: &Hand, equal: Colour, noise: &mut Noise) -> (Picture, Vec<u8>) {
     let edge = HalfPlane::beyond(Point2::new(130.0, 0.0), std::f64::consts::PI, 0.0);
-    let channels = [0, 1, 2].map(|c| {
+    photographed(noise, 2.0, |c| {
         let canvas = Canvas::new(WIDTH, HEIGHT, f64::from(DARK[c]));
-        let canvas = canvas.paint(&edge, f64::from(equal[c]));
-        canvas.paint(hand, f64::from(HAND[c])).blur(0.957_427).take(2.0, noise)
-    });
+        canvas.paint(&edge, f64::from(equal[c])).paint(hand, f64::from(HAND[c]))
+    })
+}
+
+/// What a camera makes of three channels, with this noise \[grey levels\]: grey levels and colours.
+fn photographed(
+    noise: &mut Noise,
+    sigma_grey: f64,
+    channel: impl Fn(usize) -> Canvas,
+) -> (Picture, Vec<u8>) {
+    let channels = [0, 1, 2].map(|c| channel(c).blur(0.957_427).take(sigma_grey, noise));
     let [b, g, r] = channels.map(|c| c.bytes);
     let colours = b.iter().zip(&g).zip(&r).flat_map(|((&b, &g), &r)| [b, g, r]);
     let greys = b.iter().zip(&g).zip(&r).map(|((&b, &g), &r)| grey([b, g, r]));
@@ -291,5 +299,52 @@ fn a_hand_of_one_grey_with_its_background_is_followed_by_its_colour() {
                 assert!(angle < 0.02 && offset < 0.5, "{model:?} {k}: {angle} {offset}");
             }
         }
+    }
+}
+
+/// Halfway between paper and wood in every channel, so that no mixture shows a hand of this colour as
+/// the brighter side before both.
+const HALFWAY: Colour = [148, 157, 165];
+const PAPER: Colour = [225, 226, 224];
+const BROWN: Colour = [72, 88, 106];
+
+/// A hand over wood, on which a sheet of paper lies whose edge the finger is about parallel to.
+fn by_paper(hand: &Hand, noise: &mut Noise) -> (Picture, Vec<u8>) {
+    let edge = HalfPlane::beyond(Point2::new(120.0, 60.0), 1.3, 0.0);
+    photographed(noise, 4.0, |c| {
+        let canvas = Canvas::new(WIDTH, HEIGHT, f64::from(BROWN[c]));
+        canvas.paint(&edge, f64::from(PAPER[c])).paint(hand, f64::from(HALFWAY[c]))
+    })
+}
+
+#[test]
+fn a_hand_between_the_colours_of_wood_and_paper_is_followed_by_its_grey() {
+    let mut noise = Noise::new(0x7061_7065);
+    for model in [Model::Ribbon, Model::Paper] {
+        let start = StartPose { tip_px: Point2::new(84.0, 90.0), angle_rad: -0.3, length_px: 60.0 };
+        let options = TrackerOptions { model, ..TrackerOptions::default() };
+        let template = Template::pistol(Thumb::None).unwrap();
+        let mut tracker = ContourTracker::new(template, &start, options).unwrap();
+        let mut untold = 0;
+        for k in 0..50 {
+            let gone = f64::from((k - 8).max(0)) * 1.5;
+            let tip = start.tip_px + Vector2::new(-2.0, 1.0 - gone);
+            let hand = Hand::usual(Thumb::None, tip, -0.25, 60.0);
+            let (picture, colours) = by_paper(&hand, &mut noise);
+            let colour = ColourView::new(&colours, WIDTH, HEIGHT, 3 * WIDTH).unwrap();
+            let frame = Frame::coloured(picture.view(), colour).unwrap();
+            let track = tracker.update(&frame, f64::from(k) / 30.0).unwrap();
+            if k >= 7 {
+                assert_eq!(track.status, Status::Tracking, "{model:?} {k}");
+                let Some(line) = track.finger_line else {
+                    untold += 1;
+                    continue;
+                };
+                let angle = (line.axis.angle_rad - hand.angle_rad).abs();
+                let offset = hand.offset_px(&line.axis.anchor).abs();
+                assert!(angle < 0.03 && offset < 1.0, "{model:?} {k}: {angle} {offset}");
+            }
+        }
+        assert!(untold <= 2, "{model:?}: {untold}");
     }
 }

@@ -29,8 +29,8 @@ const SOUGHT: f64 = 0.5;
 /// Turns of the hand that are sought \[rad\].
 const SOUGHT_TURNS_RAD: [f64; 3] = [0.0, -0.25, 0.25];
 
-/// How a hand is settled on: from which shape, at which scale, in which window.
-type Path = (Shape, Scale, Option<Window>);
+/// How a hand is settled on: from which shape, at which scale, in which window, led by what.
+type Path = (Shape, Scale, Option<Window>, Lead);
 
 /// Where the hand was found.
 pub(super) struct Sought {
@@ -75,8 +75,11 @@ impl ContourTracker {
     /// in part, or have gone elsewhere: the votes lead there from afar, and a larger kernel sees edges
     /// that motion has smeared. Where the hand goes on ahead of the tip, what covers that has pushed it
     /// back, for as many frames as it took. What explains the contour best by edges that look like the
-    /// hand counts, less what its motion costs. Where nothing looks like the hand and all its edges are
-    /// in their place, the light has changed.
+    /// hand counts, less what its motion costs. Where that is less than a hand must show to be acquired,
+    /// the mixture of colours that tells it from most of what was behind it may not tell it from what is
+    /// behind it now: in the grey image the hand has an edge before what is darker and before what is
+    /// lighter, and is believed to be there if it shows as much as a followed hand must. Where nothing
+    /// looks like the hand and all its edges are in their place, the light has changed.
     pub(super) fn find(
         &mut self,
         frame: &Scene<'_>,
@@ -86,7 +89,7 @@ impl ContourTracker {
     ) -> Result<Sought> {
         let reach_px = reach_px.min(MAX_HALF_LENGTH_PX as f64);
         let window = foretold.map(|f| f.window);
-        let near = self.settle(frame, predicted, Scale::Fine, window)?;
+        let near = self.settle(frame, predicted, Scale::Fine, window, Lead::HandEdges)?;
         let pushed_px = self.goes_on_px(frame, &near.shape)?;
         if self.is_plain(&near, foretold)? && pushed_px == 0.0 {
             return match foretold {
@@ -96,21 +99,22 @@ impl ContourTracker {
         }
         let foretold = foretold.map(|f| f.pushed(pushed_px));
         let foretold = foretold.as_ref();
-        let near = self.weighed(frame, near, (predicted, Scale::Fine, window), foretold)?;
+        let edges = Lead::HandEdges;
+        let near = self.weighed(frame, near, (predicted, Scale::Fine, window, edges), foretold)?;
         let steady = match foretold {
             Some(f) if self.hand.is_known_whole() => {
                 let narrow = Some(self.pace.steady(&f.window));
-                Some(self.way(frame, (predicted, Scale::Fine, narrow), foretold)?)
+                Some(self.way(frame, (predicted, Scale::Fine, narrow, edges), foretold)?)
             }
             _ => None,
         };
         let approached = self.approach(frame, predicted, reach_px)?;
-        let smeared = self.way(frame, (approached, Scale::Coarse, None), foretold)?;
-        let sharp = self.way(frame, (smeared.found.shape, Scale::Fine, None), foretold)?;
+        let smeared = self.way(frame, (approached, Scale::Coarse, None, edges), foretold)?;
+        let sharp = self.way(frame, (smeared.found.shape, Scale::Fine, None, edges), foretold)?;
         let uncovered = match near.found.fit {
             Some(_) if pushed_px > 0.0 => {
                 let from = near.found.shape.ahead(pushed_px);
-                Some(self.way(frame, (from, Scale::Fine, None), foretold)?)
+                Some(self.way(frame, (from, Scale::Fine, None, edges), foretold)?)
             }
             _ => None,
         };
@@ -128,10 +132,18 @@ impl ContourTracker {
                 impossible = Some(other);
             }
         }
+        if self.hand.is_mixed() && best.worth() < self.options.acquire.accept.min_inliers {
+            let path = (approached, Scale::Fine, None, Lead::GreyEdges);
+            let grey = self.way(frame, path, foretold)?;
+            is_last = grey.worth() > best.worth().max(self.options.track.accept.min_inliers);
+            if is_last {
+                best = grey;
+            }
+        }
         if let (Some(foretold), true) = (foretold, best.worth() < UNLIKE) {
-            let window = self.pace.steady(&foretold.window);
-            let narrow = Some(Window { lead: Lead::AnyEdge, ..window });
-            let relit = self.way(frame, (predicted, Scale::Fine, narrow), Some(foretold))?;
+            let narrow = Some(self.pace.steady(&foretold.window));
+            let path = (predicted, Scale::Fine, narrow, Lead::AnyEdge);
+            let relit = self.way(frame, path, Some(foretold))?;
             if self.is_plain(&relit.found, Some(foretold))? {
                 return self.sought(frame, relit.found, pushed_px);
             }
@@ -147,8 +159,8 @@ impl ContourTracker {
             return self.sought(frame, best.found, pushed_px);
         }
         // Once more, so that the last search is that of the best.
-        let (from, scale, window) = best.path;
-        let found = self.settle(frame, from, scale, window)?;
+        let (from, scale, window, lead) = best.path;
+        let found = self.settle(frame, from, scale, window, lead)?;
         self.sought(frame, found, pushed_px)
     }
 
@@ -158,7 +170,7 @@ impl ContourTracker {
         let most = MOST * found.explained();
         let by_looks = found.fit.is_some_and(|fit| fit.by_looks);
         let likeness = if by_looks && most > 0.0 {
-            (self.own_share(frame, SUPPORT_PX)? / most).clamp(OTHERS_SAY, 1.0)
+            (self.own_share(frame, found.edges(), SUPPORT_PX)? / most).clamp(OTHERS_SAY, 1.0)
         } else {
             1.0
         };
@@ -167,8 +179,8 @@ impl ContourTracker {
 
     /// A way to settle, tried.
     fn way(&mut self, frame: &Scene<'_>, path: Path, foretold: Option<&Foretold>) -> Result<Way> {
-        let (from, scale, window) = path;
-        let found = self.settle(frame, from, scale, window)?;
+        let (from, scale, window, lead) = path;
+        let found = self.settle(frame, from, scale, window, lead)?;
         self.weighed(frame, found, path, foretold)
     }
 
@@ -185,15 +197,15 @@ impl ContourTracker {
             None => f64::INFINITY,
         };
         let beyond = self.goes_on_px(frame, &found.shape)? / self.hand.measure.length_px;
-        let own = self.own_share(frame, self.hand.own_within_px())? / (1.0 + beyond);
+        let own = self.own_share(frame, found.edges(), self.hand.own_within_px())? / (1.0 + beyond);
         Ok(Way { found, path, own, cost })
     }
 
     /// The part of the finger's contour whose edge the last search has found and explains to within so
     /// much, and looks like the hand inside.
-    fn own_share(&mut self, frame: &Scene<'_>, within_px: f64) -> Result<f64> {
+    fn own_share(&mut self, frame: &Scene<'_>, edges: Lead, within_px: f64) -> Result<f64> {
         let samples = self.hand.fingers(&self.samples);
-        let sight = self.hand.sight(frame, Lead::HandEdges, self.options.polarity);
+        let sight = self.hand.sight(frame, edges, self.options.polarity);
         self.convergence.own_share(frame, &sight, samples, within_px)
     }
 

@@ -96,8 +96,6 @@ pub(super) struct Window {
     pub near_px: f64,
     /// Whether what does not look like the hand inside of an edge is taken for what covers it.
     pub own_only: bool,
-    /// By what it is looked for there.
-    pub lead: Lead,
 }
 
 impl Window {
@@ -160,7 +158,8 @@ pub(super) struct Fit {
     pub rank: usize,
     /// Whether edges counted alone that look like the hand inside.
     pub own_only: bool,
-    /// Whether its looks told which edges are the hand's.
+    /// What led to its edges, and whether its looks told which of them are the hand's.
+    pub lead: Lead,
     pub by_looks: bool,
 }
 
@@ -695,6 +694,7 @@ impl Convergence {
             residual_rms_px: fit.residual_rms_px,
             rank: fit.rank,
             own_only: attempt.own_only,
+            lead: attempt.sight.lead,
             by_looks: attempt.sight.cue.appearance().is_some(),
         }
     }

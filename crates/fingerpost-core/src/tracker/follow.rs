@@ -4,7 +4,6 @@ use super::choose::Sought;
 use super::convergence::Window;
 use super::found::Found;
 use super::hand::Hand;
-use super::looks::Lead;
 use super::options::{AcceptOptions, TrackOptions};
 use super::pace::Pace;
 use super::scene::Scene;
@@ -139,7 +138,6 @@ impl ContourTracker {
                     gate: self.gate,
                     near_px: self.largeness() * NEAR_PX,
                     own_only: false,
-                    lead: Lead::HandEdges,
                 };
                 Some(Foretold { dynamics, time_s, window })
             }

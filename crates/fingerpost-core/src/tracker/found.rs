@@ -1,6 +1,7 @@
 //! What the fit to one frame came to.
 
 use super::convergence::{Converged, Fit, max_residual_px};
+use super::looks::Lead;
 use super::options::AcceptOptions;
 use super::shape::Shape;
 use super::verdict::Refusal;
@@ -29,6 +30,15 @@ impl Found {
             Some(Refusal::Residual)
         } else {
             None
+        }
+    }
+
+    /// Which edges show what was found: those of the image in which the hand stands out best, unless
+    /// only those of the grey one led to it.
+    pub(super) fn edges(&self) -> Lead {
+        match self.fit {
+            Some(Fit { lead: Lead::GreyEdges, .. }) => Lead::GreyEdges,
+            _ => Lead::HandEdges,
         }
     }
 

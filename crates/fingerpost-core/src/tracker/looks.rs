@@ -38,6 +38,8 @@ pub(super) enum Lead {
     Votes,
     /// Edges whose sides vote differently.
     HandEdges,
+    /// The same of the grey image, whatever mixture of colours shows the hand best.
+    GreyEdges,
     /// The strongest edge.
     AnyEdge,
 }
@@ -45,6 +47,8 @@ pub(super) enum Lead {
 /// How a search line sees the hand, by what is known of it.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Sight<'a> {
+    /// What it was asked for.
+    pub lead: Lead,
     pub cue: Cue<'a>,
     /// The mixture to search in place of the grey image.
     pub mixture: Option<&'a Mixture>,
@@ -54,7 +58,7 @@ pub(super) struct Sight<'a> {
 impl Sight<'_> {
     /// Any edge of this polarity: all that can be looked for before a hand was seen.
     pub fn unknown(polarity: Polarity) -> Self {
-        Self { cue: Cue::Edges, mixture: None, polarity }
+        Self { lead: Lead::AnyEdge, cue: Cue::Edges, mixture: None, polarity }
     }
 }
 
@@ -313,14 +317,14 @@ impl Looks {
         let finer = mixture.is_some() && self.finer;
         let known = if finer { &self.mixed } else { &self.plain };
         // In the discriminant's image the hand is the brighter side.
-        let polarity = if mixture.is_some() { Polarity::Bright } else { polarity };
-        Some(match lead {
-            Lead::Votes => {
-                Sight { cue: Cue::Votes(known), mixture: mixture.filter(|_| finer), polarity }
-            }
-            Lead::HandEdges => Sight { cue: Cue::HandEdges(known), mixture, polarity },
-            Lead::AnyEdge => Sight { cue: Cue::Edges, mixture, polarity },
-        })
+        let in_mixture = if mixture.is_some() { Polarity::Bright } else { polarity };
+        let (cue, mixture, polarity) = match lead {
+            Lead::Votes => (Cue::Votes(known), mixture.filter(|_| finer), in_mixture),
+            Lead::HandEdges => (Cue::HandEdges(known), mixture, in_mixture),
+            Lead::GreyEdges => (Cue::HandEdges(&self.plain), None, polarity),
+            Lead::AnyEdge => (Cue::Edges, mixture, in_mixture),
+        };
+        Some(Sight { lead, cue, mixture, polarity })
     }
 
     /// Pixels on either side of a contour, and so many half-widths more ahead of the tip.

@@ -45,10 +45,10 @@ impl ContourTracker {
         from: Shape,
         scale: Scale,
         window: Option<Window>,
+        lead: Lead,
     ) -> Result<Found> {
         let near_px = window.map_or(self.largeness() * NEAR_PX, |w| w.near_px);
         let own_only = window.is_some_and(|w| w.own_only);
-        let lead = window.map_or(Lead::HandEdges, |w| w.lead);
         let look = Look { lead, scale, own_only, ..Look::edges(near_px) };
         let first = match window {
             Some(Window { gate, .. }) => Look { window, half_length_px: gate.longest_px(), ..look },

@@ -140,10 +140,10 @@ impl ContourTracker {
         // What covers a hand may lie over the middle of a flank; its own pixels are told otherwise.
         let flanks = if has_own_pixels(found) { Flanks::Agreeing } else { Flanks::Visible };
         let Some(finger) = self.finger(x, found, flanks)? else { return Ok(None) };
-        if let Some(refined) = self.refine_whole(frame, &finger)? {
+        if let Some(refined) = self.refine_whole(frame, &finger, found.edges())? {
             return Ok(Some(refined));
         }
-        let sight = self.hand.sight(frame, Lead::HandEdges, self.options.polarity);
+        let sight = self.hand.sight(frame, found.edges(), self.options.polarity);
         let shown = self.convergence.shown(frame, sight.mixture, &finger)?;
         let looks = sight.cue.appearance();
         // What is known of the background are grey levels, whatever mixture shows the hand best.
@@ -154,10 +154,15 @@ impl ContourTracker {
 
     /// The same in the frame as it was recorded, where that is followed in a smaller picture: none
     /// unless its pixels agree with a finger, and are sharp enough to tell more than the picture's.
-    fn refine_whole(&mut self, frame: &Scene<'_>, finger: &Finger) -> Result<Option<Refined>> {
+    fn refine_whole(
+        &mut self,
+        frame: &Scene<'_>,
+        finger: &Finger,
+        edges: Lead,
+    ) -> Result<Option<Refined>> {
         let (Some(whole), reduction) = (frame.whole(), self.reduction) else { return Ok(None) };
         let finger = reduction.finger(finger);
-        let sight = self.hand.sight(frame, Lead::HandEdges, self.options.polarity);
+        let sight = self.hand.sight(frame, edges, self.options.polarity);
         let shown = self.whole.shown(whole, sight.mixture, || finger_region(&finger))?;
         let looks = sight.cue.appearance();
         let behind = frame.background();
@@ -206,7 +211,7 @@ impl ContourTracker {
     pub(super) fn bend(&mut self, frame: &Scene<'_>, found: &Found) -> Result<Option<Bend>> {
         let Shape::Ribbon(x) = found.shape else { return Ok(None) };
         let Some(finger) = self.finger(&x, found, Flanks::Visible)? else { return Ok(None) };
-        let sight = self.hand.sight(frame, Lead::HandEdges, self.options.polarity);
+        let sight = self.hand.sight(frame, found.edges(), self.options.polarity);
         let shown = self.convergence.shown(frame, sight.mixture, &finger)?;
         self.refiner.bend(&shown, &finger, sight.polarity, sight.cue.appearance())
     }
