@@ -310,11 +310,7 @@ impl Refiner {
         self.bare.look(frame, appearance, &sketch);
         let bisector = self.bisector.fit(frame, cue, polarity, noise_grey, &sketch, &self.bare)?;
         let start = bisector.map_or(sketch, |b| b.sketch);
-        let known = background.and_then(|known| self.fit_before(image, known, &start));
-        let photometric = known.or_else(|| {
-            let fit = self.photometric.fit(image, None, noise_grey, &start, &self.bare)?;
-            Some((fit, noise_grey))
-        });
+        let photometric = self.fit_pixels(image, background, noise_grey, &start);
         Ok(self.believed(noise_grey, &start, bisector, photometric))
     }
 
@@ -334,8 +330,31 @@ impl Refiner {
         self.straightness.bend(frame, cue, polarity, finger)
     }
 
-    /// The photometric line before a known background, and the noise of the picture that shows it;
-    /// none where that is not what is there after all.
+    /// The photometric line that counts, and the noise of the picture that shows it: the one before the
+    /// known background if it is believed. What is known may not be what is there; then pixels that agree
+    /// with a finger before something else are believed. Where neither are, a finger is not quite like the
+    /// model, and to know what is behind it is better than not to.
+    fn fit_pixels(
+        &mut self,
+        image: &GrayView<'_>,
+        background: Option<&KnownBackground<'_>>,
+        noise_grey: f64,
+        start: &Sketch,
+    ) -> Option<(PhotometricFit, f64)> {
+        let options = self.options;
+        let told = |(fit, noise): &(PhotometricFit, f64)| options.tells(&fit.report, *noise);
+        let known = background.and_then(|known| self.fit_before(image, known, start));
+        let known_source = known.as_ref().and_then(told);
+        if known_source == Some(Source::Photometric) {
+            return known;
+        }
+        let alone = self.photometric.fit(image, None, noise_grey, start, &self.bare);
+        let alone = alone.map(|fit| (fit, noise_grey));
+        let is_believed = alone.as_ref().and_then(told) == Some(Source::Photometric);
+        known.filter(|_| known_source.is_some() && !is_believed).or(alone)
+    }
+
+    /// The photometric line before a known background, and the noise of the picture that shows it.
     fn fit_before(
         &mut self,
         image: &GrayView<'_>,
@@ -345,7 +364,7 @@ impl Refiner {
         let image = known.image().unwrap_or(image);
         let noise_grey = self.noise.estimate(image, start)?;
         let fit = self.photometric.fit(image, Some(known), noise_grey, start, &self.bare)?;
-        self.options.believes_pixels(&fit.report, noise_grey).then_some((fit, noise_grey))
+        Some((fit, noise_grey))
     }
 
     /// Decides which line counts.

@@ -810,11 +810,8 @@ fn a_background_may_be_behind_another_picture_of_the_scene() {
     assert!((1.6..2.6).contains(&refined.noise_grey), "{}", refined.noise_grey);
 }
 
-#[test]
-fn flanks_that_are_not_quite_straight_are_told_of_but_not_believed() {
-    let (cone, finger, mut noise) = plain();
-    let canvas = cone.render(&PLAIN, 1, &flat);
-    // A lens of frosted glass: rows are shifted to and fro, by more than a real finger's edge.
+/// As through a lens of frosted glass: rows are shifted to and fro, by more than a real finger's edge.
+fn torn(canvas: &Canvas) -> Canvas {
     let mut torn = canvas.clone();
     for (y, row) in torn.grey.chunks_exact_mut(SIZE).enumerate() {
         let aside = 0.6 * (y as f64 * 0.8).sin();
@@ -824,6 +821,13 @@ fn flanks_that_are_not_quite_straight_are_told_of_but_not_believed() {
             *grey = at(x) + f64::abs(aside) * (next - at(x));
         }
     }
+    torn
+}
+
+#[test]
+fn flanks_that_are_not_quite_straight_are_told_of_but_not_believed() {
+    let (cone, finger, mut noise) = plain();
+    let torn = torn(&cone.render(&PLAIN, 1, &flat));
     let picture = torn.take(2.0, &mut noise);
     let refined = refine(&mut refiner(), &picture, &finger).unwrap();
     assert_eq!(refined.source, Source::Unsure, "{:?}", refined.photometric);
@@ -832,6 +836,39 @@ fn flanks_that_are_not_quite_straight_are_told_of_but_not_believed() {
     let strict = RefineOptions { max_unsure_edge_px: 1e-3, ..RefineOptions::default() };
     let refined = refine(&mut Refiner::new(strict).unwrap(), &picture, &finger);
     assert!(refined.is_none_or(|r| r.source == Source::Bisector));
+}
+
+#[test]
+fn a_known_background_tells_of_flanks_that_are_not_quite_straight_as_well() {
+    let (mut noise, mut refiner) = (Noise::new(17), refiner());
+    let (mut count, mut squares) = (0, [0.0; 2]);
+    for _ in 0..40 {
+        let cone = Cone::random(&mut noise, 0.1, 1.0);
+        let behind = clutter(&mut noise, 50.0);
+        let away = Cone { centres: cone.centres.map(|c| c + Vector3::new(1e4, 0.0, 0.0)), ..cone };
+        let picture = torn(&cone.render(&PLAIN, 1, &behind)).take(2.0, &mut noise);
+        let empty = torn(&away.render(&PLAIN, 1, &behind));
+        let mean: Vec<f32> = empty.grey.iter().map(|g| *g as f32).collect();
+        let sigma = vec![0.4; SIZE * SIZE];
+        let background = KnownBackground::new(&mean, &sigma, SIZE, SIZE).unwrap();
+        let (frame, finger) = (Frame::gray(picture.view()), cone.believed(&mut noise, 0.3));
+        let mut refine = |background| {
+            refiner.refine(&frame, &finger, Polarity::Unknown, None, background).unwrap()
+        };
+        let (Some(known), Some(alone)) = (refine(Some(&background)), refine(None)) else {
+            continue;
+        };
+        if [known.source, alone.source] != [Source::Unsure; 2] {
+            continue;
+        }
+        count += 1;
+        for (sum, refined) in squares.iter_mut().zip([known, alone]) {
+            *sum += cone.error(&refined.axis).y.powi(2);
+        }
+    }
+    let [known, alone] = squares;
+    assert!(count >= 10, "{count} fingers");
+    assert!(4.0 * known < alone, "{known} rad² against {alone}");
 }
 
 #[test]

@@ -202,12 +202,13 @@ impl ContourTracker {
         Ok(moulded.hand.into())
     }
 
-    /// Keeps the settled hand's dimensions and looks: tracking starts from them. None if the
-    /// paper's template cannot take them on, or explains them badly.
+    /// Keeps the settled hand's dimensions and looks: tracking starts from them. None if they are not
+    /// those of one finger, or the paper's template cannot take them on or explains them badly.
     fn freeze(&mut self, frame: &Scene<'_>, settled: &Found) -> Result<Option<Found>> {
         self.bed_in(frame, settled)?;
-        if self.takes_length && self.options.model == Model::Ribbon {
-            self.take_length(frame, settled)?;
+        let takes_length = self.takes_length && self.options.model == Model::Ribbon;
+        if takes_length && !self.take_length(frame, settled)? {
+            return Ok(None);
         }
         let ahead_px = self.waiting.measure.round_end_px - self.hand.measure.round_end_px;
         if let Some(looks) = &mut self.hand.looks {

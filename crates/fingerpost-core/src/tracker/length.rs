@@ -51,10 +51,11 @@ const NEAR: f64 = 0.5;
 const SLACK: f64 = 4.0;
 
 impl ContourTracker {
-    /// Shortens the settled template to its finger; tip and thumb stay where they are.
-    pub(super) fn take_length(&mut self, frame: &Scene<'_>, settled: &Found) -> Result<()> {
-        let Some(proportions) = self.template.proportions().copied() else { return Ok(()) };
-        let Some(mut fit) = settled.fit else { return Ok(()) };
+    /// Shortens the settled template to its finger; tip and thumb stay where they are. False if it
+    /// becomes another finger by that: then it has settled on none.
+    pub(super) fn take_length(&mut self, frame: &Scene<'_>, settled: &Found) -> Result<bool> {
+        let Some(proportions) = self.template.proportions().copied() else { return Ok(true) };
+        let Some(mut fit) = settled.fit else { return Ok(true) };
         for _ in 0..ROUNDS {
             let Shape::Ribbon(x) = self.hand.shape else { break };
             let scatter_px = fit.residual_rms_px;
@@ -64,17 +65,19 @@ impl ContourTracker {
             let before = self.hand.clone();
             let found = self.resized(frame, &x, BandMeasure::of(&proportions, length_px))?;
             let change = self.hand.shape.width() / before.shape.width();
-            let is_same = (1.0 / SAME_WIDTH..=SAME_WIDTH).contains(&change)
-                && found.is_accepted(&self.options.acquire.accept);
-            let Some(resized) = found.fit.filter(|_| is_same) else {
+            let is_accepted = found.is_accepted(&self.options.acquire.accept);
+            let Some(resized) = found.fit.filter(|_| is_accepted) else {
                 self.hand = before;
                 break;
             };
+            if !(1.0 / SAME_WIDTH..=SAME_WIDTH).contains(&change) {
+                return Ok(false);
+            }
             fit = resized;
             self.hand.looks = None;
             self.learn_looks(frame, 1)?;
         }
-        Ok(())
+        Ok(true)
     }
 
     /// How long the template should be \[px\]; none if it is as long as its finger, for all that shows.
