@@ -936,11 +936,13 @@ fn options_out_of_range_are_refused() {
     refused(&|o| o.max_residual = 0.5);
     refused(&|o| o.max_rejected = f64::NAN);
     refused(&|o| o.max_unsure_edge_px = 0.0);
+    refused(&|o| o.min_unsure_contrast = 0.0);
     refused(&|o| o.bisector.scale_px = 0.0);
     refused(&|o| o.bisector.min_edges = 2);
     refused(&|o| o.bisector.correlation = 0.5);
     refused(&|o| o.photometric.inner_px = 1.0);
     refused(&|o| o.photometric.cap = 1.0);
+    refused(&|o| o.photometric.known_outer_px = 0.0);
     refused(&|o| o.photometric.block_px = 0.0);
     refused(&|o| o.photometric.cutoff = 1.0);
     refused(&|o| o.photometric.bend_px = 0.0);

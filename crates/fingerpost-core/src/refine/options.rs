@@ -30,8 +30,11 @@ pub struct BisectorOptions {
 pub struct PhotometricOptions {
     /// Pixels so far inside the edge are fitted \[px\], 2–20.
     pub inner_px: f64,
-    /// Pixels so far outside the edge are fitted \[px\], 1–20.
+    /// Pixels so far outside the edge are fitted \[px\], 1–20: the farther, the likelier is something
+    /// else behind them than next to the edge.
     pub outer_px: f64,
+    /// The same before a known background, of which nothing misleads \[px\], 1–20.
+    pub known_outer_px: f64,
     /// How much of the round end is fitted, from its middle, in parts of its radius, 0–0.9.
     pub cap: f64,
     /// Length of a block \[px\], 1–20.
@@ -85,8 +88,11 @@ pub struct RefineOptions {
     /// positive.
     pub min_contrast: f64,
     /// A photometric line that does not count for what its pixels or edges scatter, or for its
-    /// contrast, is unsure if the edge of neither flank scatters by more than this \[px\], positive.
+    /// contrast, is unsure if the edge of neither flank scatters by more than this \[px\], positive,
     pub max_unsure_edge_px: f64,
+    /// and if the contrast of both flanks is at least this many times their pixels' scatter,
+    /// positive: a flank of no contrast may be anywhere.
+    pub min_unsure_contrast: f64,
     /// The bisector counts if its edges scatter by at most this about the flanks \[px\], positive,
     pub max_edge_residual_px: f64,
     /// and if at most this part of them is rejected, 0–1.
@@ -108,7 +114,8 @@ impl Default for RefineOptions {
             },
             photometric: PhotometricOptions {
                 inner_px: 5.0,
-                outer_px: 2.5,
+                outer_px: 2.0,
+                known_outer_px: 2.5,
                 cap: 0.5,
                 block_px: 3.0,
                 min_blocks: 4,
@@ -128,6 +135,7 @@ impl Default for RefineOptions {
             max_edge_px: 0.15,
             min_contrast: 10.0,
             max_unsure_edge_px: 1.0,
+            min_unsure_contrast: 1.0,
             max_edge_residual_px: 0.25,
             max_edges_rejected: 0.2,
         }
@@ -145,6 +153,7 @@ impl RefineOptions {
         positive("largest scatter of a flank's edge [px]", self.max_edge_px)?;
         positive("least contrast [scatter]", self.min_contrast)?;
         positive("largest scatter of an unsure flank's edge [px]", self.max_unsure_edge_px)?;
+        positive("least contrast of an unsure flank [scatter]", self.min_unsure_contrast)?;
         positive("largest scatter of the edges [px]", self.max_edge_residual_px)?;
         within("largest part of the edges rejected", self.max_edges_rejected, 0.0, 1.0, "0 to 1")
     }
@@ -159,7 +168,7 @@ impl RefineOptions {
             && report.rejected <= self.max_rejected
             && report.trusted >= self.min_trusted
             && report.edge_px.iter().all(|edge| *edge <= self.max_edge_px)
-            && report.contrast_grey.iter().all(|c| c.abs() >= self.min_contrast * scatter)
+            && contrasts(report, self.min_contrast)
     }
 
     /// What a photometric line is worth, if anything.
@@ -170,7 +179,8 @@ impl RefineOptions {
         let is_unsure = report.converged
             && report.rejected <= self.max_rejected
             && report.trusted >= self.min_trusted
-            && report.edge_px.iter().all(|edge| *edge <= self.max_unsure_edge_px);
+            && report.edge_px.iter().all(|edge| *edge <= self.max_unsure_edge_px)
+            && contrasts(report, self.min_unsure_contrast);
         is_unsure.then_some(Source::Unsure)
     }
 
@@ -179,6 +189,11 @@ impl RefineOptions {
         report.residual_px <= self.max_edge_residual_px
             && report.rejected <= self.max_edges_rejected
     }
+}
+
+/// Whether both flanks contrast by so many times what their pixels scatter.
+fn contrasts(report: &PhotometricReport, least: f64) -> bool {
+    report.contrast_grey.iter().all(|c| c.abs() >= least * report.residual_grey)
 }
 
 impl BisectorOptions {
@@ -204,6 +219,7 @@ impl PhotometricOptions {
     fn check(&self) -> Result<()> {
         within("inner strip [px]", self.inner_px, 2.0, 20.0, "2 to 20")?;
         within("outer strip [px]", self.outer_px, 1.0, 20.0, "1 to 20")?;
+        within("known outer strip [px]", self.known_outer_px, 1.0, 20.0, "1 to 20")?;
         within("part of the round end", self.cap, 0.0, 0.9, "0 to 0.9")?;
         within("length of a block [px]", self.block_px, 1.0, 20.0, "1 to 20")?;
         at_least("least blocks of a flank", self.min_blocks as f64, 3.0, "at least 3")?;

@@ -215,7 +215,8 @@ impl Strip {
         options: &PhotometricOptions,
     ) {
         let (bare, flank) = (flank, flank.index);
-        self.see(image, sketch, flank, options);
+        let outer_px = if background.is_some() { options.known_outer_px } else { options.outer_px };
+        self.see(image, sketch, flank, [options.inner_px, outer_px], options);
         self.divide(sketch.flanks[flank].from_px, options.block_px);
         if bare.is_partly_covered() {
             let Self { blocks, seen, .. } = self;
@@ -291,10 +292,10 @@ impl Strip {
         image: &GrayView<'_>,
         sketch: &Sketch,
         flank: usize,
+        [inner, outer]: [f64; 2],
         options: &PhotometricOptions,
     ) {
         let Stretch { from_px, to_px } = sketch.flanks[flank];
-        let (inner, outer) = (options.inner_px, options.outer_px);
         let side = SIDES[flank];
         let per_block = options.block_px.recip();
         let Self { seen, blocks, .. } = self;

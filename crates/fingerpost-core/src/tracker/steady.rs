@@ -13,6 +13,11 @@
 //! known counts as it is: a finger before an even background gains nothing from the frames before,
 //! nor does it lose.
 //!
+//! Of a finger that rests, all frames are one look at it. A part of each line's error is the same in
+//! all of them, and stays; but what noise makes of clutter (an edge that is taken for the finger's in
+//! one frame and not in the next) is new in every frame, and that part is averaged away, as far as the
+//! skin tells better than the frame how the finger lies.
+//!
 //! How far the lines scatter about what is known tells besides what their covariances are worth: the
 //! variance of unit weight, χ² per degree of freedom. Where it is more than 1, here as after any
 //! adjustment by least squares, all are that much less sure.
@@ -39,9 +44,10 @@ const COMMON_PART: f64 = 0.15;
 /// What contradicts what is known by more than this, in the square of their covariance, is another
 /// finger's.
 const OTHER: f64 = 100.0;
-/// As long as a finger has not gone so far, in half-widths, its lines are one look at it, and the last
-/// counts: the surest of several that err alike would be chosen by chance.
+/// As long as a finger has not gone so far, in half-widths, its lines are one look at it:
 const ONE_LOOK_WIDTHS: f64 = 0.5;
+/// this part of the variance of each is its own.
+const OWN_PART: f64 = 0.5;
 /// Lines are believed to scatter as they say by so many frames, in degrees of freedom two each; each
 /// that is fresh changes that by one part in so many more, but at least by this. The more so if it
 /// contradicts what is known, but no more than that.
@@ -64,18 +70,47 @@ struct Known {
     /// The line as it runs in the skin, beside the axis that was drawn on it: offset \[px\] at the
     /// skin's middle, and angle \[rad\].
     line: Vector2<f64>,
+    /// Its covariance, without what all lines of one look have in common.
     covariance: Matrix2<f64>,
+    /// The look that it comes from, as long as the finger rests.
+    rest: Option<Rest>,
     /// The variance of unit weight, and of how many frames it is.
     scatter: f64,
     frames: f64,
-    /// How the skin lay first and last, and when.
-    first: Axis,
+    /// How the skin lay last, and when.
     lay: Axis,
-    is_moved: bool,
     /// Frames in a row in which the skin was not found.
     missed: usize,
     time_s: f64,
     half_width_px: f64,
+}
+
+/// A look at a finger that rests.
+#[derive(Debug, Clone, Copy)]
+struct Rest {
+    /// How the skin lay first.
+    first: Axis,
+    /// The sum of the inverse covariances of its lines, and how many they are.
+    information: Matrix2<f64>,
+    frames: f64,
+}
+
+impl Rest {
+    /// None yet of a finger whose skin lies there.
+    fn at(first: Axis) -> Self {
+        Self { first, information: Matrix2::zeros(), frames: 0.0 }
+    }
+
+    /// With one more line of such a covariance.
+    fn seen(self, covariance: &Matrix2<f64>) -> Option<Self> {
+        let information = self.information + covariance.try_inverse()?;
+        Some(Self { information, frames: self.frames + 1.0, ..self })
+    }
+
+    /// Covariance of what its lines have in common.
+    fn common(&self) -> Option<Matrix2<f64>> {
+        Some(self.information.try_inverse()? * (self.frames * (1.0 - OWN_PART)))
+    }
 }
 
 /// The finger as its template has it.
@@ -121,14 +156,14 @@ impl Steady {
         let axis = &line.axis;
         let is_seen = self.skin.draw(image, axis, half_width_px, taper, SKIN_PART * length_px);
         let lay = self.skin.middle_of(axis);
+        let covariance = line.told_at(&lay).covariance;
         self.known = is_seen.then(|| Known {
             line: Vector2::zeros(),
-            covariance: line.told_at(&lay).covariance,
+            covariance: covariance * OWN_PART,
+            rest: Rest::at(lay).seen(&covariance),
             scatter: 1.0,
             frames: BELIEVED_FRAMES,
-            first: lay,
             lay,
-            is_moved: false,
             missed: 0,
             time_s,
             half_width_px,
@@ -146,13 +181,14 @@ impl Steady {
         let lie = self.skin.find(image, &self.expected(&line, &known))?;
         let (known, gone) = known.carried(&lie, time_s);
         let look = Look::of(line, &lie, &known, gone)?;
-        let together = look.together()?;
-        let counts = known.is_moved && spread(&together) <= spread(&look.line);
-        let known = if counts { known.taught(&look)? } else { known.replaced(&look) };
-        let known = known.scattered(&look);
+        let (known, told) = if let Some(rest) = known.rest {
+            known.rested(&look, rest)?
+        } else {
+            known.moved(&look)?
+        };
         self.known = Some(known);
         self.skin.learn(&lie);
-        Some(known.weighed(if counts { together } else { look.line }))
+        Some(known.weighed(told))
     }
 
     /// Where the skin would lie if this line were right.
@@ -173,11 +209,15 @@ impl Known {
         let passed_s = (time_s - self.time_s).max(0.0);
         let drift = |k: usize| DRIFT_PER_WIDTH[k] * gone + DRIFT_PER_S[k] * passed_s;
         let own = Vector2::new(w * w * drift(0), drift(1) + DRIFT_PER_TURN * turned * turned);
-        let from_first = (lie.axis.anchor - self.first.anchor).norm() / w;
+        let rests =
+            |rest: &Rest| (lie.axis.anchor - rest.first.anchor).norm() < ONE_LOOK_WIDTHS * w;
+        let rest = self.rest.filter(rests);
+        let left = self.rest.filter(|_| rest.is_none());
+        let common = left.and_then(|rest| rest.common()).unwrap_or_default();
         let carried = Self {
-            covariance: self.covariance + Matrix2::from_diagonal(&own),
+            covariance: self.covariance + common + Matrix2::from_diagonal(&own),
+            rest,
             lay: lie.axis,
-            is_moved: self.is_moved || from_first >= ONE_LOOK_WIDTHS,
             missed: 0,
             time_s,
             ..self
@@ -185,19 +225,38 @@ impl Known {
         (carried, gone)
     }
 
+    /// With another frame of a finger that rests, and the line of all of them.
+    fn rested(self, look: &Look, rest: Rest) -> Option<(Self, FingerLine)> {
+        let single = look.measured.covariance;
+        let rest = rest.seen(&single)?;
+        let own = single * OWN_PART;
+        let told = look.together(&own, |_| rest.common())?;
+        let known = self.taught(look, &own)?;
+        Some((Self { rest: Some(rest), ..known }, told))
+    }
+
+    /// With another frame of a finger that has moved, and the line that counts.
+    fn moved(self, look: &Look) -> Option<(Self, FingerLine)> {
+        let scattered = self.scattered(look);
+        let common =
+            |covariance: &Matrix2<f64>| Some((look.measured.covariance - covariance) * COMMON_PART);
+        let together = look.together(&look.told, common)?;
+        if spread(&together) <= spread(&look.line) {
+            return Some((scattered.taught(look, &look.told)?, together));
+        }
+        Some((scattered.replaced(look)?, look.line))
+    }
+
     /// With what a look tells.
-    fn taught(self, look: &Look) -> Option<Self> {
+    fn taught(self, look: &Look, told: &Matrix2<f64>) -> Option<Self> {
         let before = self.covariance * look.doubt;
-        let gain = before * (look.foretold + look.told).try_inverse()?;
+        let gain = before * (look.foretold + told).try_inverse()?;
         let line = self.line + gain * look.surprise;
         Some(Self { line, covariance: (Matrix2::identity() - gain) * before, ..self })
     }
 
     /// With how far a look lies from what was known.
     fn scattered(self, look: &Look) -> Self {
-        if !self.is_moved {
-            return self;
-        }
         let frames = self.frames + look.freshness;
         let rate = look.freshness * (1.0 / frames).max(SCATTER_RATE);
         let scatter = self.scatter + rate * (look.scatter.min(0.5 * CONTRADICTION) - self.scatter);
@@ -209,10 +268,12 @@ impl Known {
         FingerLine { covariance: line.covariance * self.scatter.max(1.0), ..line }
     }
 
-    /// As a look alone has it.
-    fn replaced(self, look: &Look) -> Self {
-        let covariance = look.measured.covariance + look.lie.covariance;
-        Self { line: self.line + look.surprise, covariance, ..self }
+    /// As a frame alone has it, which may be the first of a finger that rests.
+    fn replaced(self, look: &Look) -> Option<Self> {
+        let single = look.measured.covariance;
+        let line = self.line + look.surprise;
+        let rest = Some(Rest::at(look.lie.axis).seen(&single)?);
+        Some(Self { line, covariance: single * OWN_PART + look.lie.covariance, rest, ..self })
     }
 }
 
@@ -264,16 +325,20 @@ impl Look {
         })
     }
 
-    /// The line by both, told where the frame's is.
-    fn together(&self) -> Option<FingerLine> {
-        let gain = self.foretold * (self.foretold + self.told).try_inverse()?;
+    /// The line by both, told where the frame's is: that tells so much, and what it has in `common`
+    /// with the others stays.
+    fn together(
+        &self,
+        told: &Matrix2<f64>,
+        common: impl FnOnce(&Matrix2<f64>) -> Option<Matrix2<f64>>,
+    ) -> Option<FingerLine> {
+        let gain = self.foretold * (self.foretold + told).try_inverse()?;
         let covariance = (Matrix2::identity() - gain) * self.foretold;
-        let common = (self.measured.covariance - covariance) * COMMON_PART;
         let beside = self.known + gain * self.surprise;
         let Axis { anchor, angle_rad, .. } = self.lie.axis;
         let anchor = anchor + self.lie.axis.normal() * beside.x;
         let axis = Axis::of_finger(anchor, angle_rad + beside.y, 0.0);
-        let covariance = covariance + common;
+        let covariance = covariance + common(&covariance)?;
         let told = FingerLine { axis, covariance, ..self.line }.told_beside(&self.line);
         let tip_px = (self.line.axis.tip - self.line.axis.anchor).dot(&self.line.axis.direction());
         let axis = Axis::of_finger(told.axis.anchor, told.axis.angle_rad, tip_px);
@@ -332,19 +397,25 @@ mod tests {
         [0.2 * (2.3 * k).sin(), 0.014 * (2.9 * k + 1.0).sin()]
     }
 
-    /// The error of angle and what is told of it, frame by frame.
+    /// The error of angle and what is told of it in a frame.
+    fn follow(
+        steady: &mut Steady,
+        k: usize,
+        painted: &Painted,
+        off: [f64; 2],
+        sigmas: [f64; 2],
+    ) -> [f64; 2] {
+        let line = line(painted, off, sigmas);
+        let told = painted.show(|image| steady.follow(image, k as f64 / 25.0, line, &SHOWN));
+        [told.axis.angle_rad - painted.angle_rad, told.covariance[(1, 1)].sqrt()]
+    }
+
+    /// The same of as many frames.
     fn followed(frames: usize, step_px: f64, texture: f64, sigmas: [f64; 2]) -> Vec<[f64; 2]> {
         let mut steady = Steady::new();
+        let off = |k| if step_px > 0.0 { error(k) } else { error(0) };
         (0..frames)
-            .map(|k| {
-                let painted = painted(k, step_px, texture);
-                let off = if step_px > 0.0 { error(k) } else { error(0) };
-                let line = line(&painted, off, sigmas);
-                let told =
-                    painted.show(|image| steady.follow(image, k as f64 / 25.0, line, &SHOWN));
-                let off = told.axis.angle_rad - painted.angle_rad;
-                [off, told.covariance[(1, 1)].sqrt()]
-            })
+            .map(|k| follow(&mut steady, k, &painted(k, step_px, texture), off(k), sigmas))
             .collect()
     }
 
@@ -367,9 +438,45 @@ mod tests {
     #[test]
     fn the_error_of_a_resting_finger_is_not_averaged_to_nothing() {
         let told = followed(60, 0.0, 20.0, [0.15, 0.01]);
+        // What all frames have in common stays, and is told of; the skin adds little.
+        let common = (1.0 - OWN_PART).sqrt() * 0.01;
         for [off, sigma] in told {
-            assert!((off - error(0)[1]).abs() < 1e-9 && (sigma - 0.01).abs() < 1e-9);
+            assert!((off - error(0)[1]).abs() < 0.3 * sigma, "{off}");
+            assert!((common..0.0101).contains(&sigma), "{sigma}");
         }
+    }
+
+    #[test]
+    fn what_is_new_in_every_frame_of_a_resting_finger_is_averaged_away() {
+        let mut steady = Steady::new();
+        let (common, sigmas) = ([0.1, 0.007], [0.2, 0.014]);
+        let own = |k: usize| error(k).map(|off| 0.7 * off);
+        let off = |k: usize| [common[0] + own(k)[0], common[1] + own(k)[1]];
+        let told: Vec<_> = (0..40)
+            .map(|k| follow(&mut steady, k, &painted(k, 0.0, 20.0), off(k), sigmas))
+            .collect();
+        let alone = rms((20..40).map(|k| own(k)[1]));
+        let together = rms(told[20..].iter().map(|t| t[0] - common[1]));
+        assert!(together < 0.3 * alone, "{together} of {alone}");
+        // It is honest about what is left.
+        let (error, sigma) = (rms(told[20..].iter().map(|t| t[0])), told[39][1]);
+        assert!((0.5..1.3).contains(&(error / sigma)), "{error} {sigma}");
+    }
+
+    #[test]
+    fn a_finger_that_comes_to_rest_is_told_by_the_frames_since() {
+        let mut steady = Steady::new();
+        for k in 0..20 {
+            follow(&mut steady, k, &painted(k, 1.0, 20.0), error(k), [0.15, 0.01]);
+        }
+        // Where it rests, a frame tells more than all before.
+        let still = |k: usize| Painted { seed: 7 + k as u64, ..painted(20, 1.0, 20.0) };
+        let own = |k: usize| error(k).map(|off| 0.3 * off);
+        let told: Vec<_> =
+            (20..60).map(|k| follow(&mut steady, k, &still(k), own(k), [0.06, 0.004])).collect();
+        let alone = rms((40..60).map(|k| own(k)[1]));
+        let together = rms(told[20..].iter().map(|t| t[0]));
+        assert!(together < 0.5 * alone, "{together} of {alone}");
     }
 
     #[test]
@@ -417,12 +524,7 @@ mod tests {
     #[test]
     fn a_line_that_contradicts_those_before_is_doubted_and_so_are_they() {
         let mut steady = Steady::new();
-        let mut follow = |k: usize, off: [f64; 2]| {
-            let painted = painted(k, 1.0, 20.0);
-            let line = line(&painted, off, [0.15, 0.01]);
-            let told = painted.show(|image| steady.follow(image, k as f64 / 25.0, line, &SHOWN));
-            [told.axis.angle_rad - painted.angle_rad, told.covariance[(1, 1)].sqrt()]
-        };
+        let mut follow = |k, off| follow(&mut steady, k, &painted(k, 1.0, 20.0), off, [0.15, 0.01]);
         let usual = (0..20).map(|k| follow(k, error(k))).last();
         let [off, sigma] = follow(20, [0.5, 0.09]);
         assert!(off.abs() < 0.03, "{off}");
