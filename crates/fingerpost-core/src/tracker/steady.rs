@@ -16,7 +16,8 @@
 //! Of a finger that rests, all frames are one look at it. A part of each line's error is the same in
 //! all of them, and stays; but what noise makes of clutter (an edge that is taken for the finger's in
 //! one frame and not in the next) is new in every frame, and that part is averaged away, as far as the
-//! skin tells better than the frame how the finger lies.
+//! skin tells better than the frame how the finger lies. How large it is, the lines tell themselves, by
+//! how they scatter beside the skin: lines that all err alike stay as they are.
 //!
 //! How far the lines scatter about what is known tells besides what their covariances are worth: the
 //! variance of unit weight, χ² per degree of freedom. Where it is more than 1, here as after any
@@ -44,10 +45,12 @@ const COMMON_PART: f64 = 0.15;
 /// What contradicts what is known by more than this, in the square of their covariance, is another
 /// finger's.
 const OTHER: f64 = 100.0;
-/// As long as a finger has not gone so far, in half-widths, its lines are one look at it:
+/// As long as a finger has not gone so far, in half-widths, its lines are one look at it.
 const ONE_LOOK_WIDTHS: f64 = 0.5;
-/// this part of the variance of each is its own.
-const OWN_PART: f64 = 0.5;
+/// At most this part of the variance of each is its own, and new in every frame.
+const MOST_OWN_PART: f64 = 0.5;
+/// How the skin lies has a say in how far two of them are apart, once for each.
+const LIES: f64 = 2.0;
 /// Lines are believed to scatter as they say by so many frames, in degrees of freedom two each; each
 /// that is fresh changes that by one part in so many more, but at least by this. The more so if it
 /// contradicts what is known, but no more than that.
@@ -70,7 +73,8 @@ struct Known {
     /// The line as it runs in the skin, beside the axis that was drawn on it: offset \[px\] at the
     /// skin's middle, and angle \[rad\].
     line: Vector2<f64>,
-    /// Its covariance, without what all lines of one look have in common.
+    /// Its covariance; of a finger that rests without what all its lines have in common, as if the part
+    /// that is their own were as large as can be.
     covariance: Matrix2<f64>,
     /// The look that it comes from, as long as the finger rests.
     rest: Option<Rest>,
@@ -93,12 +97,16 @@ struct Rest {
     /// The sum of the inverse covariances of its lines, and how many they are.
     information: Matrix2<f64>,
     frames: f64,
+    /// The sum of χ² of how far each lay from those before, less what is the skin's, and what that would
+    /// be of lines that have nothing in common.
+    scatter: f64,
+    most_scatter: f64,
 }
 
 impl Rest {
     /// None yet of a finger whose skin lies there.
     fn at(first: Axis) -> Self {
-        Self { first, information: Matrix2::zeros(), frames: 0.0 }
+        Self { first, information: Matrix2::zeros(), frames: 0.0, scatter: 0.0, most_scatter: 0.0 }
     }
 
     /// With one more line of such a covariance.
@@ -107,9 +115,32 @@ impl Rest {
         Some(Self { information, frames: self.frames + 1.0, ..self })
     }
 
+    /// With how far one more lies from what is known, as in [`Known::covariance`].
+    fn scattered(self, look: &Look, known: &Matrix2<f64>) -> Option<Self> {
+        let inverse = look.measured.covariance.try_inverse()?;
+        let by_skin = LIES * (inverse * look.lie.covariance).trace();
+        let scatter = look.surprise.dot(&(inverse * look.surprise)) - by_skin;
+        let most = 2.0 + (inverse * known).trace() / MOST_OWN_PART;
+        Some(Self {
+            scatter: self.scatter + scatter,
+            most_scatter: self.most_scatter + most,
+            ..self
+        })
+    }
+
+    /// The part of the variance of its lines that is new in each.
+    fn own_part(&self) -> f64 {
+        if self.scatter > 0.0 { MOST_OWN_PART.min(self.scatter / self.most_scatter) } else { 0.0 }
+    }
+
+    /// The covariance of what is known of them all, in which the own part was the largest.
+    fn whole(&self, own: &Matrix2<f64>) -> Option<Matrix2<f64>> {
+        Some(self.common()? + own * (self.own_part() / MOST_OWN_PART))
+    }
+
     /// Covariance of what its lines have in common.
     fn common(&self) -> Option<Matrix2<f64>> {
-        Some(self.information.try_inverse()? * (self.frames * (1.0 - OWN_PART)))
+        Some(self.information.try_inverse()? * (self.frames * (1.0 - self.own_part())))
     }
 }
 
@@ -159,7 +190,7 @@ impl Steady {
         let covariance = line.told_at(&lay).covariance;
         self.known = is_seen.then(|| Known {
             line: Vector2::zeros(),
-            covariance: covariance * OWN_PART,
+            covariance: covariance * MOST_OWN_PART,
             rest: Rest::at(lay).seen(&covariance),
             scatter: 1.0,
             frames: BELIEVED_FRAMES,
@@ -213,9 +244,10 @@ impl Known {
             |rest: &Rest| (lie.axis.anchor - rest.first.anchor).norm() < ONE_LOOK_WIDTHS * w;
         let rest = self.rest.filter(rests);
         let left = self.rest.filter(|_| rest.is_none());
-        let common = left.and_then(|rest| rest.common()).unwrap_or_default();
+        let covariance =
+            left.and_then(|rest| rest.whole(&self.covariance)).unwrap_or(self.covariance);
         let carried = Self {
-            covariance: self.covariance + common + Matrix2::from_diagonal(&own),
+            covariance: covariance + Matrix2::from_diagonal(&own),
             rest,
             lay: lie.axis,
             missed: 0,
@@ -228,10 +260,15 @@ impl Known {
     /// With another frame of a finger that rests, and the line of all of them.
     fn rested(self, look: &Look, rest: Rest) -> Option<(Self, FingerLine)> {
         let single = look.measured.covariance;
-        let rest = rest.seen(&single)?;
-        let own = single * OWN_PART;
-        let told = look.together(&own, |_| rest.common())?;
-        let known = self.taught(look, &own)?;
+        let rest = rest.scattered(look, &self.covariance)?.seen(&single)?;
+        let own_part = rest.own_part();
+        let told = if own_part > 0.0 {
+            let foretold = self.covariance * (own_part / MOST_OWN_PART) + look.lie.covariance;
+            look.together(&foretold, &(single * own_part), |_| rest.common())?
+        } else {
+            look.line
+        };
+        let known = self.taught(look, &(single * MOST_OWN_PART))?;
         Some((Self { rest: Some(rest), ..known }, told))
     }
 
@@ -240,7 +277,7 @@ impl Known {
         let scattered = self.scattered(look);
         let common =
             |covariance: &Matrix2<f64>| Some((look.measured.covariance - covariance) * COMMON_PART);
-        let together = look.together(&look.told, common)?;
+        let together = look.together(&look.foretold, &look.told, common)?;
         if spread(&together) <= spread(&look.line) {
             return Some((scattered.taught(look, &look.told)?, together));
         }
@@ -273,7 +310,7 @@ impl Known {
         let single = look.measured.covariance;
         let line = self.line + look.surprise;
         let rest = Some(Rest::at(look.lie.axis).seen(&single)?);
-        Some(Self { line, covariance: single * OWN_PART + look.lie.covariance, rest, ..self })
+        Some(Self { line, covariance: single * MOST_OWN_PART + look.lie.covariance, rest, ..self })
     }
 }
 
@@ -325,15 +362,16 @@ impl Look {
         })
     }
 
-    /// The line by both, told where the frame's is: that tells so much, and what it has in `common`
-    /// with the others stays.
+    /// The line by both, told where the frame's is: these are their covariances, and what they have in
+    /// `common` stays.
     fn together(
         &self,
+        foretold: &Matrix2<f64>,
         told: &Matrix2<f64>,
         common: impl FnOnce(&Matrix2<f64>) -> Option<Matrix2<f64>>,
     ) -> Option<FingerLine> {
-        let gain = self.foretold * (self.foretold + told).try_inverse()?;
-        let covariance = (Matrix2::identity() - gain) * self.foretold;
+        let gain = foretold * (foretold + told).try_inverse()?;
+        let covariance = (Matrix2::identity() - gain) * foretold;
         let beside = self.known + gain * self.surprise;
         let Axis { anchor, angle_rad, .. } = self.lie.axis;
         let anchor = anchor + self.lie.axis.normal() * beside.x;
@@ -438,11 +476,8 @@ mod tests {
     #[test]
     fn the_error_of_a_resting_finger_is_not_averaged_to_nothing() {
         let told = followed(60, 0.0, 20.0, [0.15, 0.01]);
-        // What all frames have in common stays, and is told of; the skin adds little.
-        let common = (1.0 - OWN_PART).sqrt() * 0.01;
         for [off, sigma] in told {
-            assert!((off - error(0)[1]).abs() < 0.3 * sigma, "{off}");
-            assert!((common..0.0101).contains(&sigma), "{sigma}");
+            assert!((off - error(0)[1]).abs() < 1e-9 && (sigma - 0.01).abs() < 1e-9);
         }
     }
 
