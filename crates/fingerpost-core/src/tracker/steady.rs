@@ -264,7 +264,7 @@ impl Known {
         let own_part = rest.own_part();
         let told = if own_part > 0.0 {
             let foretold = self.covariance * (own_part / MOST_OWN_PART) + look.lie.covariance;
-            look.together(&foretold, &(single * own_part), |_| rest.common())?
+            look.together(&(foretold * look.doubt), &(single * own_part), |_| rest.common())?
         } else {
             look.line
         };
