@@ -137,26 +137,8 @@ impl ContourTracker {
         x: &RibbonVector,
         found: &Found,
     ) -> Result<Option<Refined>> {
-        if !has_own_pixels(found) {
-            // What covers a hand may lie over the middle of a flank; its own pixels are told otherwise.
-            return self.refine_by(frame, x, found, Flanks::Visible);
-        }
-        if let Some(refined) = self.refine_by(frame, x, found, Flanks::Agreeing)? {
-            return Ok(Some(refined));
-        }
-        // Clutter may have turned the contour so far that hardly any of a flank agrees with it.
-        let whole = self.refine_by(frame, x, found, Flanks::Visible)?;
-        Ok(whole.filter(|refined| refined.source == Source::Photometric))
-    }
-
-    /// The same by so much of both flanks.
-    fn refine_by(
-        &mut self,
-        frame: &Scene<'_>,
-        x: &RibbonVector,
-        found: &Found,
-        flanks: Flanks,
-    ) -> Result<Option<Refined>> {
+        // What covers a hand may lie over the middle of a flank; its own pixels are told otherwise.
+        let flanks = if has_own_pixels(found) { Flanks::Agreeing } else { Flanks::Visible };
         let Some(finger) = self.finger(x, found, flanks)? else { return Ok(None) };
         if let Some(refined) = self.refine_whole(frame, &finger, found.edges())? {
             return Ok(Some(refined));
