@@ -63,7 +63,7 @@ def known_clutter(seed: int) -> Bench:
 
 
 def test_a_template_that_is_another_finger_once_shortened_has_settled_on_none():
-    # Too long a template settles on finger and clutter; as long as the finger it lies elsewhere.
+    # Too long, it settles on finger and clutter; as long as the finger, it lies elsewhere.
     trial = known_clutter(seed=1).trial(3)
     assert trial.point is None or trial.error < COVERED_MM
 
