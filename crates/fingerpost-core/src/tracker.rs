@@ -64,6 +64,7 @@ mod line;
 mod looks;
 mod mould;
 mod neighbours;
+mod normals;
 mod options;
 mod pace;
 mod reduced;

@@ -3,18 +3,18 @@
 use super::hand::SURE;
 use super::looks::{Lead, Looks, Shaft, Sight, Silhouette};
 use super::neighbours::alike;
+use super::normals::{KERNEL_REACH_PX, Normals, at_edge, is_own};
 use super::options::{AcceptOptions, TrackerOptions};
 use super::reduced::Reduction;
-use super::scene::{Behind, Scene};
+use super::scene::Scene;
 use super::{MAX_DOF, SearchedLine, ShapeEstimate};
 use crate::Result;
-use crate::appearance::{Appearance, INSIDE_PX};
 use crate::discriminant::{DiscriminantImage, Mixture, region_about};
 use crate::dynamics::{Expectation, Gate};
 use crate::fit::{EquationBuffer, Equations, FitReport, Fitter, Outcome, Prior};
 use crate::frame::Frame;
 use crate::refine::Finger;
-use crate::search::{Cue, Edge, EdgeMeasurement, EdgeSearch, Miss, Polarity, Scale, SearchLine};
+use crate::search::{Edge, EdgeMeasurement, Polarity, Scale, SearchLine};
 use crate::shape_space::{Axis, PlacedSample, Pose, ShapeSpace};
 use crate::simd::Isa;
 use crate::template::{Part, TemplateSample};
@@ -224,14 +224,13 @@ pub(super) fn max_residual_px(accept: &AcceptOptions, half_width_px: f64) -> f64
 /// The stages of one view and the buffers between them.
 #[derive(Debug, Clone)]
 pub(super) struct Convergence {
-    search: EdgeSearch,
+    /// What was searched last.
+    normals: Normals,
     fitter: Fitter,
     max_iterations: usize,
     correlation: f64,
     /// Which samples are not hidden by another limb: the line of each, in order.
     visible: Vec<usize>,
-    lines: Vec<SearchLine>,
-    measurements: Vec<EdgeMeasurement>,
     /// How far the edge of each line is from the fit to them \[px\], infinite where it does not agree with
     /// it; none does without a fit.
     left_px: Vec<f64>,
@@ -247,18 +246,6 @@ pub(super) struct Convergence {
     leading: Option<Looks>,
     /// The present frame as the hand's discriminant shows it.
     image: DiscriminantImage,
-    /// Lines that are searched once more, where the hand begins, and which lines they replace.
-    again: Vec<SearchLine>,
-    replaced: Vec<Replaced>,
-    found_again: Vec<EdgeMeasurement>,
-}
-
-/// A line whose edge is the background's.
-#[derive(Debug, Clone, Copy)]
-struct Replaced {
-    line: usize,
-    /// Where along it the hand begins \[px\].
-    begins_px: f64,
 }
 
 impl Convergence {
@@ -266,13 +253,11 @@ impl Convergence {
         let mut leading = Looks::new(false);
         leading.reserve(options.samples);
         Ok(Self {
-            search: EdgeSearch::new(options.search)?,
+            normals: Normals::new(options)?,
             fitter: Fitter::new(options.fit)?,
             max_iterations: options.max_iterations,
             correlation: options.correlation,
             visible: Vec::with_capacity(options.samples),
-            lines: Vec::with_capacity(options.samples),
-            measurements: Vec::with_capacity(options.samples),
             left_px: Vec::with_capacity(options.samples),
             equations: EquationBuffer::with_capacity(options.samples, MAX_DOF),
             agreeing: Vec::with_capacity(options.samples),
@@ -281,15 +266,12 @@ impl Convergence {
             unknown: Looks::new(false),
             leading: Some(leading),
             image: DiscriminantImage::default(),
-            again: Vec::with_capacity(options.samples),
-            replaced: Vec::with_capacity(options.samples),
-            found_again: Vec::with_capacity(options.samples),
         })
     }
 
     /// The same stages with another instruction set.
     pub fn with_isa(self, isa: Isa) -> Self {
-        Self { search: self.search.with_isa(isa), fitter: self.fitter.with_isa(isa), ..self }
+        Self { normals: self.normals.with_isa(isa), fitter: self.fitter.with_isa(isa), ..self }
     }
 
     /// Forgets the last frame.
@@ -299,21 +281,14 @@ impl Convergence {
 
     /// The last search, what each line found, and whether that agrees with the fit.
     pub fn search_lines(&self) -> impl ExactSizeIterator<Item = SearchedLine<'_>> {
-        let found = self.lines.iter().zip(&self.measurements).zip(&self.left_px);
+        let searched = self.normals.lines().iter().zip(self.normals.found());
+        let found = searched.zip(&self.left_px);
         found.map(|((line, found), px)| SearchedLine { line, found, agrees: px.is_finite() })
     }
 
     /// Tells the last search of a picture in its frame.
     pub fn enlarge(&mut self, reduction: Reduction) {
-        let px = reduction.px();
-        for (line, found) in self.lines.iter_mut().zip(&mut self.measurements) {
-            line.sample = reduction.sample(&line.sample);
-            line.half_length_px *= px;
-            if let Ok(edge) = found {
-                edge.offset_px *= px;
-                edge.variance_px2 *= px * px;
-            }
-        }
+        self.normals.enlarge(reduction);
     }
 
     /// Shows the finger's samples of the last search whose edges agree with the fit, each moved to
@@ -389,7 +364,7 @@ impl Convergence {
     /// with the fit, each moved to its edge.
     fn gather_agreeing(&mut self, samples: usize) {
         self.agreeing.clear();
-        let hits = self.visible.iter().zip(&self.lines).zip(&self.measurements);
+        let hits = self.visible.iter().zip(self.normals.lines()).zip(self.normals.found());
         let agreeing = hits
             .filter_map(|((&i, line), found)| found.as_ref().ok().map(|edge| (i, line, edge)))
             .zip(self.fitter.weights())
@@ -424,7 +399,7 @@ impl Convergence {
         samples: &[TemplateSample],
         part: Part,
     ) -> impl DoubleEndedIterator<Item = (f64, Option<f64>)> {
-        let told = self.measurements.iter().zip(&self.left_px);
+        let told = self.normals.found().iter().zip(&self.left_px);
         let searched = self.visible.iter().zip(told);
         searched.filter_map(move |(&i, (found, &px))| {
             let sample = samples.get(i).filter(|s| s.part() == part)?;
@@ -473,7 +448,7 @@ impl Convergence {
             self.measure(frame, &pose, attempt, searched_px)?;
             let prior = believed.map(|b| Prior { mean: b.mean - at.x, information: b.information });
             let samples = self.visible.iter().map(|&i| &attempt.samples[i]);
-            let measured = samples.zip(&self.lines).zip(&self.measurements);
+            let measured = samples.zip(self.normals.lines()).zip(self.normals.found());
             let equations = linearise(space, &pose, measured, &mut self.equations)?;
             let far_px = (half_length_px - MIN_HALF_LENGTH_PX).max(0.0) * FAR_SCALE;
             let least_px = self.fitter.options().min_scale_px.max(far_px);
@@ -507,7 +482,7 @@ impl Convergence {
     /// contour so far; infinite where so many lines found none that theirs may be beyond them.
     fn edges_within_px(&self, moved_px: f64) -> f64 {
         let residuals = self.fitter.residuals();
-        if (residuals.len() as f64) < SURE * self.lines.len() as f64 {
+        if (residuals.len() as f64) < SURE * self.normals.lines().len() as f64 {
             return f64::INFINITY;
         }
         let furthest_px = residuals.iter().fold(0.0, |px: f64, r| px.max(r.abs()));
@@ -516,8 +491,8 @@ impl Convergence {
 
     /// As how many edge measurements that are independent the last ones count once.
     fn alike(&mut self, samples: &[TemplateSample]) -> f64 {
-        let Self { visible, measurements, fitter, left_over, .. } = self;
-        let hits = visible.iter().zip(measurements).filter(|(_, found)| found.is_ok());
+        let Self { visible, normals, fitter, left_over, .. } = self;
+        let hits = visible.iter().zip(normals.found()).filter(|(_, found)| found.is_ok());
         let told = hits.zip(fitter.residuals()).zip(fitter.agreeing());
         let agreeing = told.filter(|(_, agrees)| *agrees);
         left_over.clear();
@@ -535,7 +510,7 @@ impl Convergence {
         attempt: &Attempt<'_>,
     ) -> Result<impl Iterator<Item = (usize, Option<f64>)>> {
         self.measure(frame, &space.pose(x), attempt, attempt.half_length_px)?;
-        let offsets = self.measurements.iter().map(|found| Some(found.as_ref().ok()?.offset_px));
+        let offsets = self.normals.found().iter().map(|found| Some(found.as_ref().ok()?.offset_px));
         Ok(self.visible.iter().copied().zip(offsets))
     }
 
@@ -548,12 +523,12 @@ impl Convergence {
         half_length_px: f64,
     ) -> Result<()> {
         self.visible.clear();
-        self.lines.clear();
+        self.normals.clear();
         for (i, sample) in attempt.samples.iter().enumerate().step_by(attempt.every) {
             let placed = pose.place(sample);
             if !pose.is_hidden(sample, &placed) {
                 self.visible.push(i);
-                self.lines.push(SearchLine {
+                self.normals.push(SearchLine {
                     sample: placed,
                     half_length_px: attempt
                         .window
@@ -563,49 +538,10 @@ impl Convergence {
             }
         }
         self.left_px.clear();
-        self.left_px.resize(self.lines.len(), f64::INFINITY);
-        let shown = self.image.shown(frame, attempt.sight.mixture, || region(&self.lines))?;
-        let Attempt { sight, scale, .. } = attempt;
-        self.search.search(&shown, sight.cue, *scale, &self.lines, &mut self.measurements)?;
-        if let (true, Some(looks)) = (attempt.own_only, sight.cue.appearance()) {
-            for (line, found) in self.lines.iter().zip(&mut self.measurements) {
-                if found.is_ok_and(|edge| !is_own(&shown, looks, &at_edge(line, &edge))) {
-                    *found = Err(Miss::NoContrast);
-                }
-            }
-        }
-        let Some(background) = frame.background().filter(|_| !matches!(sight.cue, Cue::Votes(_)))
-        else {
-            return Ok(());
-        };
-        // Edges that the background explains are not the hand's. Where along the line the hand
-        // begins before the background, it may have an edge of its own.
-        self.again.clear();
-        self.replaced.clear();
-        for (i, line) in self.lines.iter().enumerate() {
-            let Ok(edge) = &self.measurements[i] else { continue };
-            if !is_background(background, line, edge.offset_px) {
-                continue;
-            }
-            self.measurements[i] = Err(Miss::NoContrast);
-            if let Some(begins_px) = where_hand_begins(background, line) {
-                let sample = PlacedSample {
-                    position: line.sample.position + line.sample.normal * begins_px,
-                    ..line.sample
-                };
-                self.again.push(SearchLine { sample, half_length_px: BEGINS_WITHIN_PX, ..*line });
-                self.replaced.push(Replaced { line: i, begins_px });
-            }
-        }
-        self.search.search(&shown, sight.cue, *scale, &self.again, &mut self.found_again)?;
-        for (&Replaced { line, begins_px }, found) in self.replaced.iter().zip(&self.found_again) {
-            let Ok(mut edge) = *found else { continue };
-            edge.offset_px += begins_px;
-            if !is_background(background, &self.lines[line], edge.offset_px) {
-                self.measurements[line] = Ok(edge);
-            }
-        }
-        Ok(())
+        self.left_px.resize(self.visible.len(), f64::INFINITY);
+        let Attempt { sight, scale, own_only, .. } = attempt;
+        let shown = self.image.shown(frame, sight.mixture, || self.normals.region())?;
+        self.normals.search(frame, &shown, sight, *scale, *own_only)
     }
 
     /// The part of the visible contour of the first `samples` whose edges the last fit explains to
@@ -617,10 +553,11 @@ impl Convergence {
         samples: usize,
         within_px: f64,
     ) -> Result<f64> {
-        let shown = self.image.shown(frame, sight.mixture, || region(&self.lines))?;
+        let shown = self.image.shown(frame, sight.mixture, || self.normals.region())?;
         let mut residuals = self.fitter.residuals().iter();
         let (mut own, mut visible) = (0_usize, 0_usize);
-        for ((&i, line), found) in self.visible.iter().zip(&self.lines).zip(&self.measurements) {
+        let searched = self.normals.lines().iter().zip(self.normals.found());
+        for (&i, (line, found)) in self.visible.iter().zip(searched) {
             let near = match found {
                 Ok(edge) if residuals.next().is_some_and(|r| r.abs() < within_px) => Some(edge),
                 _ => None,
@@ -641,7 +578,7 @@ impl Convergence {
 
     /// Notes how far edges are from the last solution, if they agree with it.
     fn mark_agreeing(&mut self) {
-        let hits = self.left_px.iter_mut().zip(&self.measurements).filter(|(_, m)| m.is_ok());
+        let hits = self.left_px.iter_mut().zip(self.normals.found()).filter(|(_, m)| m.is_ok());
         let fitted = self.fitter.residuals().iter().zip(self.fitter.agreeing());
         for ((left_px, _), (residual_px, agrees)) in hits.zip(fitted) {
             if agrees {
@@ -654,7 +591,7 @@ impl Convergence {
     fn support(&self, samples: &[TemplateSample]) -> Support {
         let mut support = Support::default();
         let mut fitted = self.fitter.residuals().iter().zip(self.fitter.agreeing());
-        for (&i, found) in self.visible.iter().zip(&self.measurements) {
+        for (&i, found) in self.visible.iter().zip(self.normals.found()) {
             let part = samples[i].part() as usize;
             support.visible[part] += 1;
             if let Some((residual_px, agrees)) = found.as_ref().ok().and_then(|_| fitted.next()) {
@@ -688,8 +625,8 @@ impl Convergence {
             shape,
             axis: pose.axis(),
             line_covariance: j * covariance * j.transpose() * alike,
-            seen: Seen { visible: self.lines.len(), hits: fit.equations, inliers: fit.inliers },
-            agreement: fit.inliers as f64 / self.lines.len().max(1) as f64,
+            seen: Seen { visible: self.visible.len(), hits: fit.equations, inliers: fit.inliers },
+            agreement: fit.inliers as f64 / self.visible.len().max(1) as f64,
             support: self.support(attempt.samples),
             residual_rms_px: fit.residual_rms_px,
             rank: fit.rank,
@@ -698,56 +635,6 @@ impl Convergence {
             by_looks: attempt.sight.cue.appearance().is_some(),
         }
     }
-}
-
-/// An edge is the background's if [`INSIDE_PX`] of it is hardly foreground.
-const HARDLY: f64 = 0.3;
-/// The hand's own edge is looked for so far from where it begins to differ from the background
-/// \[px\].
-const BEGINS_WITHIN_PX: f64 = 4.0;
-
-/// Whether an edge is the hand's own.
-fn is_own(frame: &Frame<'_>, looks: &Appearance, edge: &PlacedSample) -> bool {
-    looks.is_own_edge(frame, edge.position, edge.normal)
-}
-
-/// A sample of the contour moved to its edge.
-fn at_edge(line: &SearchLine, edge: &Edge) -> PlacedSample {
-    let PlacedSample { position, normal } = line.sample;
-    PlacedSample { position: position + normal * edge.offset_px, normal }
-}
-
-/// How likely a place on a search line is foreground.
-fn foreground(background: Behind<'_>, line: &SearchLine, at: f64) -> Option<f64> {
-    background.foreground(line.sample.position + line.sample.normal * at)
-}
-
-/// Whether what is inside of an edge is the background; not if that is unknown.
-fn is_background(background: Behind<'_>, line: &SearchLine, offset_px: f64) -> bool {
-    let (mut sum, mut count) = (0.0, 0.0);
-    for inside_px in INSIDE_PX {
-        if let Some(likely) = foreground(background, line, offset_px - inside_px) {
-            sum += likely;
-            count += 1.0;
-        }
-    }
-    sum < HARDLY * count
-}
-
-/// Where along a line foreground ends and background begins, from inside outwards: the place that
-/// parts them best; none without both.
-fn where_hand_begins(background: Behind<'_>, line: &SearchLine) -> Option<f64> {
-    let reach = line.half_length_px.floor();
-    let (mut sum, mut best, mut begins_px) = (0.0, 0.0, None);
-    let mut at = -reach;
-    while at <= reach {
-        sum += foreground(background, line, at).map_or(0.0, |likely| likely - 0.5);
-        if sum > best && at < reach {
-            (best, begins_px) = (sum, Some(at + 0.5));
-        }
-        at += 1.0;
-    }
-    begins_px
 }
 
 /// One equation for every edge that a search found.
@@ -767,18 +654,10 @@ fn linearise<'a, S: ShapeSpace<D>, const D: usize>(
     Ok(equations)
 }
 
-/// A search line reads no further beyond its end than this \[px\]: the reach of the widest kernel.
-const KERNEL_REACH_PX: f64 = 32.0;
-
 /// The part of the image that a finger is refined in.
 pub(super) fn finger_region(finger: &Finger) -> [f64; 4] {
     let (axis, reach) = (finger.axis, 2.0 * finger.half_width_px + KERNEL_REACH_PX);
     let from = finger.flanks[0].from_px.min(finger.flanks[1].from_px);
     let ends = [axis.tip, axis.anchor + axis.direction() * from];
     region_about(ends.iter().map(|end| (*end, reach)))
-}
-
-/// The part of the image that search lines read: columns and rows, from and to \[px\].
-fn region(lines: &[SearchLine]) -> [f64; 4] {
-    region_about(lines.iter().map(|l| (l.sample.position, l.half_length_px + KERNEL_REACH_PX)))
 }

@@ -1,0 +1,202 @@
+//! Search lines along the normals of a placed contour, and what they have found of the hand.
+
+use super::looks::Sight;
+use super::options::TrackerOptions;
+use super::reduced::Reduction;
+use super::scene::{Behind, Scene};
+use crate::Result;
+use crate::appearance::{Appearance, INSIDE_PX};
+use crate::discriminant::region_about;
+use crate::frame::Frame;
+use crate::search::{Cue, Edge, EdgeMeasurement, EdgeSearch, Miss, Scale, SearchLine};
+use crate::shape_space::PlacedSample;
+use crate::simd::Isa;
+
+/// A search line reads no further beyond its end than this \[px\]: the reach of the widest kernel.
+pub(super) const KERNEL_REACH_PX: f64 = 32.0;
+/// An edge is the background's if [`INSIDE_PX`] of it is hardly foreground.
+const HARDLY: f64 = 0.3;
+/// The hand's own edge is looked for so far from where it begins to differ from the background
+/// \[px\].
+const BEGINS_WITHIN_PX: f64 = 4.0;
+
+/// The lines of one search, in the order in which they were put in, and the buffers for it.
+#[derive(Debug, Clone)]
+pub(super) struct Normals {
+    search: EdgeSearch,
+    lines: Vec<SearchLine>,
+    found: Vec<EdgeMeasurement>,
+    /// Lines that are searched once more, where the hand begins, and which lines they replace.
+    again: Vec<SearchLine>,
+    replaced: Vec<Replaced>,
+    found_again: Vec<EdgeMeasurement>,
+}
+
+/// A line whose edge is the background's.
+#[derive(Debug, Clone, Copy)]
+struct Replaced {
+    line: usize,
+    /// Where along it the hand begins \[px\].
+    begins_px: f64,
+}
+
+impl Normals {
+    pub fn new(options: &TrackerOptions) -> Result<Self> {
+        Ok(Self {
+            search: EdgeSearch::new(options.search)?,
+            lines: Vec::with_capacity(options.samples),
+            found: Vec::with_capacity(options.samples),
+            again: Vec::with_capacity(options.samples),
+            replaced: Vec::with_capacity(options.samples),
+            found_again: Vec::with_capacity(options.samples),
+        })
+    }
+
+    /// The same with another instruction set.
+    pub fn with_isa(self, isa: Isa) -> Self {
+        Self { search: self.search.with_isa(isa), ..self }
+    }
+
+    pub fn clear(&mut self) {
+        self.lines.clear();
+    }
+
+    pub fn push(&mut self, line: SearchLine) {
+        self.lines.push(line);
+    }
+
+    pub fn lines(&self) -> &[SearchLine] {
+        &self.lines
+    }
+
+    /// What each line has found.
+    pub fn found(&self) -> &[EdgeMeasurement] {
+        &self.found
+    }
+
+    /// Tells a search in a picture in its frame.
+    pub fn enlarge(&mut self, reduction: Reduction) {
+        let px = reduction.px();
+        for (line, found) in self.lines.iter_mut().zip(&mut self.found) {
+            line.sample = reduction.sample(&line.sample);
+            line.half_length_px *= px;
+            if let Ok(edge) = found {
+                edge.offset_px *= px;
+                edge.variance_px2 *= px * px;
+            }
+        }
+    }
+
+    /// The part of the image that the lines read: columns and rows, from and to \[px\].
+    pub fn region(&self) -> [f64; 4] {
+        let reach = |line: &SearchLine| line.half_length_px + KERNEL_REACH_PX;
+        region_about(self.lines.iter().map(|line| (line.sample.position, reach(line))))
+    }
+
+    /// Searches every line of a scene, `shown` as the sight shows it. Of the edges those alone are the
+    /// hand's that look like it inside, if `own_only`, and none that the background explains.
+    pub fn search(
+        &mut self,
+        scene: &Scene<'_>,
+        shown: &Frame<'_>,
+        sight: &Sight<'_>,
+        scale: Scale,
+        own_only: bool,
+    ) -> Result<()> {
+        self.search.search(shown, sight.cue, scale, &self.lines, &mut self.found)?;
+        if let (true, Some(looks)) = (own_only, sight.cue.appearance()) {
+            for (line, found) in self.lines.iter().zip(&mut self.found) {
+                if found.is_ok_and(|edge| !is_own(shown, looks, &at_edge(line, &edge))) {
+                    *found = Err(Miss::NoContrast);
+                }
+            }
+        }
+        match scene.background() {
+            Some(background) if !matches!(sight.cue, Cue::Votes(_)) => {
+                self.search_before(background, shown, sight, scale)
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// Edges that the background explains are not the hand's. Where along the line the hand begins
+    /// before the background, it may have an edge of its own.
+    fn search_before(
+        &mut self,
+        background: Behind<'_>,
+        shown: &Frame<'_>,
+        sight: &Sight<'_>,
+        scale: Scale,
+    ) -> Result<()> {
+        self.again.clear();
+        self.replaced.clear();
+        for (i, (line, found)) in self.lines.iter().zip(&mut self.found).enumerate() {
+            let Ok(edge) = found else { continue };
+            if !is_background(background, line, edge.offset_px) {
+                continue;
+            }
+            *found = Err(Miss::NoContrast);
+            if let Some(begins_px) = where_hand_begins(background, line) {
+                let sample = PlacedSample {
+                    position: line.sample.position + line.sample.normal * begins_px,
+                    ..line.sample
+                };
+                self.again.push(SearchLine { sample, half_length_px: BEGINS_WITHIN_PX, ..*line });
+                self.replaced.push(Replaced { line: i, begins_px });
+            }
+        }
+        self.search.search(shown, sight.cue, scale, &self.again, &mut self.found_again)?;
+        for (&Replaced { line, begins_px }, found) in self.replaced.iter().zip(&self.found_again) {
+            let Ok(mut edge) = *found else { continue };
+            edge.offset_px += begins_px;
+            if !is_background(background, &self.lines[line], edge.offset_px) {
+                self.found[line] = Ok(edge);
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Whether an edge is the hand's own.
+pub(super) fn is_own(frame: &Frame<'_>, looks: &Appearance, edge: &PlacedSample) -> bool {
+    looks.is_own_edge(frame, edge.position, edge.normal)
+}
+
+/// A sample of the contour moved to its edge.
+pub(super) fn at_edge(line: &SearchLine, edge: &Edge) -> PlacedSample {
+    let PlacedSample { position, normal } = line.sample;
+    PlacedSample { position: position + normal * edge.offset_px, normal }
+}
+
+/// How likely a place on a search line is foreground.
+fn foreground(background: Behind<'_>, line: &SearchLine, at: f64) -> Option<f64> {
+    background.foreground(line.sample.position + line.sample.normal * at)
+}
+
+/// Whether what is inside of an edge is the background; not if that is unknown.
+fn is_background(background: Behind<'_>, line: &SearchLine, offset_px: f64) -> bool {
+    let (mut sum, mut count) = (0.0, 0.0);
+    for inside_px in INSIDE_PX {
+        if let Some(likely) = foreground(background, line, offset_px - inside_px) {
+            sum += likely;
+            count += 1.0;
+        }
+    }
+    sum < HARDLY * count
+}
+
+/// Where along a line foreground ends and background begins, from inside outwards: the place that
+/// parts them best; none without both.
+fn where_hand_begins(background: Behind<'_>, line: &SearchLine) -> Option<f64> {
+    let reach = line.half_length_px.floor();
+    let (mut sum, mut best, mut begins_px) = (0.0, 0.0, None);
+    let mut at = -reach;
+    while at <= reach {
+        sum += foreground(background, line, at).map_or(0.0, |likely| likely - 0.5);
+        if sum > best && at < reach {
+            (best, begins_px) = (sum, Some(at + 0.5));
+        }
+        at += 1.0;
+    }
+    begins_px
+}
