@@ -58,6 +58,8 @@ const COVERED_SHARE: f64 = 0.5;
 /// off the direction of either by half of it. Fingers that point straight in real footage have less
 /// than 4° (device), 8° (desk) and 12° (mat, with motion blur) in 95 % of frames.
 const BENT_RAD: f64 = 20.0 * RAD_PER_DEG;
+/// One frame alone shows it for sure by so many standard deviations more than that.
+const SURELY: f64 = 2.0;
 /// One that was bent is straight again when its halves differ by less than this, its tip seen to at
 /// least this part.
 const STRAIGHT_RAD: f64 = 15.0 * RAD_PER_DEG;
@@ -97,7 +99,7 @@ impl Posture {
         let angle_rad = angle_rad.abs();
         if angle_rad > BENT_RAD {
             return match self {
-                Self::Straight if angle_rad - sigma_rad > BENT_RAD => Self::BentOnce,
+                Self::Straight if angle_rad - SURELY * sigma_rad > BENT_RAD => Self::BentOnce,
                 Self::Straight => Self::Doubted,
                 _ => Self::Bent,
             };
@@ -187,5 +189,35 @@ impl Known<'_> {
         let flanks = [Part::LeftFlank, Part::RightFlank].map(|part| fit.support.agreeing(part));
         let is_clear = contradicted <= most && flanks.iter().all(|&f| f >= FLANK_SEEN);
         if self.motion.is_some() && is_clear { FORETOLD_SHARE } else { 1.0 }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{BENT_RAD, Bend, Found, Posture, RAD_PER_DEG};
+    use crate::shape_space::RibbonVector;
+    use crate::tracker::shape::Shape;
+
+    #[test]
+    fn one_frame_that_is_not_sure_of_a_bend_takes_no_line_away() {
+        let found = Found {
+            shape: Shape::Ribbon(RibbonVector::zeros()),
+            fit: None,
+            iterations: 1,
+            edges_within_px: 1.0,
+        };
+        let after = |posture: Posture, angle_deg: f64, sigma_deg: f64| {
+            let [angle_rad, sigma_rad] = [angle_deg, sigma_deg].map(|deg| deg * RAD_PER_DEG);
+            assert!(angle_rad.abs() > BENT_RAD);
+            posture.after(Some(&Bend { angle_rad, sigma_rad }), &found)
+        };
+        for side in [-1.0, 1.0] {
+            assert_eq!(after(Posture::Straight, side * 30.0, 4.0), Posture::BentOnce);
+            assert_eq!(after(Posture::Straight, side * 30.0, 10.0), Posture::Doubted);
+            // A second one need not be as sure.
+            assert_eq!(after(Posture::Doubted, side * 30.0, 10.0), Posture::Bent);
+            assert_eq!(after(Posture::BentOnce, side * 30.0, 10.0), Posture::Bent);
+        }
+        assert!(Posture::BentOnce.is_bent() && !Posture::Doubted.is_bent());
     }
 }
