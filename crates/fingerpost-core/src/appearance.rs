@@ -190,6 +190,7 @@ impl Appearance {
         let totals = [self.hand.total + self.anchor.total, self.background.total];
         if totals.iter().any(|&t| t <= 0.0) {
             self.votes.fill(0);
+            self.smooth.iter_mut().for_each(|side| side.fill(0.0));
             return;
         }
         let [hand, background] = &mut self.smooth;
@@ -252,6 +253,23 @@ impl Appearance {
         let mean =
             |outward_px: [f64; 3]| self.mean_vote(frame, outward_px.map(|px| edge + normal * px));
         mean(INSIDE_PX.map(|px| -px)) >= OWN_VOTE && mean(OUTSIDE_PX) <= -BEHIND_VOTE
+    }
+
+    /// Whether most of what is inside of an edge are levels or colours that the hand has shown, more
+    /// often than the even distribution that every bin starts with.
+    pub(crate) fn has_shown(
+        &self,
+        frame: &Frame<'_>,
+        edge: Point2<f64>,
+        normal: Vector2<f64>,
+    ) -> bool {
+        let [hand, _] = &self.smooth;
+        let even = PRIOR_WEIGHT * (self.hand.total + self.anchor.total) as f32 / hand.len() as f32;
+        let was_shown = |px: &&f64| {
+            let inside = edge - normal * **px;
+            self.bin(frame, inside.x, inside.y).is_some_and(|bin| hand[bin] > even)
+        };
+        2 * INSIDE_PX.iter().filter(was_shown).count() > INSIDE_PX.len()
     }
 
     /// The pixels of `frame` that vote, and how.
@@ -368,9 +386,44 @@ fn smooth_across<const N: usize>(bins: &mut [f32]) {
 
 #[cfg(test)]
 mod tests {
-    use super::{COLOUR_BINS, GRAY_BINS, Learning};
+    use super::{Appearance, COLOUR_BINS, GRAY_BINS, Learning};
+    use crate::error::Result;
+    use crate::frame::Frame;
+    use crate::image::GrayView;
     use crate::simd::Isa;
+    use nalgebra::{Point2, Vector2};
     use std::array::from_fn;
+
+    #[test]
+    fn what_the_hand_has_shown_is_judged_inside_of_the_edge() -> Result<()> {
+        // The hand from 150 to 165 before a dark table; 158 is between levels seen, 250 is a cover's.
+        let learned = [&[150_u8, 151, 152, 153, 161, 162, 163, 164][..], &[40; 8]].concat();
+        let frame = Frame::gray(GrayView::new(&learned, learned.len(), 1, learned.len())?);
+        let mut levels = Appearance::new(false);
+        let told = |levels: &Appearance, inside: [u8; 3], outside: u8| -> Result<bool> {
+            let [two, three, four] = inside;
+            let row = [outside, outside, outside, two, three, four, outside];
+            let frame = Frame::gray(GrayView::new(&row, row.len(), 1, row.len())?);
+            Ok(levels.has_shown(&frame, Point2::new(1.0, 0.0), Vector2::new(-1.0, 0.0)))
+        };
+        levels.learn();
+        assert!(!told(&levels, [152; 3], 40)?, "nothing was seen");
+        for x in 0..learned.len() {
+            levels.observe(&frame, x as f64, 0.0, x < 8);
+        }
+        levels.learn();
+        assert!(told(&levels, [152; 3], 40)? && told(&levels, [152; 3], 250)?);
+        assert!(told(&levels, [158; 3], 40)?, "levels next to those seen");
+        assert!(!told(&levels, [250; 3], 40)? && !told(&levels, [40; 3], 152)?);
+        assert!(told(&levels, [250, 152, 162], 40)? && !told(&levels, [250, 250, 162], 40)?);
+        levels.fade(1e-6);
+        levels.learn();
+        assert!(told(&levels, [152; 3], 40)?, "how much was seen does not matter");
+        levels.fade(0.0);
+        levels.learn();
+        assert!(!told(&levels, [152; 3], 40)?, "nothing is left");
+        Ok(())
+    }
 
     #[test]
     fn every_instruction_set_learns_the_same_votes() {

@@ -3,7 +3,7 @@
 use super::hand::SURE;
 use super::looks::{Lead, Looks, Shaft, Sight, Silhouette};
 use super::neighbours::alike;
-use super::normals::{KERNEL_REACH_PX, Normals, at_edge, is_own};
+use super::normals::{KERNEL_REACH_PX, Normals, at_edge};
 use super::options::{AcceptOptions, TrackerOptions};
 use super::reduced::Reduction;
 use super::scene::Scene;
@@ -14,7 +14,7 @@ use crate::dynamics::{Expectation, Gate};
 use crate::fit::{EquationBuffer, Equations, FitReport, Fitter, Outcome, Prior};
 use crate::frame::Frame;
 use crate::refine::Finger;
-use crate::search::{Edge, EdgeMeasurement, Polarity, Scale, SearchLine};
+use crate::search::{EdgeMeasurement, Polarity, Scale, SearchLine};
 use crate::shape_space::{Axis, PlacedSample, Pose, ShapeSpace};
 use crate::simd::Isa;
 use crate::template::{Part, TemplateSample};
@@ -379,11 +379,10 @@ impl Convergence {
         let Some(sight) = looks.sight(frame, Lead::HandEdges, Polarity::Unknown) else {
             return Ok(());
         };
-        let Some(known) = sight.cue.appearance() else { return Ok(()) };
         let edges = self.agreeing.iter().map(|edge| (edge.position, KERNEL_REACH_PX));
         let shown = self.image.shown(frame, sight.mixture, || region_about(edges))?;
         self.own.clear();
-        self.own.extend(self.agreeing.iter().map(|edge| is_own(&shown, known, edge)));
+        self.own.extend(self.agreeing.iter().map(|edge| sight.is_own(frame, &shown, edge)));
         if 2 * self.own.iter().filter(|&&own| own).count() >= self.agreeing.len() {
             let mut own = self.own.iter();
             self.agreeing.retain(|_| own.next().is_some_and(|&own| own));
@@ -556,21 +555,11 @@ impl Convergence {
         let shown = self.image.shown(frame, sight.mixture, || self.normals.region())?;
         let mut residuals = self.fitter.residuals().iter();
         let (mut own, mut visible) = (0_usize, 0_usize);
-        let searched = self.normals.lines().iter().zip(self.normals.found());
-        for (&i, (line, found)) in self.visible.iter().zip(searched) {
-            let near = match found {
-                Ok(edge) if residuals.next().is_some_and(|r| r.abs() < within_px) => Some(edge),
-                _ => None,
-            };
+        for (line, (&i, found)) in self.visible.iter().zip(self.normals.found()).enumerate() {
+            let is_near = found.is_ok() && residuals.next().is_some_and(|r| r.abs() < within_px);
             if i < samples {
                 visible += 1;
-                let looks_own = |edge: &Edge| {
-                    sight
-                        .cue
-                        .appearance()
-                        .is_none_or(|looks| is_own(&shown, looks, &at_edge(line, edge)))
-                };
-                own += usize::from(near.is_some_and(looks_own));
+                own += usize::from(is_near && self.normals.is_own(line, frame, &shown, sight));
             }
         }
         Ok(own as f64 / visible.max(1) as f64)

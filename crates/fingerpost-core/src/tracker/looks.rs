@@ -53,12 +53,49 @@ pub(super) struct Sight<'a> {
     /// The mixture to search in place of the grey image.
     pub mixture: Option<&'a Mixture>,
     pub polarity: Polarity,
+    /// How the grey image is searched beside the mixture, if it is.
+    pub in_grey: Option<InGrey<'a>>,
+    /// The grey levels of a hand whose looks are colours.
+    pub shades: Option<&'a Appearance>,
+}
+
+/// How a search line sees in grey a hand whose looks are colours.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct InGrey<'a> {
+    pub polarity: Polarity,
+    pub colours: &'a Appearance,
 }
 
 impl Sight<'_> {
     /// Any edge of this polarity: all that can be looked for before a hand was seen.
     pub fn unknown(polarity: Polarity) -> Self {
-        Self { lead: Lead::AnyEdge, cue: Cue::Edges, mixture: None, polarity }
+        let (lead, cue) = (Lead::AnyEdge, Cue::Edges);
+        Self { lead, cue, mixture: None, polarity, in_grey: None, shades: None }
+    }
+
+    /// Whether an edge is the hand's own in a frame that is `shown` as this sight shows it; any is where
+    /// looks tell nothing.
+    pub fn is_own(&self, frame: &Frame<'_>, shown: &Frame<'_>, edge: &PlacedSample) -> bool {
+        self.cue.appearance().is_none_or(|looks| {
+            looks.is_own_edge(shown, edge.position, edge.normal) && self.has_shade(frame, edge)
+        })
+    }
+
+    /// The same of an edge of the grey image, by the colours on its two sides.
+    pub fn is_own_in_grey(
+        &self,
+        in_grey: &InGrey<'_>,
+        frame: &Frame<'_>,
+        edge: &PlacedSample,
+    ) -> bool {
+        in_grey.colours.is_own_edge(frame, edge.position, edge.normal)
+            && self.has_shade(frame, edge)
+    }
+
+    /// Whether what is inside of an edge is as bright as the hand somewhere is. Bins of colour are so
+    /// wide that what covers a hand may share them.
+    fn has_shade(&self, frame: &Frame<'_>, edge: &PlacedSample) -> bool {
+        self.shades.is_none_or(|shades| shades.has_shown(frame, edge.position, edge.normal))
     }
 }
 
@@ -182,6 +219,8 @@ pub(super) struct Looks {
     mixed: Appearance,
     /// Whether that tells hand and background apart better than `plain`.
     finer: bool,
+    /// Of grey levels, beside colours.
+    shades: Option<Appearance>,
     /// The pixels of one frame.
     pixels: Vec<SidedPixel>,
 }
@@ -193,6 +232,7 @@ impl Looks {
             discriminant: Discriminant::default(),
             mixed: Appearance::new(false),
             finer: false,
+            shades: coloured.then(|| Appearance::new(false)),
             pixels: Vec::new(),
         }
     }
@@ -208,6 +248,7 @@ impl Looks {
         self.discriminant = Discriminant::default();
         self.mixed.fade(0.0);
         self.finer = false;
+        self.shades.iter_mut().for_each(|shades| shades.fade(0.0));
     }
 
     /// Whether they were learned from colours.
@@ -220,6 +261,7 @@ impl Looks {
         self.plain.anchor();
         self.discriminant.anchor();
         self.mixed.anchor();
+        self.shades.iter_mut().for_each(Appearance::anchor);
     }
 
     /// Takes all over into light that is `gain` times as bright. The discriminant's image stays as
@@ -227,6 +269,7 @@ impl Looks {
     pub fn relight(&mut self, gain: f64) {
         self.plain.relight(gain as f32);
         self.discriminant.relight(gain);
+        self.shades.iter_mut().for_each(|shades| shades.relight(gain as f32));
     }
 
     /// Takes over what a frame shows on either side of a finger's contour, `times` times; what was
@@ -245,6 +288,11 @@ impl Looks {
         self.plain.observe_all(frame, &self.pixels, times);
         self.discriminant.observe_all(frame, &self.pixels, times);
         self.plain.learn();
+        if let Some(shades) = &mut self.shades {
+            shades.fade(keep as f32);
+            shades.observe_all(frame, &self.pixels, times);
+            shades.learn();
+        }
         // The image that the frame was searched in is there already.
         let searched = self.discriminant.mixture().copied();
         self.discriminant.learn();
@@ -318,13 +366,15 @@ impl Looks {
         let known = if finer { &self.mixed } else { &self.plain };
         // In the discriminant's image the hand is the brighter side.
         let in_mixture = if mixture.is_some() { Polarity::Bright } else { polarity };
+        let in_grey = InGrey { polarity, colours: &self.plain };
         let (cue, mixture, polarity) = match lead {
             Lead::Votes => (Cue::Votes(known), mixture.filter(|_| finer), in_mixture),
             Lead::HandEdges => (Cue::HandEdges(known), mixture, in_mixture),
             Lead::GreyEdges => (Cue::HandEdges(&self.plain), None, polarity),
             Lead::AnyEdge => (Cue::Edges, mixture, in_mixture),
         };
-        Some(Sight { lead, cue, mixture, polarity })
+        let in_grey = (lead == Lead::HandEdges && mixture.is_some()).then_some(in_grey);
+        Some(Sight { lead, cue, mixture, polarity, in_grey, shades: self.shades.as_ref() })
     }
 
     /// Pixels on either side of a contour, and so many half-widths more ahead of the tip.

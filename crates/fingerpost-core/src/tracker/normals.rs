@@ -1,11 +1,11 @@
 //! Search lines along the normals of a placed contour, and what they have found of the hand.
 
-use super::looks::Sight;
+use super::looks::{InGrey, Sight};
 use super::options::TrackerOptions;
 use super::reduced::Reduction;
 use super::scene::{Behind, Scene};
 use crate::Result;
-use crate::appearance::{Appearance, INSIDE_PX};
+use crate::appearance::INSIDE_PX;
 use crate::discriminant::region_about;
 use crate::frame::Frame;
 use crate::search::{Cue, Edge, EdgeMeasurement, EdgeSearch, Miss, Scale, SearchLine};
@@ -14,6 +14,9 @@ use crate::simd::Isa;
 
 /// A search line reads no further beyond its end than this \[px\]: the reach of the widest kernel.
 pub(super) const KERNEL_REACH_PX: f64 = 32.0;
+/// An edge of the grey image goes before one of a mixture of colours further inside if it has so many
+/// times its contrast.
+const PLAINER: f64 = 2.0;
 /// An edge is the background's if [`INSIDE_PX`] of it is hardly foreground.
 const HARDLY: f64 = 0.3;
 /// The hand's own edge is looked for so far from where it begins to differ from the background
@@ -26,6 +29,10 @@ pub(super) struct Normals {
     search: EdgeSearch,
     lines: Vec<SearchLine>,
     found: Vec<EdgeMeasurement>,
+    /// Whose edges are those of the grey image, where another is searched.
+    in_grey: Vec<bool>,
+    grey_lines: Vec<SearchLine>,
+    found_in_grey: Vec<EdgeMeasurement>,
     /// Lines that are searched once more, where the hand begins, and which lines they replace.
     again: Vec<SearchLine>,
     replaced: Vec<Replaced>,
@@ -46,6 +53,9 @@ impl Normals {
             search: EdgeSearch::new(options.search)?,
             lines: Vec::with_capacity(options.samples),
             found: Vec::with_capacity(options.samples),
+            in_grey: Vec::with_capacity(options.samples),
+            grey_lines: Vec::with_capacity(options.samples),
+            found_in_grey: Vec::with_capacity(options.samples),
             again: Vec::with_capacity(options.samples),
             replaced: Vec::with_capacity(options.samples),
             found_again: Vec::with_capacity(options.samples),
@@ -104,10 +114,15 @@ impl Normals {
         own_only: bool,
     ) -> Result<()> {
         self.search.search(shown, sight.cue, scale, &self.lines, &mut self.found)?;
-        if let (true, Some(looks)) = (own_only, sight.cue.appearance()) {
-            for (line, found) in self.lines.iter().zip(&mut self.found) {
-                if found.is_ok_and(|edge| !is_own(shown, looks, &at_edge(line, &edge))) {
-                    *found = Err(Miss::NoContrast);
+        self.in_grey.clear();
+        self.in_grey.resize(self.lines.len(), false);
+        if let Some(in_grey) = &sight.in_grey {
+            self.search_in_grey(scene, sight, in_grey, scale)?;
+        }
+        if own_only {
+            for line in 0..self.lines.len() {
+                if self.found[line].is_ok() && !self.is_own(line, scene, shown, sight) {
+                    self.found[line] = Err(Miss::NoContrast);
                 }
             }
         }
@@ -116,6 +131,51 @@ impl Normals {
                 self.search_before(background, shown, sight, scale)
             }
             _ => Ok(()),
+        }
+    }
+
+    /// A mixture of colours that shows most of a hand best may hardly show some of its edges, or what is
+    /// close inside of them better. The hand's own edge in grey counts where it is the only one, or
+    /// further out and much plainer.
+    fn search_in_grey(
+        &mut self,
+        scene: &Scene<'_>,
+        sight: &Sight<'_>,
+        in_grey: &InGrey<'_>,
+        scale: Scale,
+    ) -> Result<()> {
+        let polarity = in_grey.polarity;
+        self.grey_lines.clear();
+        self.grey_lines.extend(self.lines.iter().map(|line| SearchLine { polarity, ..*line }));
+        let (lines, grey) = (&self.grey_lines, &mut self.found_in_grey);
+        self.search.search(scene, Cue::Edges, scale, lines, grey)?;
+        let found = self.found.iter_mut().zip(&mut self.in_grey);
+        for ((line, grey), (found, in_place)) in lines.iter().zip(grey).zip(found) {
+            let Ok(edge) = grey else { continue };
+            if found.is_ok_and(|other| !is_plainer(edge, &other)) {
+                continue;
+            }
+            if sight.is_own_in_grey(in_grey, scene, &at_edge(line, edge)) {
+                (*found, *in_place) = (*grey, true);
+            }
+        }
+        Ok(())
+    }
+
+    /// Whether the edge that a line has found is the hand's own, in a frame that is `shown` as the sight
+    /// shows it.
+    pub fn is_own(
+        &self,
+        line: usize,
+        frame: &Frame<'_>,
+        shown: &Frame<'_>,
+        sight: &Sight<'_>,
+    ) -> bool {
+        let Ok(edge) = &self.found[line] else { return false };
+        let edge = at_edge(&self.lines[line], edge);
+        match &sight.in_grey {
+            Some(in_grey) if self.in_grey[line] => sight.is_own_in_grey(in_grey, frame, &edge),
+            _ => sight.is_own(frame, shown, &edge),
         }
     }
 
@@ -151,15 +211,17 @@ impl Normals {
             edge.offset_px += begins_px;
             if !is_background(background, &self.lines[line], edge.offset_px) {
                 self.found[line] = Ok(edge);
+                self.in_grey[line] = false;
             }
         }
         Ok(())
     }
 }
 
-/// Whether an edge is the hand's own.
-pub(super) fn is_own(frame: &Frame<'_>, looks: &Appearance, edge: &PlacedSample) -> bool {
-    looks.is_own_edge(frame, edge.position, edge.normal)
+/// Whether an edge of the grey image is further out than another's, and much plainer.
+fn is_plainer(edge: &Edge, other: &Edge) -> bool {
+    edge.offset_px > other.offset_px
+        && edge.contrast_grey.abs() >= PLAINER * other.contrast_grey.abs()
 }
 
 /// A sample of the contour moved to its edge.
