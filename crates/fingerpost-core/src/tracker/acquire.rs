@@ -217,7 +217,7 @@ impl ContourTracker {
         let frozen = match (self.hand.shape, self.options.model) {
             (Shape::Ribbon(x), Model::Ribbon) => {
                 self.hand.acquired = x;
-                self.settle(frame, self.hand.shape, Scale::Fine, None, Lead::HandEdges)?
+                self.settle(frame, (self.hand.shape, Scale::Fine, None, Lead::HandEdges))?
             }
             (Shape::Ribbon(x), Model::Paper) => {
                 self.hand.acquired = x;

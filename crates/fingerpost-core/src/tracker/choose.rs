@@ -1,13 +1,15 @@
 //! Where a followed hand is: the ways to settle on it, each weighed by what tells for and against it.
 
 use super::ContourTracker;
-use super::convergence::{SUPPORT_PX, Window};
+use super::convergence::SUPPORT_PX;
 use super::follow::Foretold;
 use super::found::Found;
 use super::hand::{Look, SURE};
 use super::looks::{Lead, Shaft};
+use super::options::TrackerOptions;
 use super::scene::Scene;
 use super::seek::Judged;
+use super::settle::Path;
 use super::shape::Shape;
 use crate::Result;
 use crate::search::{MAX_HALF_LENGTH_PX, Scale};
@@ -28,9 +30,6 @@ const MOST: f64 = 0.7;
 const SOUGHT: f64 = 0.5;
 /// Turns of the hand that are sought \[rad\].
 const SOUGHT_TURNS_RAD: [f64; 3] = [0.0, -0.25, 0.25];
-
-/// How a hand is settled on: from which shape, at which scale, in which window, led by what.
-type Path = (Shape, Scale, Option<Window>, Lead);
 
 /// Where the hand was found.
 pub(super) struct Sought {
@@ -69,17 +68,43 @@ impl Way {
     }
 }
 
+/// The best of the ways that were tried.
+struct Choice {
+    best: Way,
+    /// Whether it was the last one tried, so that its search need not be done again.
+    is_last: bool,
+    /// Of those that no hand can have become or moved to the one that explains its contour best, if that
+    /// is as much as a hand that is sure shows.
+    impossible: Option<Way>,
+}
+
+impl Choice {
+    fn of(way: Way) -> Self {
+        Self { best: way, is_last: true, impossible: None }
+    }
+
+    /// Takes a way into account that was tried next: of equals the last one is the best.
+    fn or(&mut self, way: Way) {
+        let is_better = way.worth() >= self.best.worth();
+        let other = self.settle_for(way, is_better);
+        let explained = self.impossible.as_ref().map_or(SURE, |way| way.found.explained());
+        if other.cost.is_infinite() && other.found.explained() >= explained {
+            self.impossible = Some(other);
+        }
+    }
+
+    /// The same of a way that is or is not better; tells the other one.
+    fn settle_for(&mut self, way: Way, is_better: bool) -> Way {
+        self.is_last = is_better;
+        if is_better { std::mem::replace(&mut self.best, way) } else { way }
+    }
+}
+
 impl ContourTracker {
     /// The hand about a predicted shape. Its edges are usually near and sharp; when they explain
     /// the contour badly, or by a motion that surprises, it may have gone on as it did and be covered
-    /// in part, or have gone elsewhere: the votes lead there from afar, and a larger kernel sees edges
-    /// that motion has smeared. Where the hand goes on ahead of the tip, what covers that has pushed it
-    /// back, for as many frames as it took. What explains the contour best by edges that look like the
-    /// hand counts, less what its motion costs. Where that is less than a hand must show to be acquired,
-    /// the mixture of colours that tells it from most of what was behind it may not tell it from what is
-    /// behind it now: in the grey image the hand has an edge before what is darker and before what is
-    /// lighter, and is believed to be there if it shows as much as a followed hand must. Where nothing
-    /// looks like the hand and all its edges are in their place, the light has changed.
+    /// in part, or have gone elsewhere. What explains the contour best by edges that look like the hand
+    /// counts, less what its motion costs.
     pub(super) fn find(
         &mut self,
         frame: &Scene<'_>,
@@ -87,9 +112,8 @@ impl ContourTracker {
         reach_px: f64,
         foretold: Option<&Foretold>,
     ) -> Result<Sought> {
-        let reach_px = reach_px.min(MAX_HALF_LENGTH_PX as f64);
-        let window = foretold.map(|f| f.window);
-        let near = self.settle(frame, predicted, Scale::Fine, window, Lead::HandEdges)?;
+        let path = (predicted, Scale::Fine, foretold.map(|f| f.window), Lead::HandEdges);
+        let near = self.settle(frame, path)?;
         let pushed_px = self.goes_on_px(frame, &near.shape)?;
         if self.is_plain(&near, foretold)? && pushed_px == 0.0 {
             return match foretold {
@@ -99,69 +123,106 @@ impl ContourTracker {
         }
         let foretold = foretold.map(|f| f.pushed(pushed_px));
         let foretold = foretold.as_ref();
-        let edges = Lead::HandEdges;
-        let near = self.weighed(frame, near, (predicted, Scale::Fine, window, edges), foretold)?;
-        let steady = match foretold {
-            Some(f) if self.hand.is_known_whole() => {
-                let narrow = Some(self.pace.steady(&f.window));
-                Some(self.way(frame, (predicted, Scale::Fine, narrow, edges), foretold)?)
-            }
-            _ => None,
-        };
+        let uncovered =
+            (near.fit.is_some() && pushed_px > 0.0).then(|| near.shape.ahead(pushed_px));
+        let mut choice = Choice::of(self.weighed(frame, near, path, foretold)?);
+        self.try_resting(frame, &mut choice, predicted, foretold)?;
+        let reach_px = reach_px.min(MAX_HALF_LENGTH_PX as f64);
         let approached = self.approach(frame, predicted, reach_px)?;
-        let smeared = self.way(frame, (approached, Scale::Coarse, None, edges), foretold)?;
-        let sharp = self.way(frame, (smeared.found.shape, Scale::Fine, None, edges), foretold)?;
-        let uncovered = match near.found.fit {
-            Some(_) if pushed_px > 0.0 => {
-                let from = near.found.shape.ahead(pushed_px);
-                Some(self.way(frame, (from, Scale::Fine, None, edges), foretold)?)
-            }
-            _ => None,
+        self.try_from_afar(frame, &mut choice, approached, foretold)?;
+        // What covers the tip has pushed it back, for as many frames as it took.
+        if let Some(from) = uncovered {
+            let path = (from, Scale::Fine, None, Lead::HandEdges);
+            choice.or(self.way(frame, path, foretold)?);
+        }
+        self.try_in_grey(frame, &mut choice, approached, foretold)?;
+        self.try_in_another_light(frame, &mut choice, predicted, foretold)?;
+        let Choice { best, is_last, impossible } = choice;
+        // What no hand can have become or moved to is told as such, where no hand is left.
+        let no_hand = best.found.explained() < self.options.track.accept.min_inliers;
+        let found = match impossible.filter(|_| no_hand) {
+            Some(way) => self.settle(frame, way.path)?,
+            None if is_last => best.found,
+            // Once more, so that the last search is that of the best.
+            None => self.settle(frame, best.path)?,
         };
-        // Of equals the last one, whose search need not be done again.
-        let (mut best, mut is_last) = (sharp, uncovered.is_none());
-        let mut impossible: Option<Way> = None;
-        for way in [uncovered, Some(smeared), steady, Some(near)].into_iter().flatten() {
-            let mut other = way;
-            if other.worth() > best.worth() {
-                std::mem::swap(&mut best, &mut other);
-                is_last = false;
-            }
-            let explained = impossible.as_ref().map_or(SURE, |way| way.found.explained());
-            if other.cost.is_infinite() && other.found.explained() >= explained {
-                impossible = Some(other);
-            }
+        self.sought(frame, found, pushed_px)
+    }
+
+    /// A hand that was seen whole lately and is covered in part goes on as one at rest does.
+    fn try_resting(
+        &mut self,
+        frame: &Scene<'_>,
+        choice: &mut Choice,
+        predicted: Shape,
+        foretold: Option<&Foretold>,
+    ) -> Result<()> {
+        if let Some(foretold) = foretold
+            && self.hand.is_known_whole()
+        {
+            let narrow = Some(self.pace.steady(&foretold.window));
+            let path = (predicted, Scale::Fine, narrow, Lead::HandEdges);
+            choice.or(self.way(frame, path, Some(foretold))?);
         }
-        if self.hand.is_mixed() && best.worth() < self.options.acquire.accept.min_inliers {
-            let path = (approached, Scale::Fine, None, Lead::GreyEdges);
-            let grey = self.way(frame, path, foretold)?;
-            is_last = grey.worth() > best.worth().max(self.options.track.accept.min_inliers);
-            if is_last {
-                best = grey;
-            }
+        Ok(())
+    }
+
+    /// Where the votes have led, a larger kernel sees edges that motion has smeared.
+    fn try_from_afar(
+        &mut self,
+        frame: &Scene<'_>,
+        choice: &mut Choice,
+        approached: Shape,
+        foretold: Option<&Foretold>,
+    ) -> Result<()> {
+        let smeared =
+            self.way(frame, (approached, Scale::Coarse, None, Lead::HandEdges), foretold)?;
+        let sharp = (smeared.found.shape, Scale::Fine, None, Lead::HandEdges);
+        choice.or(smeared);
+        choice.or(self.way(frame, sharp, foretold)?);
+        Ok(())
+    }
+
+    /// Where the best shows less than a hand must show to be acquired, the mixture of colours that tells
+    /// the hand from most of what was behind it may not tell it from what is behind it now: in the grey
+    /// image the hand has an edge before what is darker and before what is lighter, and is believed to be
+    /// there if it shows as much as a followed hand must.
+    fn try_in_grey(
+        &mut self,
+        frame: &Scene<'_>,
+        choice: &mut Choice,
+        approached: Shape,
+        foretold: Option<&Foretold>,
+    ) -> Result<()> {
+        let TrackerOptions { acquire, track, .. } = &self.options;
+        let (enough, least) = (acquire.accept.min_inliers, track.accept.min_inliers);
+        if self.hand.is_mixed() && choice.best.worth() < enough {
+            let grey =
+                self.way(frame, (approached, Scale::Fine, None, Lead::GreyEdges), foretold)?;
+            let is_better = grey.worth() > choice.best.worth().max(least);
+            choice.settle_for(grey, is_better);
         }
-        if let (Some(foretold), true) = (foretold, best.worth() < UNLIKE) {
+        Ok(())
+    }
+
+    /// Where nothing looks like the hand and all its edges are in their place, the light has changed.
+    fn try_in_another_light(
+        &mut self,
+        frame: &Scene<'_>,
+        choice: &mut Choice,
+        predicted: Shape,
+        foretold: Option<&Foretold>,
+    ) -> Result<()> {
+        if let Some(foretold) = foretold
+            && choice.best.worth() < UNLIKE
+        {
             let narrow = Some(self.pace.steady(&foretold.window));
             let path = (predicted, Scale::Fine, narrow, Lead::AnyEdge);
             let relit = self.way(frame, path, Some(foretold))?;
-            if self.is_plain(&relit.found, Some(foretold))? {
-                return self.sought(frame, relit.found, pushed_px);
-            }
-            is_last = false;
+            let is_better = self.is_plain(&relit.found, Some(foretold))?;
+            choice.settle_for(relit, is_better);
         }
-        // What no hand can have become or moved to is told as such, where no hand is left.
-        if let Some(way) = impossible
-            && best.found.explained() < self.options.track.accept.min_inliers
-        {
-            (best, is_last) = (way, false);
-        }
-        if is_last {
-            return self.sought(frame, best.found, pushed_px);
-        }
-        // Once more, so that the last search is that of the best.
-        let (from, scale, window, lead) = best.path;
-        let found = self.settle(frame, from, scale, window, lead)?;
-        self.sought(frame, found, pushed_px)
+        Ok(())
     }
 
     /// What the last search has found. Edges that do not look like the hand count less, unless looks did
@@ -179,8 +240,7 @@ impl ContourTracker {
 
     /// A way to settle, tried.
     fn way(&mut self, frame: &Scene<'_>, path: Path, foretold: Option<&Foretold>) -> Result<Way> {
-        let (from, scale, window, lead) = path;
-        let found = self.settle(frame, from, scale, window, lead)?;
+        let found = self.settle(frame, path)?;
         self.weighed(frame, found, path, foretold)
     }
 

@@ -35,6 +35,9 @@ const ENOUGH_TO_TURN: usize = 2;
 /// While the thumb is fitted, the finger stays within this of where it is \[px, rad, 1\].
 const PINNED_SIGMA: f64 = 1e-4;
 
+/// How a hand is settled on: from which shape, at which scale, in which window, led by what.
+pub(super) type Path = (Shape, Scale, Option<Window>, Lead);
+
 impl ContourTracker {
     /// From nearby, or as far as the window says, by edges: everything that the model leaves a
     /// tracked hand. The paper's leans its thumb, if it has one to show the shear; the band model
@@ -42,10 +45,7 @@ impl ContourTracker {
     pub(super) fn settle(
         &mut self,
         frame: &Scene<'_>,
-        from: Shape,
-        scale: Scale,
-        window: Option<Window>,
-        lead: Lead,
+        (from, scale, window, lead): Path,
     ) -> Result<Found> {
         let near_px = window.map_or(self.largeness() * NEAR_PX, |w| w.near_px);
         let own_only = window.is_some_and(|w| w.own_only);
