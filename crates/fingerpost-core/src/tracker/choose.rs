@@ -126,7 +126,7 @@ impl ContourTracker {
         let uncovered =
             (near.fit.is_some() && pushed_px > 0.0).then(|| near.shape.ahead(pushed_px));
         let mut choice = Choice::of(self.weighed(frame, near, path, foretold)?);
-        self.try_resting(frame, &mut choice, predicted, foretold)?;
+        self.try_steady(frame, &mut choice, predicted, foretold)?;
         let reach_px = reach_px.min(MAX_HALF_LENGTH_PX as f64);
         let approached = self.approach(frame, predicted, reach_px)?;
         self.try_from_afar(frame, &mut choice, approached, foretold)?;
@@ -149,8 +149,8 @@ impl ContourTracker {
         self.sought(frame, found, pushed_px)
     }
 
-    /// A hand that was seen whole lately and is covered in part goes on as one at rest does.
-    fn try_resting(
+    /// A hand that was seen whole lately may be covered in part and go on as it did.
+    fn try_steady(
         &mut self,
         frame: &Scene<'_>,
         choice: &mut Choice,
@@ -160,11 +160,15 @@ impl ContourTracker {
         if let Some(foretold) = foretold
             && self.hand.is_known_whole()
         {
-            let narrow = Some(self.pace.steady(&foretold.window));
-            let path = (predicted, Scale::Fine, narrow, Lead::HandEdges);
+            let path = self.steadily(predicted, foretold, Lead::HandEdges);
             choice.or(self.way(frame, path, Some(foretold))?);
         }
         Ok(())
+    }
+
+    /// To where a hand is that goes on as it did.
+    fn steadily(&self, predicted: Shape, foretold: &Foretold, lead: Lead) -> Path {
+        (predicted, Scale::Fine, Some(self.pace.steady(&foretold.window)), lead)
     }
 
     /// Where the votes have led, a larger kernel sees edges that motion has smeared.
@@ -216,8 +220,7 @@ impl ContourTracker {
         if let Some(foretold) = foretold
             && choice.best.worth() < UNLIKE
         {
-            let narrow = Some(self.pace.steady(&foretold.window));
-            let path = (predicted, Scale::Fine, narrow, Lead::AnyEdge);
+            let path = self.steadily(predicted, foretold, Lead::AnyEdge);
             let relit = self.way(frame, path, Some(foretold))?;
             let is_better = self.is_plain(&relit.found, Some(foretold))?;
             choice.settle_for(relit, is_better);

@@ -331,6 +331,7 @@ impl Mould<'_> {
         let mut led = Converged::at(*from);
         let Some(votes) = looks.sight(frame, Lead::Votes, polarity) else { return Ok(led) };
         let Some(edges) = looks.sight(frame, Lead::HandEdges, polarity) else { return Ok(led) };
+        // Of looks that one frame has shown, grey edges gain nothing.
         let edges = Sight { in_grey: None, ..edges };
         let edges_alone = Sight { cue: Cue::Edges, ..edges };
         for (half_px, sight) in [(reach_px, votes), (near_px, edges), (near_px, edges_alone)] {
