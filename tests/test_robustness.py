@@ -18,6 +18,8 @@ from fingerpost.rehearsal import described
 from fingerpost.simulate import (
     Background,
     DevicePose,
+    FingerTruth,
+    Hand,
     Occluder,
     Sensor,
     SimulatedRig,
@@ -34,6 +36,8 @@ FPS = 30.0
 COVERED_MM = 20.0
 # 0.3 s.
 BACK_FRAMES = 9
+# What is followed in one view alone is doubted first; then a hand is found everywhere.
+ALONE_AND_FOUND_FRAMES = 18
 # Desks on which a template that waits in either view takes the wood for a finger.
 LOCKING_SEEDS = (8, 11, 15)
 
@@ -125,8 +129,8 @@ def desk(seed: int) -> SimulatedRig:
     return SimulatedRig(background=Background(texture="wood", clutter=15, seed=seed))
 
 
-def held_up() -> DevicePose:
-    return DevicePose.pointing_at((200, 200), azimuth_deg=20, slant_deg=50, hover_mm=120)
+def held_up(at_mm: tuple[float, float] = (200, 200)) -> DevicePose:
+    return DevicePose.pointing_at(at_mm, azimuth_deg=20, slant_deg=50, hover_mm=120)
 
 
 @pytest.mark.parametrize("seed", LOCKING_SEEDS)
@@ -157,6 +161,68 @@ def test_a_hand_that_has_passed_one_of_the_templates_is_found():
         (step,) = pointer.update(together)
     assert step.fix.status is Status.OK
     assert np.hypot(*(step.fix.point - shot.truth.indicated_mm)) < COVERED_MM
+
+
+def test_a_hand_is_found_where_one_view_follows_it_and_the_template_of_the_other_waits_elsewhere():
+    # It is there from the first frame on, so that no view sees it come.
+    rig, pose = SimulatedRig(device=Hand()), held_up()
+    first, second = (view.finger.start() for view in rig.truth(pose).views)
+    u, v = second.tip_px
+    starts = [first, replace(second, tip_px=(u - 150.0, v - 100.0))]
+    pointer = Pointer(described(rig, starts=starts), pointing_options=PointingOptions())
+    rng = np.random.default_rng(0x616C6F6E)
+    for k in range(ALONE_AND_FOUND_FRAMES):
+        images = rig.render(pose, rng=rng).images
+        (step,) = pointer.update([Frame(k, k / FPS, image) for image in images])
+    assert step.fix.status is Status.OK
+    assert np.hypot(*(step.fix.point - pose.indicated_mm)) < COVERED_MM
+
+
+def test_views_that_follow_different_hands_come_to_follow_one():
+    rig, poses = SimulatedRig(device=Hand()), (held_up(), held_up((330, 90)))
+    starts = [rig.truth(pose).views[k].finger.start() for k, pose in enumerate(poses)]
+    pointer = Pointer(described(rig, starts=starts), pointing_options=PointingOptions())
+    other = ((Hand(), Trajectory.hold(poses[1], 1.0)),)
+    rng = np.random.default_rng(0x68616E64)
+    for k in range(ALONE_AND_FOUND_FRAMES):
+        images = rig.render(poses[0], rng=rng, others=other).images
+        (step,) = pointer.update([Frame(k, k / FPS, image) for image in images])
+    assert step.fix.status is Status.OK
+    assert min(np.hypot(*(step.fix.point - pose.indicated_mm)) for pose in poses) < COVERED_MM
+
+
+def test_a_hand_is_found_again_that_a_view_has_left_for_a_print_on_the_table():
+    rig = SimulatedRig(device=Hand())
+    first, last, away = (held_up(at_mm) for at_mm in ((200, 200), (260, 230), (80, 80)))
+    pointer, path = Pointer(waiting_rig(rig, first)), Trajectory.through([first, last], 0.15)
+    coming = int(path.duration_s * FPS)
+    left = rig.truth(last).views
+    print_mm = cv2.perspectiveTransform(
+        outline_px(left[1].finger)[None], np.linalg.inv(left[1].image_from_plane)
+    )
+    rng = np.random.default_rng(0x7072696E)
+    for k in range(coming + ALONE_AND_FOUND_FRAMES):
+        if k < coming:
+            images = rig.render(path, time_s=k / FPS, rng=rng).images
+        else:
+            images = [image.copy() for image in rig.render(away, rng=rng).images]
+            for image, view in zip(images, left, strict=True):
+                place = cv2.perspectiveTransform(print_mm, view.image_from_plane)[0]
+                cv2.fillConvexPoly(image, np.round(16 * place).astype(int), 150, cv2.LINE_AA, 4)
+        (step,) = pointer.update([Frame(k, k / FPS, image) for image in images])
+        assert (step.fix.status is Status.OK) == (0 < k < coming) or k > coming + BACK_FRAMES, k
+    assert step.fix.status is Status.OK
+    assert np.hypot(*(step.fix.point - away.indicated_mm)) < COVERED_MM
+
+
+def outline_px(finger: FingerTruth) -> NDArray[np.float64]:
+    """Where the outline of a finger about 15 px wide is in the picture."""
+    tip, root, half_width = finger.apex_pictured_px, finger.root_pictured_px, 7.5
+    e = (tip - root) / np.hypot(*(tip - root))
+    n = np.array([-e[1], e[0]])
+    turn = np.linspace(-np.pi / 2, np.pi / 2, 12)[:, None]
+    end = tip + half_width * (np.cos(turn) * e + np.sin(turn) * n - e)
+    return np.vstack([root - half_width * n, end, root + half_width * n])
 
 
 def test_a_table_that_looks_like_the_other_view_of_a_hand_is_left_for_it():

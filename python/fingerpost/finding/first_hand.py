@@ -65,8 +65,8 @@ class FirstHand:
         self._flat = 0.0
         self._raised_frames = 0
 
-    def look_flat(self, flat: float) -> ContourTracker | None:
-        """Return a tracker that waits anew, if what is followed lies on the table.
+    def looks_flat(self, flat: float) -> bool:
+        """Tell whether what is followed lies on the table.
 
         Parameters
         ----------
@@ -75,8 +75,16 @@ class FirstHand:
         """
         self._flat = FLAT_KEPT * self._flat + (1.0 - FLAT_KEPT) * flat
         self._raised_frames += 1
-        if self._flat < IS_FLAT:
-            return None
+        return self._flat >= IS_FLAT
+
+    @property
+    def has_moved(self) -> bool:
+        """Whether what is followed is where it was not at first, as a hand comes to be."""
+        earliest = self._earliest
+        return earliest is not None and any(has_moved(earliest, line) for line in self._latest)
+
+    def wait_anew(self) -> ContourTracker:
+        """Forget what was followed; return a tracker that waits for the hand."""
         self._earliest, self._raised_frames = None, 0
         self._latest.clear()
         return self._waiting()

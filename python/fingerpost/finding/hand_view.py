@@ -34,6 +34,10 @@ BACKGROUND_FRAMES = 8
 DOUBTED_FRAMES = 20
 """Views that have given no point for so many frames follow different things."""
 
+ALONE_FRAMES = 4
+"""What no other view has followed for so many frames may be another finger than the one that
+points, as the thumb: the hand is looked for everywhere beside it."""
+
 
 STOOD_FRAMES = 8
 """What has stood still for so many frames while another view's finger has moved is no finger."""
@@ -81,7 +85,8 @@ class HandView:
         self._is_table = False
         self._table_frames = 0
         self._doubts = 0
-        self._has_come_elsewhere = False
+        self._alone_frames = 0
+        self._is_elsewhere = False
         self._is_backed = False
         self.missing = Status.ACQUIRING
         """What it is while it follows nothing: looking for its first hand, or for a lost one."""
@@ -99,24 +104,32 @@ class HandView:
     def is_searching(self) -> bool:
         """Whether the hand may be anywhere: it is neither followed for good nor waited for.
 
-        A hand that another view has seen come has passed a template that still waits for it.
+        A hand that another view has seen come, or follows alone, has passed a template that still
+        waits for it; and what is followed here alone may be none.
         """
-        if self._tracker is None or self._misses_hand:
+        if self._tracker is None or self._misses_hand or self._is_alone_for_long:
+            return True
+        # What has been found beside what is followed alone is not yet proven.
+        if self.search.found is not None:
             return True
         return self._track is not None and self._track.status == "lost"
 
     @property
     def _misses_hand(self) -> bool:
-        """Whether a hand has come to another view that this one has not found where it waits."""
-        return self._has_come_elsewhere and not (self._is_sure or self._shows_finger)
+        """Whether another view has a hand that this one has not found where it waits."""
+        return self._is_elsewhere and not (self._is_sure or self._shows_finger)
 
     @property
     def _shows_finger(self) -> bool:
         return self._track is not None and self._track.finger_line is not None
 
+    @property
+    def _is_alone_for_long(self) -> bool:
+        return self._alone_frames >= ALONE_FRAMES
+
     def hear(self, others: Sequence[HandView]) -> None:
-        """Take notice of a hand that has come to another view."""
-        self._has_come_elsewhere = any(other.has_newcomer for other in others)
+        """Take notice of a hand that has come to another view, or is followed there alone."""
+        self._is_elsewhere = any(other.has_newcomer or other._is_alone_for_long for other in others)
 
     @property
     def tracker(self) -> ContourTracker | None:
@@ -172,10 +185,18 @@ class HandView:
         return self._first_hand is not None and self._first_hand.may_be_flat
 
     def look_flat(self, flat: float) -> None:
-        """Take over how flat what is followed looks to others; see `FirstHand.look_flat`."""
-        anew = None if self._first_hand is None else self._first_hand.look_flat(flat)
-        if anew is not None:
-            self._tracker, self._track = anew, None
+        """Leave what is followed if it looks flat to others; see `FirstHand.looks_flat`.
+
+        The template waits anew, unless it has followed a hand elsewhere: that is looked for.
+        """
+        first = self._first_hand
+        if first is None or not first.looks_flat(flat):
+            return
+        had_hand, waiting = first.has_moved, first.wait_anew()
+        if had_hand:
+            self._let_go()
+        else:
+            self._tracker, self._track = waiting, None
 
     def observe(self, frame: Frame | None) -> None:
         """Learn from a frame that the tracker has had, and look for a hand that it does not follow.
@@ -249,6 +270,7 @@ class HandView:
         else:
             is_alone = all(shared.are_two(self, other) for other in others)
         self._doubts = self._doubts + 1 if is_alone else 0
+        self._alone_frames = self._alone_frames + 1 if self._is_alone(others, shared) else 0
         self._is_backed = self._is_backed_by(others, shared)
         self._recognise(others, shared)
         # A hand that has come into another view stands out from the table in this one too.
@@ -260,6 +282,12 @@ class HandView:
             or self._is_left_behind(others)
         ):
             self._let_go()
+
+    def _is_alone(self, others: Sequence[HandView], shared: Shared) -> bool:
+        """Whether a finger is followed here, and in every other view another one or none."""
+        return self._shows_finger and all(
+            shared.are_two(self, other) or not other._shows_finger for other in others
+        )
 
     def _is_left_behind(self, others: Sequence[HandView]) -> bool:
         """Whether another view's finger has moved while what is followed here has stood still.
@@ -303,6 +331,7 @@ class HandView:
     def _let_go(self) -> None:
         """Follow nothing any more, and look everywhere."""
         self._tracker, self._track, self._doubts, self._is_table = None, None, 0, False
+        self._alone_frames = 0
         self._lengthening = None
         self._latest.clear()
         self.missing = Status.LOST

@@ -8,6 +8,7 @@ from typing import Protocol
 
 import numpy as np
 
+from fingerpost._core import Candidate
 from fingerpost.capture import Frame
 from fingerpost.finding.finger import Array, Sighting, fitted_half_width_px, followed
 from fingerpost.finding.look import flatness
@@ -47,9 +48,8 @@ def find_hand(views: Sequence[SearchingView], frames: Sequence[Frame | None]) ->
             view.search.judge(frame, *np.split(flat, [len(view.search.candidates)]))
     _believe(views, frames)
     for i, j in combinations(range(len(views)), 2):
-        searching = [k for k in (i, j) if views[k].is_searching and frames[k] is not None]
-        if searching:
-            _try_out(views, frames, (i, j), searching)
+        if any(views[k].is_searching and frames[k] is not None for k in (i, j)):
+            _try_out(views, frames, (i, j))
 
 
 NEW_TRIALS = 4
@@ -60,23 +60,17 @@ def _try_out(
     views: Sequence[SearchingView],
     frames: Sequence[Frame | None],
     pair: tuple[int, int],
-    searching: Sequence[int],
 ) -> None:
     """Start trials at the likeliest pairs of candidates of two views."""
-    seen = [
-        views[k].search.candidate_sightings() if k in searching else followed(views[k].track)
-        for k in pair
-    ]
     i, j = pair
-    scores = pair_scores((views[i].viewpoint, views[j].viewpoint), (seen[0], seen[1]))
-    worth = scores * _worth(seen[0])[:, None] * _worth(seen[1])
+    candidates_i, seen_i = _candidates(views[i], frames[i])
+    candidates_j, seen_j = _candidates(views[j], frames[j])
+    scores = pair_scores((views[i].viewpoint, views[j].viewpoint), (seen_i, seen_j))
+    worth = scores * _worth(seen_i)[:, None] * _worth(seen_j)
     started = 0
-    for places in _best_first(worth):
-        chosen = {
-            k: views[k].search.candidates[place]
-            for k, place in zip(pair, places, strict=True)
-            if k in searching
-        }
+    for a, b in _best_first(worth):
+        both = ((i, candidates_i[a]), (j, candidates_j[b]))
+        chosen = {k: candidate for k, candidate in both if candidate is not None}
         if any(views[k].search.is_refused(candidate) for k, candidate in chosen.items()):
             continue
         new = False
@@ -113,6 +107,8 @@ def _believe(views: Sequence[SearchingView], frames: Sequence[Frame | None]) -> 
         for a, b in _best_first(scores):
             both = ((i, tried_i[a]), (j, tried_j[b]))
             trials = {k: trial for k, trial in both if trial is not None}
+            if not trials:
+                continue
             stays = all(views[k].search.found is trial for k, trial in trials.items())
             worth, has_held = belief(float(scores[a, b]), list(trials.values()), stays)
             if worth > 0.0:
@@ -138,12 +134,28 @@ def _believe(views: Sequence[SearchingView], frames: Sequence[Frame | None]) -> 
             view.search.believe(believed.get(k))
 
 
+def _candidates(
+    view: SearchingView, frame: Frame | None
+) -> tuple[Sequence[Candidate | None], Sequence[Sighting]]:
+    """Return the candidates of a view; None for the hand that it follows."""
+    seen = _followed_for_good(view)
+    if not view.is_searching or frame is None:
+        return [None] * len(seen), seen
+    search = view.search
+    return [*search.candidates, *[None] * len(seen)], [*search.candidate_sightings(), *seen]
+
+
 def _tried(view: SearchingView) -> tuple[Sequence[Trial | None], Sequence[Sighting]]:
     """Return the trials of a view; None for the hand that it follows."""
-    if view.is_searching:
-        return view.search.trials, view.search.trial_sightings()
-    seen = followed(view.track)
-    return [None] * len(seen), seen
+    seen = _followed_for_good(view)
+    if not view.is_searching:
+        return [None] * len(seen), seen
+    return [*view.search.trials, *[None] * len(seen)], [*view.search.trial_sightings(), *seen]
+
+
+def _followed_for_good(view: SearchingView) -> Sequence[Sighting]:
+    """Return the finger that a view follows and does not merely try."""
+    return followed(view.track) if view.search.found is None else []
 
 
 def _point_at_plane(
