@@ -18,6 +18,7 @@ from fingerpost.pipeline import Observation, Pointer, steps
 from fingerpost.pointing import PointingOptions, Status
 from fingerpost.rehearsal import described
 from fingerpost.simulate import (
+    Background,
     DevicePose,
     Placement,
     SimulatedRig,
@@ -103,6 +104,30 @@ def test_a_third_view_that_is_lost_costs_nothing():
     *_, last = steps(pointer, frames())
     assert last.fix.status is Status.OK
     assert "view 2 is acquiring" in last.fix.reason
+
+
+def test_a_view_whose_camera_has_moved_tells_nothing_until_it_is_back():
+    rig = SimulatedRig(background=Background(clutter=30.0, sheet=60.0))
+    rng, motion = np.random.default_rng(SEED), pointing_path()
+    pointer = Pointer(as_configured(rig, motion))
+    told = []
+    for k in range(36):
+        first, second = rig.render(motion, time_s=0.0, rng=rng).images
+        if 12 <= k < 24:
+            second = np.roll(second, (-3, 5), axis=(0, 1))
+        (step,) = pointer.update([Frame(k, k / FPS, image) for image in (first, second)])
+        told.append(step)
+    assert [step.fix.status for step in (told[11], told[23], told[35])] == [
+        Status.OK,
+        Status.ILL_CONDITIONED,
+        Status.OK,
+    ]
+    assert "the camera has moved the reference points by 6 px in view 1" in told[23].fix.reason
+    still, moved = told[23].observations
+    assert "moved" not in " ".join(still.reasons)
+    assert moved.reasons[0] == "the camera has moved the reference points by 6 px"
+    assert moved.track_row().status == "tracking"
+    assert told[35].observations[1].moved_px == 0.0
 
 
 def as_configured(rig: SimulatedRig, motion: Trajectory) -> Rig:

@@ -87,7 +87,11 @@ class Plane(_Table, kw_only=True, frozen=True):
 
 
 class FixedReference(_Table, frozen=True, tag_field="kind", tag="fixed"):
-    """The camera does not move: the reference points stay where the rig file says."""
+    """The camera does not move: the reference points stay where the rig file says.
+
+    While it has moved all the same, its view tells nothing of the plane; see
+    `fingerpost.references`.
+    """
 
 
 class LensParameters(_Table, kw_only=True, frozen=True):

@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import islice
 from typing import Any
@@ -40,6 +40,7 @@ from fingerpost.pointing import (
 )
 from fingerpost.recording import PointRow, TrackRow
 from fingerpost.recording.picture import SearchMarks
+from fingerpost.references import ReferenceWatch
 
 DEFAULT_REFERENCE_SIGMA_PX = 0.5
 """Standard deviation of a reference point that a person clicked or a line fit gave [px]."""
@@ -63,6 +64,8 @@ class Observation:
         Where the last search looked, and what it found; None without a template.
     missing
         What a view without a track is: it looks for its first hand, or for one that it has lost.
+    moved_px
+        How far the camera has moved the table in the picture, 0 while it keeps still [px].
     """
 
     view: str
@@ -71,15 +74,16 @@ class Observation:
     contour_px: NDArray[np.float64]
     searched: SearchLines | None
     missing: Status = Status.LOST
+    moved_px: float = 0.0
 
     @classmethod
-    def of(cls, view: HandView, frame: Frame | None) -> Observation:
+    def of(cls, view: HandView, frame: Frame | None, moved_px: float = 0.0) -> Observation:
         """Return what a view saw in the frame that it observed last."""
         tracker = view.tracker
         if frame is None or tracker is None:
-            return cls(view.name, frame, None, np.empty((0, 2)), None, view.missing)
+            return cls(view.name, frame, None, np.empty((0, 2)), None, view.missing, moved_px)
         contour_px, searched = tracker.contour(), tracker.search_lines()
-        return cls(view.name, frame, view.track, contour_px, searched, view.missing)
+        return cls(view.name, frame, view.track, contour_px, searched, view.missing, moved_px)
 
     @cached_property
     def search(self) -> SearchMarks:
@@ -106,10 +110,25 @@ class Observation:
         return Status.ACQUIRING if self.track.status == "acquiring" else Status.LOST
 
     @property
+    def pointing_finger(self) -> FingerLine | Status:
+        """The finger line, if it is known which line of the plane it shows, or why there is none.
+
+        It is not while the camera has moved: the reference points are elsewhere.
+        """
+        has_line = isinstance(self.finger, FingerLine)
+        return Status.ILL_CONDITIONED if has_line and self.moved_px > 0.0 else self.finger
+
+    @property
     def reasons(self) -> tuple[str, ...]:
         """Why the frame went the way it did, for people: the verdict, then details."""
         if self.frame is None:
             return ("the frame could not be read",)
+        if self.moved_px > 0.0:
+            return (_moved(self.moved_px), *self._reasons)
+        return self._reasons
+
+    @property
+    def _reasons(self) -> tuple[str, ...]:
         if self.track is None and self.searched is not None:
             return ("refused: it lies on the table",)
         if self.track is None:
@@ -206,6 +225,10 @@ class Step:
         return PointRow(frame=self.index, time_s=fix.time_s, status=fix.status.value, **cells)
 
 
+def _moved(moved_px: float) -> str:
+    return f"the camera has moved the reference points by {moved_px:.0f} px"
+
+
 def _marks(lines: SearchLines) -> SearchMarks:
     """Return where a tracker looked for edges, and what it found there."""
     sides = np.array([-1.0, 1.0])[:, None] * lines.half_length_px[:, None, None]
@@ -234,7 +257,7 @@ class _History:
 
     def add(self, observation: Observation) -> None:
         if observation.frame is not None:
-            self.entries.append((observation.frame.time_s, observation.finger))
+            self.entries.append((observation.frame.time_s, observation.pointing_finger))
 
     def at(self, time_s: float, options: PointingOptions) -> FingerLine | Status | None:
         """Tell what the view has at a time; None if its next frame is needed for that."""
@@ -303,6 +326,7 @@ class Pointer:
             for view in rig.views
         )
         self._options = pointing_options
+        self._watches = tuple(ReferenceWatch(view.reference_points_px) for view in rig.views)
         self._histories = tuple(_History() for _ in self.views)
         self._pending: deque[_Pending] = deque()
 
@@ -334,7 +358,8 @@ class Pointer:
             view.settle()
             view.doubt([other for other in self.views if other is not view], shared)
         observations = tuple(
-            Observation.of(view, frame) for view, frame in zip(self.views, frames, strict=True)
+            Observation.of(view, frame, self._moved_px(watch, frame))
+            for view, frame, watch in zip(self.views, frames, self._watches, strict=True)
         )
         for history, observation in zip(self._histories, observations, strict=True):
             history.add(observation)
@@ -342,6 +367,13 @@ class Pointer:
         if first is not None:
             self._pending.append(_Pending(first.index, first.time_s, observations))
         yield from self._ready()
+
+    @staticmethod
+    def _moved_px(watch: ReferenceWatch, frame: Frame | None) -> float:
+        """Return how far a view's camera has moved the table in the picture by this frame [px]."""
+        if frame is not None:
+            watch.look(frame.grey())
+        return watch.moved_px
 
     def _follow(self, frames: Sequence[Frame | None]) -> None:
         """Update the trackers of all views in one call; the error of one keeps none from a frame.
@@ -397,6 +429,13 @@ class Pointer:
         fix = indicated_point(
             fingers, self.plane_views, time_s=pending.time_s, options=self._options
         )
+        moved = [
+            f"{_moved(o.moved_px)} in view {k}"
+            for k, o in enumerate(pending.observations)
+            if o.moved_px > 0.0
+        ]
+        if moved:
+            fix = replace(fix, reason="; ".join(filter(None, [*moved, fix.reason])))
         return Step(pending.index, pending.observations, fix)
 
 

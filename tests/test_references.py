@@ -1,0 +1,123 @@
+"""A camera that moves is noticed by what stands on the table, and nothing else is taken for it."""
+
+import cv2
+import numpy as np
+import pytest
+
+from fingerpost.references import LOOK_EVERY, MOVED_PX, ReferenceWatch
+from fingerpost.simulate import Background, DevicePose, Hand, SimulatedRig, Trajectory
+
+REFERENCES_PX = [(100.0, 90.0), (520.0, 110.0), (540.0, 400.0), (90.0, 380.0)]
+RNG_SEED = 0x72656673
+
+
+def table(width_px: int = 640, height_px: int = 480) -> np.ndarray:
+    """A blurred random pattern: corners everywhere."""
+    rng = np.random.default_rng(RNG_SEED)
+    cells = rng.uniform(40, 200, (height_px // 12, width_px // 12)).astype(np.float32)
+    return cv2.resize(cells, (width_px, height_px), interpolation=cv2.INTER_CUBIC)
+
+
+def taken(picture: np.ndarray, seed: int = 1) -> np.ndarray:
+    noise = np.random.default_rng(seed).normal(0, 2, picture.shape)
+    return np.clip(picture + noise, 0, 255).round().astype(np.uint8)
+
+
+def moved(picture: np.ndarray, by: np.ndarray) -> np.ndarray:
+    height, width = picture.shape
+    return cv2.warpAffine(picture, by, (width, height), borderMode=cv2.BORDER_REFLECT)
+
+
+def shift(u_px: float, v_px: float) -> np.ndarray:
+    return np.array([[1.0, 0.0, u_px], [0.0, 1.0, v_px]])
+
+
+def shown(watch: ReferenceWatch, pictures: list[np.ndarray]) -> float:
+    """What a watch says after each picture was there for as long as it takes to be looked at."""
+    for picture in pictures:
+        for _ in range(LOOK_EVERY):
+            watch.look(picture)
+    return watch.moved_px
+
+
+@pytest.mark.parametrize("size_px", [(320, 240), (640, 480), (1280, 960)])
+@pytest.mark.parametrize("by_px", [(3.0, 0.0), (-4.0, 5.5), (25.0, -18.0)])
+def test_a_shift_is_told_in_pixels_of_the_picture(size_px, by_px):
+    picture = table(*size_px)
+    watch = ReferenceWatch(REFERENCES_PX)
+    told_px = shown(watch, [taken(picture), taken(moved(picture, shift(*by_px)), 2)])
+    assert told_px == pytest.approx(np.hypot(*by_px), abs=0.3 * size_px[0] / 320)
+
+
+def test_a_camera_that_turns_has_moved_and_one_that_comes_back_has_not():
+    picture = table()
+    turned = moved(picture, cv2.getRotationMatrix2D((100.0, 60.0), 1.0, 1.0))
+    watch = ReferenceWatch(REFERENCES_PX)
+    assert shown(watch, [taken(picture), taken(turned, 2)]) > MOVED_PX
+    assert shown(watch, [taken(picture, 3)]) == 0.0
+
+
+@pytest.mark.parametrize(
+    "later",
+    [
+        lambda picture: moved(picture, shift(0.7, -0.6)),
+        lambda picture: 0.6 * picture,
+        lambda picture: picture * np.linspace(0.5, 1.0, picture.shape[1]),
+        lambda picture: cv2.GaussianBlur(picture, (0, 0), 1.5),
+    ],
+    ids=["a nudge", "less light", "a shadow", "out of focus"],
+)
+def test_what_leaves_the_table_in_its_place_is_no_motion(later):
+    picture = table()
+    watch = ReferenceWatch(REFERENCES_PX)
+    assert shown(watch, [taken(picture), taken(later(picture), 2)]) == 0.0
+
+
+def test_the_corners_of_a_hand_and_its_sleeve_move_no_camera():
+    # All that has corners moves; nothing else does.
+    plain = np.full((480, 640), 90.0, np.float32)
+    sleeve = table(240, 260)
+
+    def at(u: int) -> np.ndarray:
+        picture = plain.copy()
+        picture[:260, u : u + 240] = sleeve
+        return taken(picture, u)
+
+    watch = ReferenceWatch(REFERENCES_PX)
+    assert shown(watch, [at(40), at(60), at(120), at(300)]) == 0.0
+
+
+def test_reference_points_that_are_corners_tell_on_a_table_without_any_others():
+    picture = np.full((480, 640), 60.0, np.float32)
+    cv2.fillConvexPoly(picture, np.array(REFERENCES_PX, int), 200.0, cv2.LINE_AA)
+    watch = ReferenceWatch(REFERENCES_PX)
+    told_px = shown(watch, [taken(picture), taken(moved(picture, shift(6.0, -4.0)), 2)])
+    assert told_px == pytest.approx(np.hypot(6.0, 4.0), abs=0.5)
+
+
+def test_a_hand_that_comes_and_points_moves_no_camera():
+    rig = SimulatedRig(device=Hand(), background=Background(texture="wood", sheet=70.0))
+    over = DevicePose.pointing_at((200, 200), azimuth_deg=20, slant_deg=50, hover_mm=120)
+    path = Trajectory.through([over.retreated(500.0), over], 0.5)
+    rng = np.random.default_rng(RNG_SEED)
+    watches = [ReferenceWatch(v.reference_points_px) for v in rig.truth(over).views]
+    for k in range(int(path.duration_s * 30)):
+        for watch, image in zip(
+            watches, rig.render(path, time_s=k / 30, rng=rng).images, strict=True
+        ):
+            watch.look(image)
+            assert watch.moved_px == 0.0, k
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (6, 8), (480, 640), (30, 2000)])
+def test_a_table_without_texture_tells_nothing(shape):
+    watch = ReferenceWatch(REFERENCES_PX)
+    for level in (0, 90, 255):
+        assert shown(watch, [np.full(shape, level, np.uint8)]) == 0.0
+
+
+def test_pictures_of_another_size_begin_anew():
+    picture = table()
+    watch = ReferenceWatch(REFERENCES_PX)
+    assert shown(watch, [taken(picture), taken(moved(picture, shift(9.0, 0.0)))]) > MOVED_PX
+    assert shown(watch, [taken(table(320, 240))]) == 0.0
