@@ -1242,7 +1242,7 @@ def no_forced_switches() -> Iterator[None]:
         sys.setswitchinterval(interval)
 
 
-def meet(calls: list[Callable[[], object]], rounds: int = 200) -> bool:
+def meet(calls: list[Callable[[], object]], rounds: int = 2000) -> bool:
     """Whether two threads are ever inside their calls at once.
 
     No thread loses the GIL to another unless it gives it away, so they only meet if a call

@@ -92,12 +92,14 @@ class Observation:
 
     @cached_property
     def finger(self) -> FingerLine | Status:
-        """The finger line, or why there is none."""
+        """The finger line, or why there is none that shows a line of the plane."""
         if self.frame is None:
             return Status.LOST
         if self.track is None:
             return self.missing
         line = self.track.finger_line
+        if line is not None and self.moved_px > 0.0:
+            return Status.ILL_CONDITIONED
         if line is not None:
             return FingerLine(
                 np.array(line.anchor_px),
@@ -108,15 +110,6 @@ class Observation:
                 line.half_length_px,
             )
         return Status.ACQUIRING if self.track.status == "acquiring" else Status.LOST
-
-    @property
-    def pointing_finger(self) -> FingerLine | Status:
-        """The finger line, if it is known which line of the plane it shows, or why there is none.
-
-        It is not while the camera has moved: the reference points are elsewhere.
-        """
-        has_line = isinstance(self.finger, FingerLine)
-        return Status.ILL_CONDITIONED if has_line and self.moved_px > 0.0 else self.finger
 
     @property
     def reasons(self) -> tuple[str, ...]:
@@ -140,8 +133,8 @@ class Observation:
         if self.frame is None:
             return None
         cells: dict[str, float] = {}
-        status = str(self.finger) if isinstance(self.finger, Status) else "tracking"
         line = self.track.finger_line if self.track is not None else None
+        status = "tracking" if line is not None else str(self.finger)
         if line is not None:
             sigma_offset_px, sigma_angle_rad = np.sqrt(np.diag(line.covariance)).tolist()
             cells = {
@@ -257,7 +250,7 @@ class _History:
 
     def add(self, observation: Observation) -> None:
         if observation.frame is not None:
-            self.entries.append((observation.frame.time_s, observation.pointing_finger))
+            self.entries.append((observation.frame.time_s, observation.finger))
 
     def at(self, time_s: float, options: PointingOptions) -> FingerLine | Status | None:
         """Tell what the view has at a time; None if its next frame is needed for that."""
@@ -429,13 +422,13 @@ class Pointer:
         fix = indicated_point(
             fingers, self.plane_views, time_s=pending.time_s, options=self._options
         )
-        moved = [
-            f"{_moved(o.moved_px)} in view {k}"
+        reasons = {
+            f"view {k} is {Status.ILL_CONDITIONED}": f"{_moved(o.moved_px)} in view {k}"
             for k, o in enumerate(pending.observations)
             if o.moved_px > 0.0
-        ]
-        if moved:
-            fix = replace(fix, reason="; ".join(filter(None, [*moved, fix.reason])))
+        }
+        for without, why in reasons.items():
+            fix = replace(fix, reason=fix.reason.replace(without, why))
         return Step(pending.index, pending.observations, fix)
 
 

@@ -171,7 +171,8 @@ def _draw_view_title(page: Sheet, layout: _Layout, index: int, observed: Observe
     x, baseline = layout.title(index)
     status = status_of(observed)
     right = x + layout.cell_px[0]
-    begin, _ = page.text(status, (right, baseline), 18, STATUSES[status], anchor=1.0)
+    words = status.replace("_", "-")
+    begin, _ = page.text(words, (right, baseline), 18, STATUSES[status], anchor=1.0)
     page.dot(np.array([begin - 12, baseline - 6]), 5, STATUSES[status])
     page.pixels[baseline - 14 : baseline + 1, x : x + 6] = colour_of(index)
     page.text(observed.view, (x + 16, baseline), 19, INK, bold=True, room=begin - 40 - x)
