@@ -23,9 +23,11 @@ from fingerpost.finding import (
     Viewpoint,
     are_one,
     are_two,
+    first_hand,
     flatness,
     pair_scores,
 )
+from fingerpost.finding.first_hand import FirstHand
 from fingerpost.pipeline import Pointer
 from fingerpost.pointing import PlaneView, Status
 from fingerpost.rehearsal import described
@@ -167,6 +169,31 @@ def test_a_view_that_stands_still_while_the_hand_moves_in_another_is_let_go():
     assert frames > stuck_from + LET_GO_WITHIN + 3
     assert all(points[stuck_from - 5 : stuck_from])
     assert not any(points[stuck_from + LET_GO_WITHIN :])
+
+
+def test_what_comes_to_a_template_takes_the_place_of_nothing_that_moves(monkeypatch):
+    # The thumb of a hand that passes its own template may come there, too.
+    for question, answer in (("has_come", True), ("has_come_whole", True), ("stands_out", False)):
+        monkeypatch.setattr(first_hand, question, lambda *_, answer=answer: answer)
+
+    def line(u_px: float, angle_rad: float = 0.0) -> SimpleNamespace:
+        return SimpleNamespace(
+            tip_px=(u_px, 100.0), anchor_px=(u_px - 30.0, 100.0), angle_rad=angle_rad
+        )
+
+    comer = SimpleNamespace(update=lambda *_, **__: SimpleNamespace(finger_line=line(500.0, 1.0)))
+    view = FirstHand(LearnedBackground(), None, lambda: comer)
+    frame = Frame(0, 0.0, np.zeros((240, 640), np.uint8))
+
+    def seen(u_px: float):
+        view.prove(frame, line(u_px))
+        return view.welcome(frame, line(u_px), is_backed=False)
+
+    view.prove(frame, line(300.0))
+    assert seen(300.0) is None  # a second template waits from here on
+    assert [seen(300.0 + 8.0 * k) for k in range(1, 6)] == [None] * 5
+    at_rest = [seen(340.0) for _ in range(5)]
+    assert at_rest[-1] is comer
 
 
 def test_a_hand_that_waits_in_the_first_frame_is_found():

@@ -100,7 +100,8 @@ class FirstHand:
         """Return the tracker that has found the hand in a frame which is new, if it is another.
 
         What is followed by the time that something comes to the template may lie on the table,
-        unless it moves and stands out: a second template waits for the hand beside it.
+        unless it moves: a second template waits for the hand beside it, and goes on waiting in
+        vain once it does, for its thumb may come there as well.
 
         Parameters
         ----------
@@ -120,7 +121,8 @@ class FirstHand:
         if not self._latest:
             self.has_come = True
             return None
-        if self._second is None and followed is not None and moves(self._latest):
+        if followed is not None and moves(self._latest):
+            self._second = None
             return None
         return self._wait_beside(frame, waits=is_backed or not had_rival)
 
