@@ -34,9 +34,10 @@ BACKGROUND_FRAMES = 8
 DOUBTED_FRAMES = 20
 """Views that have given no point for so many frames follow different things."""
 
-ALONE_FRAMES = 4
+ALONE_FRAMES = 10
 """What no other view has followed for so many frames may be another finger than the one that
-points, as the thumb: the hand is looked for everywhere beside it."""
+points, as the thumb: the hand is looked for everywhere beside it. Sooner, a second hand would take
+the place of one that the other view is about to see."""
 
 
 STOOD_FRAMES = 8
