@@ -109,6 +109,16 @@ def test_a_hand_that_comes_and_points_moves_no_camera():
             assert watch.moved_px == 0.0, k
 
 
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("far_px", [-5.0, 700.0, 1e5, 1e12, -1e300])
+def test_reference_points_may_lie_anywhere_outside_the_picture(far_px):
+    references_px = [(far_px, 90.0), (520.0, far_px), (far_px, 400.0), (90.0, far_px)]
+    watch, picture = ReferenceWatch(references_px), table()
+    assert shown(watch, [taken(picture), taken(moved(picture, shift(0.4, 0.3)), 2)]) == 0.0
+    told_px = shown(watch, [taken(moved(picture, shift(6.0, -4.0)), 3)])
+    assert told_px == pytest.approx(np.hypot(6.0, 4.0), abs=0.5)
+
+
 @pytest.mark.parametrize("shape", [(1, 1), (6, 8), (480, 640), (30, 2000)])
 def test_a_table_without_texture_tells_nothing(shape):
     watch = ReferenceWatch(REFERENCES_PX)

@@ -72,9 +72,9 @@ class ReferenceWatch:
 
     def __init__(self, reference_points_px: Sequence[tuple[float, float]]) -> None:
         self.moved_px = 0.0
-        """How far the reference points have moved, on average, by the last look that told; 0 if
-        by less than `MOVED_PX` [px]."""
-        self._reference_points_px = np.array(reference_points_px, np.float32).reshape(-1, 2)
+        """How far what was looked at has moved, on average, by the last look that told; 0 if by
+        less than `MOVED_PX` [px]."""
+        self._reference_points_px = np.array(reference_points_px, np.float64).reshape(-1, 2)
         self._frames = 0
         self._size: tuple[int, ...] = ()
         self._first: _Picture = np.empty((0, 0), np.uint8)
@@ -146,10 +146,10 @@ class ReferenceWatch:
             from_px, to_px, method=cv2.RANSAC, ransacReprojThreshold=within_px
         )
         if motion is not None and np.mean(agrees) >= LEAST_SHARE:
-            part = now.shape[1] / self._size[1]
-            there_px = self._reference_points_px * part
-            off_px = there_px @ motion[:, :2].T + motion[:, 2] - there_px
-            moved_px = float(np.mean(np.linalg.norm(off_px, axis=1))) / part
+            # Not of the reference points, which may lie far outside of the picture.
+            off_px = from_px @ motion[:, :2].T + motion[:, 2] - from_px
+            moved_px = float(np.mean(np.linalg.norm(off_px, axis=1)))
+            moved_px *= self._size[1] / now.shape[1]
             self.moved_px = moved_px if moved_px > MOVED_PX else 0.0
 
     def _votes(self, here_px: _Points, is_sure: NDArray[np.bool_]) -> tuple[_Points, _Points]:
@@ -188,14 +188,16 @@ def _halved(grey: _Picture, halves: list[_Picture]) -> _Picture:
     return grey
 
 
-def _corners_near(points_px: _Points, strength: NDArray[np.float32]) -> _Points:
+def _corners_near(points_px: NDArray[np.float64], strength: NDArray[np.float32]) -> _Points:
     """Return those of some points that are corners, each where it is strongest [px]."""
     least = CORNER_QUALITY * float(strength.max(initial=0.0))
+    size_px = np.array(strength.shape[::-1])
+    in_picture = ((points_px >= 0.0) & (points_px <= size_px - 1)).all(axis=1)
     corners = []
-    for u, v in np.round(points_px).astype(int):
+    for u, v in np.round(points_px[in_picture]).astype(int):
         left, top = max(u - NEAR_PX, 0), max(v - NEAR_PX, 0)
-        about = strength[top : max(v + NEAR_PX + 1, 0), left : max(u + NEAR_PX + 1, 0)]
-        if about.size > 0 and float(about.max()) > least:
+        about = strength[top : v + NEAR_PX + 1, left : u + NEAR_PX + 1]
+        if float(about.max()) > least:
             row, column = np.unravel_index(int(np.argmax(about)), about.shape)
             corners.append((left + column, top + row))
     return np.array(corners, np.float32).reshape(-1, 2)

@@ -39,7 +39,6 @@ ALONE_FRAMES = 10
 points, as the thumb: the hand is looked for everywhere beside it. Sooner, a second hand would take
 the place of one that the other view is about to see."""
 
-
 STOOD_FRAMES = 8
 """What has stood still for so many frames while another view's finger has moved is no finger."""
 
