@@ -4,17 +4,22 @@ import csv
 import dataclasses
 import gc
 import tracemalloc
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 
+import cv2
+import msgspec
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 import fingerpost as fp
 from fingerpost.capture import Frame
 from fingerpost.config import Rig
 from fingerpost.errors import InvalidInputError
-from fingerpost.pipeline import Observation, Pointer, steps
+from fingerpost.homography import estimate_image_from_plane, transfer_to_image
+from fingerpost.pipeline import Observation, Pointer, Step, steps
 from fingerpost.pointing import PointingOptions, Status
 from fingerpost.rehearsal import described
 from fingerpost.simulate import (
@@ -106,17 +111,63 @@ def test_a_third_view_that_is_lost_costs_nothing():
     assert "view 2 is acquiring" in last.fix.reason
 
 
-def test_a_view_whose_camera_has_moved_tells_nothing_until_it_is_back():
-    rig = SimulatedRig(background=Background(clutter=30.0, sheet=60.0))
+def with_references(rig: Rig, plane_points: list[tuple[float, float]]) -> Rig:
+    """The rig with other reference points, where its own ones say that they are."""
+    views = []
+    for view in rig.views:
+        T = estimate_image_from_plane(rig.plane.points, view.reference_points_px)
+        points_px = [tuple(point_px) for point_px in transfer_to_image(T, plane_points).tolist()]
+        views.append(msgspec.structs.replace(view, reference_points_px=tuple(points_px)))
+    plane = msgspec.structs.replace(rig.plane, points=tuple(plane_points))
+    return msgspec.structs.replace(rig, plane=plane, views=tuple(views))
+
+
+def told_of_a_bump(
+    background: Background,
+    change: Callable[[NDArray[np.uint8]], NDArray[np.uint8]],
+    plane_points: list[tuple[float, float]],
+) -> list[Step]:
+    """What a pointer tells of a hand that rests, while the second camera is bumped for a while."""
+    rig = SimulatedRig(background=background)
     rng, motion = np.random.default_rng(SEED), pointing_path()
-    pointer = Pointer(as_configured(rig, motion))
+    pointer = Pointer(with_references(as_configured(rig, motion), plane_points))
     told = []
     for k in range(36):
         first, second = rig.render(motion, time_s=0.0, rng=rng).images
-        if 12 <= k < 24:
-            second = np.roll(second, (-3, 5), axis=(0, 1))
-        (step,) = pointer.update([Frame(k, k / FPS, image) for image in (first, second)])
+        bumped = np.roll(change(second), (-3, 5), axis=(0, 1)) if 12 <= k < 24 else change(second)
+        (step,) = pointer.update([Frame(k, k / FPS, image) for image in (first, bumped)])
         told.append(step)
+    return told
+
+
+def test_a_view_whose_camera_has_moved_points_as_before():
+    corners = [(0.0, 0.0), (400.0, 0.0), (400.0, 400.0), (0.0, 400.0)]
+    told = told_of_a_bump(Background(clutter=30.0, sheet=60.0), lambda image: image, corners)
+    before, during, after = told[11], told[23], told[35]
+    assert [step.fix.status for step in told[11:]] == 25 * [Status.OK]
+    moved = during.observations[1]
+    assert moved.moved_px == pytest.approx(np.hypot(5.0, 3.0), abs=0.2)
+    assert moved.reasons[-1].startswith("camera moved by 6 px")
+    points = before.observations[1].plane_view.plane_points
+    there_px = moved.plane_view.project(points) - before.observations[1].plane_view.project(points)
+    assert there_px == pytest.approx(np.tile([5.0, -3.0], (len(points), 1)), abs=0.25)
+    assert np.hypot(*(during.fix.point - before.fix.point)) < 1.0
+    assert after.observations[1].moved_px == 0.0
+    assert after.observations[1].plane_view is before.observations[1].plane_view
+
+
+def test_a_view_whose_camera_has_moved_from_a_plain_table_tells_nothing_until_it_is_back():
+    # What tells of the bump lies about the picture's border, where no plane is known.
+    texture = np.random.default_rng(SEED).uniform(40, 200, (40, 54)).astype(np.float32)
+    texture = cv2.resize(texture, (640, 480), interpolation=cv2.INTER_CUBIC)
+
+    def with_border(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        framed = np.clip(texture, 0, 255).astype(np.uint8)
+        framed[30:-30, 30:-30] = image[30:-30, 30:-30]
+        return framed
+
+    middle = [(100.0, 100.0), (300.0, 100.0), (300.0, 300.0), (100.0, 300.0)]
+    told = told_of_a_bump(Background(), with_border, middle)
     assert [step.fix.status for step in (told[11], told[23], told[35])] == [
         Status.OK,
         Status.ILL_CONDITIONED,

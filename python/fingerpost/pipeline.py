@@ -66,6 +66,10 @@ class Observation:
         What a view without a track is: it looks for its first hand, or for one that it has lost.
     moved_px
         How far the camera has moved the table in the picture, 0 while it keeps still [px].
+    is_adrift
+        Whether the camera has moved and it is not known where to.
+    plane_view
+        How the view saw the plane; of a camera that is adrift, when that was known last.
     """
 
     view: str
@@ -75,15 +79,18 @@ class Observation:
     searched: SearchLines | None
     missing: Status = Status.LOST
     moved_px: float = 0.0
+    is_adrift: bool = False
+    plane_view: PlaneView | None = None
 
     @classmethod
-    def of(cls, view: HandView, frame: Frame | None, moved_px: float = 0.0) -> Observation:
-        """Return what a view saw in the frame that it observed last."""
+    def of(cls, view: HandView, frame: Frame | None, watch: ReferenceWatch) -> Observation:
+        """Return what a view saw in the frame that it and the watch have had last."""
         tracker = view.tracker
+        camera = watch.moved_px, watch.is_adrift, view.plane_view
         if frame is None or tracker is None:
-            return cls(view.name, frame, None, np.empty((0, 2)), None, view.missing, moved_px)
+            return cls(view.name, frame, None, np.empty((0, 2)), None, view.missing, *camera)
         contour_px, searched = tracker.contour(), tracker.search_lines()
-        return cls(view.name, frame, view.track, contour_px, searched, view.missing, moved_px)
+        return cls(view.name, frame, view.track, contour_px, searched, view.missing, *camera)
 
     @cached_property
     def search(self) -> SearchMarks:
@@ -98,7 +105,7 @@ class Observation:
         if self.track is None:
             return self.missing
         line = self.track.finger_line
-        if line is not None and self.moved_px > 0.0:
+        if line is not None and self.is_adrift:
             return Status.ILL_CONDITIONED
         if line is not None:
             return FingerLine(
@@ -116,8 +123,11 @@ class Observation:
         """Why the frame went the way it did, for people: the verdict, then details."""
         if self.frame is None:
             return ("the frame could not be read",)
-        if self.moved_px > 0.0:
+        if self.is_adrift:
             return (_moved(self.moved_px), *self._reasons)
+        if self.moved_px > 0.0:
+            *others, last = self._reasons
+            return (*others, f"camera moved by {self.moved_px:.0f} px   {last}")
         return self._reasons
 
     @property
@@ -242,26 +252,38 @@ class _Pending:
 
 @dataclass(slots=True)
 class _History:
-    """The latest entries of one view, oldest first: a finger line or a status, and its time."""
+    """The latest entries of one view, oldest first: time, finger line or status, plane view."""
 
-    entries: deque[tuple[float, FingerLine | Status]] = field(
+    entries: deque[tuple[float, FingerLine | Status, PlaneView]] = field(
         default_factory=lambda: deque(maxlen=16)
     )
 
-    def add(self, observation: Observation) -> None:
+    def add(self, observation: Observation, plane_view: PlaneView) -> None:
         if observation.frame is not None:
-            self.entries.append((observation.frame.time_s, observation.finger))
+            self.entries.append((observation.frame.time_s, observation.finger, plane_view))
 
     def at(self, time_s: float, options: PointingOptions) -> FingerLine | Status | None:
         """Tell what the view has at a time; None if its next frame is needed for that."""
         before: FingerLine | Status = Status.ACQUIRING
-        for entry_time_s, entry in self.entries:
+        for entry_time_s, entry, _ in self.entries:
             if entry_time_s == time_s:
                 return entry
             if entry_time_s > time_s:
                 return _between(before, entry, time_s, options)
             before = entry
         return None
+
+    def plane_view_at(self, time_s: float, latest: PlaneView) -> PlaneView:
+        """Tell how the view sees the plane at a time: as last known if nothing later is."""
+        before_s, before = -np.inf, latest
+        for entry_time_s, _, plane_view in self.entries:
+            if entry_time_s >= time_s:
+                if np.isinf(before_s):
+                    return plane_view
+                part = (time_s - before_s) / (entry_time_s - before_s)
+                return before.between(plane_view, part)
+            before_s, before = entry_time_s, plane_view
+        return before
 
 
 def _between(
@@ -319,13 +341,16 @@ class Pointer:
             for view in rig.views
         )
         self._options = pointing_options
-        self._watches = tuple(ReferenceWatch(view.reference_points_px) for view in rig.views)
+        self._still = self.plane_views
+        self._watches = tuple(
+            ReferenceWatch(view.reference_points_px, view.lens) for view in rig.views
+        )
         self._histories = tuple(_History() for _ in self.views)
         self._pending: deque[_Pending] = deque()
 
     @property
     def plane_views(self) -> tuple[PlaneView, ...]:
-        """How each view sees the plane."""
+        """How each view sees the plane, as of its last frame."""
         return tuple(view.plane_view for view in self.views)
 
     def update(self, frames: Sequence[Frame | None]) -> Iterator[Step]:
@@ -339,6 +364,7 @@ class Pointer:
         frames
             One per view, in the rig's order; None where a frame could not be read.
         """
+        self._watch(frames)
         self._follow(frames)
         self._leave_table(frames)
         for view, frame in zip(self.views, frames, strict=True):
@@ -351,22 +377,31 @@ class Pointer:
             view.settle()
             view.doubt([other for other in self.views if other is not view], shared)
         observations = tuple(
-            Observation.of(view, frame, self._moved_px(watch, frame))
+            Observation.of(view, frame, watch)
             for view, frame, watch in zip(self.views, frames, self._watches, strict=True)
         )
-        for history, observation in zip(self._histories, observations, strict=True):
-            history.add(observation)
+        for history, observation, view in zip(
+            self._histories, observations, self.views, strict=True
+        ):
+            history.add(observation, view.plane_view)
         first = frames[0]
         if first is not None:
             self._pending.append(_Pending(first.index, first.time_s, observations))
         yield from self._ready()
 
-    @staticmethod
-    def _moved_px(watch: ReferenceWatch, frame: Frame | None) -> float:
-        """Return how far a view's camera has moved the table in the picture by this frame [px]."""
-        if frame is not None:
-            watch.look(frame.grey())
-        return watch.moved_px
+    def _watch(self, frames: Sequence[Frame | None]) -> None:
+        """Tell the views how they see the plane: a camera may have moved."""
+        for view, still, watch, frame in zip(
+            self.views, self._still, self._watches, frames, strict=True
+        ):
+            if frame is None:
+                continue
+            watch.look(frame.grey(), view.hand)
+            if watch.motion is not None:
+                motion = watch.motion
+                view.move(still.moved(motion.now_from_first, motion.covariance))
+            elif not watch.is_adrift:
+                view.move(still)
 
     def _follow(self, frames: Sequence[Frame | None]) -> None:
         """Update the trackers of all views in one call; the error of one keeps none from a frame.
@@ -419,13 +454,15 @@ class Pointer:
             yield self._step(oldest, [finger for finger in fingers if finger is not None])
 
     def _step(self, pending: _Pending, fingers: Sequence[FingerLine | Status]) -> Step:
-        fix = indicated_point(
-            fingers, self.plane_views, time_s=pending.time_s, options=self._options
-        )
+        plane_views = [
+            history.plane_view_at(pending.time_s, view.plane_view)
+            for history, view in zip(self._histories, self.views, strict=True)
+        ]
+        fix = indicated_point(fingers, plane_views, time_s=pending.time_s, options=self._options)
         reasons = {
             f"view {k} is {Status.ILL_CONDITIONED}": f"{_moved(o.moved_px)} in view {k}"
             for k, o in enumerate(pending.observations)
-            if o.moved_px > 0.0
+            if o.is_adrift
         }
         for without, why in reasons.items():
             fix = replace(fix, reason=fix.reason.replace(without, why))

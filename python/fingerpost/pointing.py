@@ -273,6 +273,54 @@ class PlaneView:
             return cls(plane, T, np.zeros((9, 9)), lens)
         return cls(plane, T, homography_covariance(T, plane, covariances_px2), lens)
 
+    def moved(self, now_from_before: ArrayLike, covariance: ArrayLike) -> "PlaneView":
+        """Return the view when its camera has moved.
+
+        Parameters
+        ----------
+        now_from_before : (3, 3)
+            Homography from where the pinhole has shown points of the plane to where it shows them
+            now [px].
+        covariance : (9, 9)
+            Of its entries, row by row.
+
+        Returns
+        -------
+        PlaneView
+            Its covariance counts that of the view before and that of the motion.
+
+        Raises
+        ------
+        InvalidInputError
+            Wrong shapes, NaN, or a motion that puts the reference points behind the camera.
+        """
+        H = finite_array(now_from_before, "now_from_before", (3, 3))
+        Σ_H = finite_array(covariance, "covariance", (9, 9))
+        T = H @ self.image_from_plane
+        in_front = T[2] @ [*self.plane_points.mean(axis=0), 1.0]
+        if in_front <= 0.0:
+            raise InvalidInputError("now_from_before puts the reference points behind the camera")
+        by_view = np.kron(H, np.eye(3)) / in_front
+        by_motion = np.kron(np.eye(3), self.image_from_plane.T) / in_front
+        Σ_T = by_view @ self.entries_covariance @ by_view.T + by_motion @ Σ_H @ by_motion.T
+        return PlaneView(self.plane_points, T / in_front, Σ_T, self.lens)
+
+    def between(self, other: "PlaneView", part: float) -> "PlaneView":
+        """Return the view between this and another one of the same camera, as it moves evenly.
+
+        Parameters
+        ----------
+        other
+            The later view.
+        part
+            How far from this one to it, from 0 to 1.
+        """
+        if other is self:
+            return self
+        T = (1.0 - part) * self.image_from_plane + part * other.image_from_plane
+        Σ_T = (1.0 - part) * self.entries_covariance + part * other.entries_covariance
+        return PlaneView(self.plane_points, T, Σ_T, self.lens)
+
     def project(self, plane_points: ArrayLike) -> NDArray[np.float64]:
         """Where the view shows points of the plane, its lens included.
 

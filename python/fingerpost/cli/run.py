@@ -131,7 +131,10 @@ def _overlay_video(
     trail: deque[NDArray[np.float64]] = deque(maxlen=_OVERLAY_TRAIL)
 
     def take(step: Step) -> None:
-        video.write(composition.draw(step.observations, step.fix, trail=list(trail)))
+        views = [observation.plane_view for observation in step.observations]
+        video.write(
+            composition.draw(step.observations, step.fix, trail=list(trail), plane_views=views)
+        )
         if step.fix.point is not None:
             trail.append(step.fix.point)
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from fingerpost._core import Background, ContourTracker, FingerLine, StartPose, Template, Track
 from fingerpost.capture import Frame
 from fingerpost.config import View
-from fingerpost.finding.finger import is_left_behind
+from fingerpost.finding.finger import hand_region, is_left_behind
 from fingerpost.finding.first_hand import FirstHand
 from fingerpost.finding.foreground import is_background
 from fingerpost.finding.length import Lengthening
@@ -127,6 +127,14 @@ class HandView:
     def _is_alone_for_long(self) -> bool:
         return self._alone_frames >= ALONE_FRAMES
 
+    def move(self, plane_view: PlaneView) -> None:
+        """See the plane in another way from now on: the camera has moved."""
+        if plane_view is self.plane_view:
+            return
+        self.plane_view = plane_view
+        if self._size_px is not None:
+            self.viewpoint = Viewpoint.of(plane_view, self._size_px)
+
     def hear(self, others: Sequence[HandView]) -> None:
         """Take notice of a hand that has come to another view, or is followed there alone."""
         self._is_elsewhere = any(other.has_newcomer or other._is_alone_for_long for other in others)
@@ -140,6 +148,12 @@ class HandView:
     def track(self) -> Track | None:
         """What the view's tracker, or the trial that is believed, made of the last frame."""
         return self.search.found.track if self.search.found is not None else self._track
+
+    @property
+    def hand(self) -> tuple[NDArray[np.float64], NDArray[np.float64], float] | None:
+        """The part of the last frame that the hand covers; None where no finger is followed."""
+        line = self.track.finger_line if self.track is not None else None
+        return None if line is None else hand_region(line)
 
     @property
     def has_newcomer(self) -> bool:

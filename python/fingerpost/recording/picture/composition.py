@@ -83,6 +83,7 @@ class Composition:
         trail: ArrayLike = (),
         truth_trail: ArrayLike = (),
         robot: RobotMarks | None = None,
+        plane_views: Sequence[PlaneView | None] = (),
     ) -> Image:
         """Draw one moment.
 
@@ -94,6 +95,8 @@ class Composition:
             Where the hand points.
         truth, trail, truth_trail, robot
             As for `draw_plan`.
+        plane_views
+            How the views see the plane now, if cameras may have moved; None for one that has not.
 
         Returns
         -------
@@ -114,13 +117,15 @@ class Composition:
         if self._layout is None:
             self._layout = _Layout.of(observations, _CAPTION_PX if self._edges else 0)
         layout, plan = self._layout, len(observations)
+        moved = (*plane_views, *self._views[len(plane_views) :])
+        views = [now or first for now, first in zip(moved, self._views, strict=True)]
         size_px = layout.cell_px
         page = Sheet.blank(layout.page_px, PAGE)
         for k, observed in enumerate(observations):
             _draw_view_title(page, layout, k, observed)
             page.pixels[layout.cell(k)] = draw_view(
                 observed,
-                self._views,
+                views,
                 k,
                 fix,
                 size_px=size_px,
@@ -137,7 +142,7 @@ class Composition:
         if robot is not None:
             _draw_robot_title(page, robot, x + size_px[0], baseline)
         page.pixels[layout.cell(plan)] = draw_plan(
-            self._views,
+            views,
             fix,
             unit=self._unit,
             size_px=size_px,

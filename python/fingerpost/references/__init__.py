@@ -1,0 +1,18 @@
+"""Where the reference points of a view are, also when its camera moves.
+
+`ReferenceWatch` looks at the frames of one view and tells whether its camera keeps still, and how
+the working plane has moved in its picture if it does not.
+"""
+
+from fingerpost.references.registration import PlaneMotion, PlaneRegistration, Segment
+from fingerpost.references.watch import ADRIFT_PX, LOOK_EVERY, MOVED_PX, ReferenceWatch
+
+__all__ = [
+    "ADRIFT_PX",
+    "LOOK_EVERY",
+    "MOVED_PX",
+    "PlaneMotion",
+    "PlaneRegistration",
+    "ReferenceWatch",
+    "Segment",
+]

@@ -1,0 +1,259 @@
+"""The plane of a moving camera is found again: known motions, and what may hide or mimic them."""
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from fingerpost.homography import estimate_image_from_plane, transfer_to_image
+from fingerpost.lens import Lens
+from fingerpost.pointing import PlaneView
+from fingerpost.references import PlaneMotion, PlaneRegistration
+from fingerpost.uncertainty import homography_covariance
+
+REFERENCES_PX = np.array([(130.0, 110.0), (500.0, 120.0), (520.0, 380.0), (110.0, 360.0)])
+PLANE = np.array([(0.0, 0.0), (400.0, 0.0), (400.0, 400.0), (0.0, 400.0)])
+SEED = 0x706C616E
+NOISE_LEVELS = 2.0
+
+
+def table(width_px: int = 640, height_px: int = 480) -> np.ndarray:
+    """Sheets and prints on a plain table: edges with flat places between them."""
+    rng = np.random.default_rng(SEED)
+    picture = np.full((height_px, width_px), 90.0, np.float32)
+    for _ in range(60):
+        corner = rng.uniform((0, 0), (width_px, height_px))
+        sides = rng.uniform(10, 60, (2,)) * [[1, 0], [0, 1]]
+        turn = cv2.getRotationMatrix2D((0, 0), rng.uniform(0, 90), 1.0)[:, :2]
+        outline = corner + np.array([(0, 0), (1, 0), (1, 1), (0, 1)]) @ sides @ turn.T
+        cv2.fillConvexPoly(
+            picture, (16 * outline).astype(int), rng.uniform(40, 200), cv2.LINE_AA, 4
+        )
+    return cv2.GaussianBlur(picture, (0, 0), 0.9)
+
+
+def taken(picture: np.ndarray, seed: int) -> np.ndarray:
+    noise = np.random.default_rng(seed).normal(0, NOISE_LEVELS, picture.shape)
+    return np.clip(picture + noise, 0, 255).round().astype(np.uint8)
+
+
+def motion_of(corners_px: np.ndarray) -> np.ndarray:
+    """The homography that moves the reference points by so much."""
+    return estimate_image_from_plane(REFERENCES_PX, REFERENCES_PX + corners_px)
+
+
+def shown(picture: np.ndarray, now_from_first: np.ndarray) -> np.ndarray:
+    size = picture.shape[::-1]
+    return cv2.warpPerspective(
+        picture, now_from_first, size, flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE
+    )
+
+
+def off_px(motion: PlaneMotion, truth: np.ndarray) -> np.ndarray:
+    """How far it puts the reference points from where they are."""
+    found = transfer_to_image(motion.now_from_first, REFERENCES_PX)
+    return found - transfer_to_image(truth, REFERENCES_PX)
+
+
+MOTIONS = {
+    "still": np.zeros((4, 2)),
+    "a shift": np.tile([2.3, -1.6], (4, 1)),
+    "a turn": 0.02 * (REFERENCES_PX - [320, 240]) @ [[0, 1], [-1, 0]],
+    "a tilt": np.array([(3.0, 0.0), (-2.0, 1.0), (2.5, -3.0), (-1.0, 2.0)]),
+}
+
+
+@pytest.mark.parametrize("name", MOTIONS)
+def test_a_known_motion_is_recovered_from_the_picture_alone(name):
+    truth, picture = motion_of(MOTIONS[name]), table()
+    registration = PlaneRegistration(taken(picture, 1), REFERENCES_PX)
+    motion = registration.align(taken(shown(picture, truth), 2), np.eye(3))
+    assert np.abs(off_px(motion, truth)).max() < 0.1
+
+
+def test_a_large_motion_is_recovered_from_a_guess():
+    moved_px = 0.15 * (REFERENCES_PX - [320, 240]) @ [[0, 1], [-1, 0]] + [40.0, -25.0]
+    truth, picture = motion_of(moved_px), table()
+    registration = PlaneRegistration(taken(picture, 1), REFERENCES_PX)
+    guess = motion_of(moved_px + np.array([(2, 1), (-2, 1), (1, -2), (-1, -1)]))
+    motion = registration.align(taken(shown(picture, truth), 2), guess)
+    assert np.abs(off_px(motion, truth)).max() < 0.15
+
+
+def test_soft_shadows_and_other_light_move_nothing():
+    picture = table()
+    v, u = np.mgrid[:480, :640]
+    shadow = 1.0 - 0.5 * np.exp(-((u - 200.0) ** 2 + (v - 250.0) ** 2) / (2 * 60.0**2))
+    registration = PlaneRegistration(taken(picture, 1), REFERENCES_PX)
+    motion = registration.align(taken(0.8 * picture * shadow, 2), np.eye(3))
+    assert np.abs(off_px(motion, np.eye(3))).max() < 0.1
+
+
+def test_what_covers_a_third_of_the_plane_moves_nothing():
+    truth, picture = motion_of(MOTIONS["a shift"]), table()
+    now = shown(picture, truth)
+    now[150:330, 200:400] = table(200, 180)[:, ::-1]
+    registration = PlaneRegistration(taken(picture, 1), REFERENCES_PX)
+    motion = registration.align(taken(now, 2), np.eye(3))
+    assert np.abs(off_px(motion, truth)).max() < 0.15
+
+
+def test_a_hand_that_is_known_moves_no_plane():
+    # It has the only edges but for those of a sheet in the distance, and moves by two pixels.
+    first = np.full((480, 640), 90.0, np.float32)
+    cv2.rectangle(first, (150, 130), (480, 340), 120.0, -1)
+    now = first.copy()
+    for picture, aside in ((first, 0), (now, 2)):
+        for k in range(8):
+            cv2.line(picture, (250 + aside, 160 + 20 * k), (360 + aside, 170 + 20 * k), 220.0, 9)
+    first, now = (cv2.GaussianBlur(picture, (0, 0), 0.9) for picture in (first, now))
+    hand = (np.array([305.0, 150.0]), np.array([305.0, 310.0]), 75.0)
+    registration = PlaneRegistration(taken(first, 1), REFERENCES_PX)
+    registration.forget(hand)
+    motion = registration.align(taken(now, 2), np.eye(3), hand)
+    assert np.abs(off_px(motion, np.eye(3))).max() < 0.6
+
+
+def test_a_distorted_picture_is_registered_in_the_pixels_of_the_pinhole():
+    lens = Lens(fx=600.0, fy=600.0, cx=320.0, cy=240.0, k1=-0.25)
+    truth, picture = motion_of(MOTIONS["a tilt"] + [6.0, 4.0]), table()
+    v, u = np.mgrid[:480, :640].astype(float)
+    ideal_px = lens.undistort(np.stack([u, v], axis=-1).reshape(-1, 2))
+
+    def through_lens(first_from_now: np.ndarray) -> np.ndarray:
+        x, y = transfer_to_image(first_from_now, ideal_px).astype(np.float32).T
+        maps = (values.reshape(480, 640) for values in (x, y))
+        return cv2.remap(picture, *maps, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+
+    first, now = through_lens(np.eye(3)), through_lens(np.linalg.inv(truth))
+    registration = PlaneRegistration(taken(first, 1), lens.distort(REFERENCES_PX), lens)
+    motion = registration.align(taken(now, 2), motion_of(np.tile([5.0, 4.0], (4, 1))))
+    assert np.abs(off_px(motion, truth)).max() < 0.1
+
+
+def test_the_covariance_is_that_of_repeated_pictures():
+    picture, truth = table(), motion_of(MOTIONS["a tilt"])
+    now = shown(picture, truth)
+    errors, claimed = [], []
+    for k in range(40):
+        registration = PlaneRegistration(taken(picture, 2 * k), REFERENCES_PX)
+        motion = registration.align(taken(now, 2 * k + 1), truth)
+        errors.append(off_px(motion, truth))
+        view = PlaneView(REFERENCES_PX, np.eye(3), np.zeros((9, 9)), None)
+        view = view.moved(motion.now_from_first, motion.covariance)
+        claimed.append(corner_covariances(view))
+    found = np.array(errors)
+    spread = np.einsum("kni,knj->nij", found, found) / len(found)
+    ratio = np.trace(spread, axis1=1, axis2=2) / np.trace(np.mean(claimed, 0), axis1=1, axis2=2)
+    # What interpolation leaves at the edges is counted as noise, though it is the same every time.
+    assert (ratio > 0.2).all(), ratio
+    assert (ratio < 1.5).all(), ratio
+
+
+def corner_covariances(view: PlaneView) -> np.ndarray:
+    """Covariances of where a view shows the reference points [px²], by central differences."""
+    T, step = view.image_from_plane, 1e-6
+    jacobian = np.empty((len(REFERENCES_PX), 2, 9))
+    for k in range(9):
+        by = np.zeros(9)
+        by[k] = step
+        after, before = (
+            transfer_to_image(T + sign * by.reshape(3, 3), view.plane_points) for sign in (1, -1)
+        )
+        jacobian[:, :, k] = (after - before) / (2 * step)
+    return jacobian @ view.entries_covariance @ np.swapaxes(jacobian, 1, 2)
+
+
+@pytest.mark.parametrize("level", [0, 90, 255])
+@pytest.mark.parametrize("shape", [(1, 1), (6, 8), (48, 64), (480, 640), (30, 2000)])
+def test_a_plain_table_tells_nothing(level, shape):
+    picture = np.full(shape, level, np.uint8)
+    registration = PlaneRegistration(picture, REFERENCES_PX)
+    assert registration.align(picture, np.eye(3)) is None
+    assert registration.unlike_levels(picture) == 0.0
+
+
+def test_another_place_is_not_this_one():
+    registration = PlaneRegistration(taken(table(), 1), REFERENCES_PX)
+    assert registration.align(taken(table()[::-1, ::-1], 2), np.eye(3)) is None
+    assert registration.unlike_levels(taken(table()[::-1, ::-1], 2)) > 10
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.lists(st.floats(-1e3, 1e3), min_size=8, max_size=8))
+def test_any_guess_gives_a_motion_or_none(entries):
+    registration = PlaneRegistration(taken(table(), 1), REFERENCES_PX)
+    guess = np.append(entries, 1.0).reshape(3, 3)
+    motion = registration.align(taken(table(), 2), guess)
+    assert motion is None or np.isfinite(motion.covariance).all()
+
+
+def test_a_moved_view_is_the_view_of_moved_reference_points():
+    covariances = 0.3**2 * np.eye(2)
+    view = PlaneView.from_reference_points(PLANE, REFERENCES_PX, covariances)
+    truth = motion_of(MOTIONS["a turn"] + MOTIONS["a shift"])
+    moved = view.moved(truth, np.zeros((9, 9)))
+    anew = estimate_image_from_plane(PLANE, transfer_to_image(truth, REFERENCES_PX))
+    assert moved.image_from_plane == pytest.approx(anew, rel=1e-9, abs=1e-12)
+    before = homography_covariance(view.image_from_plane, PLANE, covariances)
+    jacobian = by_point(truth, REFERENCES_PX)
+    expected = jacobian @ covariances @ np.swapaxes(jacobian, 1, 2)
+    assert before == pytest.approx(view.entries_covariance)
+    assert entries_to_points(moved) == pytest.approx(expected, rel=1e-4, abs=1e-8)
+
+
+def by_point(matrix: np.ndarray, points: np.ndarray) -> np.ndarray:
+    step = 1e-5
+    columns = [
+        (transfer_to_image(matrix, points + by) - transfer_to_image(matrix, points - by)) / step / 2
+        for by in ((step, 0.0), (0.0, step))
+    ]
+    return np.stack(columns, axis=-1)
+
+
+def entries_to_points(view: PlaneView) -> np.ndarray:
+    """Covariances of the reference points that the entries' covariance stands for."""
+    T = view.image_from_plane
+    jacobian = np.empty((len(view.plane_points), 2, 9))
+    for k in range(9):
+        by = np.zeros(9)
+        by[k] = 1e-6 * max(abs(T.ravel()[k]), 1e-6)
+        after, before = (
+            transfer_to_image(T + sign * by.reshape(3, 3), view.plane_points) for sign in (1, -1)
+        )
+        jacobian[:, :, k] = (after - before) / (2 * by[k])
+    return jacobian @ view.entries_covariance @ np.swapaxes(jacobian, 1, 2)
+
+
+def test_between_two_views_the_plane_moves_evenly():
+    view = PlaneView.from_reference_points(PLANE, REFERENCES_PX, 0.3**2 * np.eye(2))
+    later = view.moved(motion_of(np.tile([4.0, -2.0], (4, 1))), np.zeros((9, 9)))
+    assert view.between(view, 0.3) is view
+    halfway_px = view.between(later, 0.5).project(PLANE)
+    assert halfway_px == pytest.approx(REFERENCES_PX + np.array([2.0, -1.0]), abs=1e-6)
+
+
+def test_an_arm_that_has_all_strong_corners_is_no_camera():
+    plain = np.full((480, 640), 90.0, np.float32)
+    for k in range(1, 16):
+        cv2.line(plain, (40 * k, 0), (40 * k, 479), 108.0, 1)
+        cv2.line(plain, (0, 40 * k), (639, 40 * k), 108.0, 1)
+    arm = table(220, 300)
+
+    def at(v: int) -> np.ndarray:
+        picture = plain.copy()
+        picture[v : v + 300, 330:550] = arm
+        return cv2.GaussianBlur(picture, (0, 0), 0.9)
+
+    shift = motion_of(np.tile([0.0, 6.0], (4, 1)))
+    registration = PlaneRegistration(taken(at(40), 1), REFERENCES_PX)
+    assert registration.stands(taken(at(46), 2), shift)
+    assert not registration.stands(taken(shown(at(40), shift), 3), shift)
+
+
+def test_a_table_in_other_light_stands():
+    registration = PlaneRegistration(taken(table(), 1), REFERENCES_PX)
+    shift = motion_of(np.tile([3.0, 1.0], (4, 1)))
+    assert registration.stands(taken(0.7 * table() + 10, 2), shift)
+    assert not registration.stands(taken(0.7 * shown(table(), shift) + 10, 3), shift)
