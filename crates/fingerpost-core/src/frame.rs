@@ -2,7 +2,7 @@
 
 use crate::image::GrayView;
 use crate::{Error, Result};
-use nalgebra::{Point2, Vector2};
+use nalgebra::{Point2, Vector2, Vector3};
 
 /// A borrowed view of interleaved 8-bit colours, three channels in any order that does not change
 /// from frame to frame. Never copies.
@@ -44,6 +44,15 @@ impl<'a> ColourView<'a> {
         }
         let at = y * self.stride + 3 * x;
         self.data.get(at..at + 3)?.try_into().ok()
+    }
+
+    /// The mean colour of those of some pixels that lie in the image; `None` if none does.
+    pub(crate) fn mean(&self, pixels: impl Iterator<Item = SidedPixel>) -> Option<Vector3<f64>> {
+        let colours = pixels.filter_map(|p| self.pixel(p.x as usize, p.y as usize));
+        let (sum, count) = colours.fold((Vector3::zeros(), 0.0), |(sum, count), colour| {
+            (sum + Vector3::from(colour.map(f64::from)), count + 1.0)
+        });
+        (count > 0.0).then(|| sum / count)
     }
 
     /// The bytes of row `y` without padding; `None` outside the image.
@@ -131,7 +140,7 @@ impl SidedPixel {
         first_px: f64,
         last_px: f64,
         is_hand: bool,
-    ) -> impl ExactSizeIterator<Item = Self> {
+    ) -> impl ExactSizeIterator<Item = Self> + Clone {
         // Fixed point, 32.32: what is negative has the largest whole part when it is read unsigned.
         const ONE: f64 = (1_u64 << 32) as f64;
         let fixed = |x: f64| (x * ONE) as i64;

@@ -1,7 +1,7 @@
 //! Gauss–Newton in one shape space: measure, linearise, solve, move, until nothing moves.
 
 use super::hand::SURE;
-use super::looks::{Lead, Looks, Shaft, Sight, Silhouette};
+use super::looks::{Contour, Lead, Looks, Shaft, Sight, Silhouette};
 use super::neighbours::alike;
 use super::normals::{KERNEL_REACH_PX, Normals, at_edge};
 use super::options::{AcceptOptions, TrackerOptions};
@@ -14,7 +14,7 @@ use crate::dynamics::{Expectation, Gate};
 use crate::fit::{EquationBuffer, Equations, FitReport, Fitter, Outcome, Prior};
 use crate::frame::Frame;
 use crate::refine::Finger;
-use crate::search::{EdgeMeasurement, Polarity, Scale, SearchLine};
+use crate::search::{EdgeMeasurement, Miss, Polarity, Scale, SearchLine};
 use crate::shape_space::{Axis, PlacedSample, Pose, ShapeSpace};
 use crate::simd::Isa;
 use crate::template::{Part, TemplateSample};
@@ -235,9 +235,10 @@ pub(super) struct Convergence {
     /// it; none does without a fit.
     left_px: Vec<f64>,
     equations: EquationBuffer,
-    /// Where edges agree with the fit, and which of them look like the hand inside.
+    /// Where edges agree with the fit, and which of them look like the hand inside; where none was found.
     agreeing: Vec<PlacedSample>,
     own: Vec<bool>,
+    unseen: Vec<PlacedSample>,
     /// Residual offsets of those along the contour, part by part of the outline.
     left_over: Vec<(Part, f64)>,
     /// Looks of a hand of which nothing is known: those that are judged, and those that lead, unless they
@@ -262,6 +263,7 @@ impl Convergence {
             equations: EquationBuffer::with_capacity(options.samples, MAX_DOF),
             agreeing: Vec::with_capacity(options.samples),
             own: Vec::with_capacity(options.samples),
+            unseen: Vec::with_capacity(options.samples),
             left_over: Vec::with_capacity(options.samples),
             unknown: Looks::new(false),
             leading: Some(leading),
@@ -292,8 +294,9 @@ impl Convergence {
     }
 
     /// Shows the finger's samples of the last search whose edges agree with the fit, each moved to
-    /// its edge, to the looks of the hand; see [`Looks::learn`]. The finger's are the first
-    /// `samples` of all. A thumb may be lit quite differently, and it is the finger that points.
+    /// its edge, and those without an edge, to the looks of the hand; see [`Looks::learn`]. The finger's
+    /// are the first `samples` of all. A thumb may be lit quite differently, and it is the finger that
+    /// points.
     pub fn teach(
         &mut self,
         looks: &mut Looks,
@@ -307,7 +310,22 @@ impl Convergence {
         }
         self.gather_agreeing(samples);
         self.leave_out_covered(looks, frame)?;
-        looks.learn(frame, &mut self.image, &self.agreeing, finger, weights)
+        self.gather_unseen(samples);
+        let contour = Contour { edges: &self.agreeing, unseen: &self.unseen };
+        looks.learn(frame, &mut self.image, &contour, finger, weights)
+    }
+
+    /// The same of those without an edge alone, of a hand that something may cover elsewhere.
+    pub fn teach_unseen(
+        &mut self,
+        looks: &mut Looks,
+        samples: usize,
+        frame: &Scene<'_>,
+        finger: &Silhouette,
+    ) -> Result<()> {
+        self.gather_unseen(samples);
+        let contour = Contour { edges: &[], unseen: &self.unseen };
+        looks.learn(frame, &mut self.image, &contour, finger, (1.0, 1.0))
     }
 
     /// Looks that know nothing yet, to be [given back](Self::take_back).
@@ -339,7 +357,8 @@ impl Convergence {
             return Ok(false);
         }
         looks.forget();
-        looks.learn(frame, &mut self.image, &self.agreeing, finger, (0.0, 1.0))?;
+        let contour = Contour { edges: &self.agreeing, unseen: &[] };
+        looks.learn(frame, &mut self.image, &contour, finger, (0.0, 1.0))?;
         Ok(true)
     }
 
@@ -371,6 +390,17 @@ impl Convergence {
             .filter(|&((i, ..), &weight)| i < samples && weight > 0.5)
             .map(|((_, line, edge), _)| at_edge(line, edge));
         self.agreeing.extend(agreeing);
+    }
+
+    /// Of the finger's samples of the last search, the first `samples` of all, those on whose lines there
+    /// is no edge.
+    fn gather_unseen(&mut self, samples: usize) {
+        self.unseen.clear();
+        let searched = self.visible.iter().zip(self.normals.lines()).zip(self.normals.found());
+        let unseen = searched
+            .filter(|&((&i, _), found)| i < samples && matches!(found, Err(Miss::NoContrast)))
+            .map(|((_, line), _)| line.sample);
+        self.unseen.extend(unseen);
     }
 
     /// Of the agreeing edges, forgets those that do not look like the hand inside, as long as most do:

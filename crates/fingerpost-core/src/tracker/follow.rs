@@ -103,7 +103,9 @@ impl ContourTracker {
                 self.hand.grow();
                 self.hand.count_thumb(&found, lose_after_frames);
                 self.hand.count_partly(&found);
-                if !found.fit.is_some_and(|fit| fit.own_only) {
+                if found.fit.is_some_and(|fit| fit.own_only) {
+                    self.learn_behind(frame)?;
+                } else {
                     self.take_over_looks(frame, &found)?;
                 }
                 self.pace.follow(innovation);

@@ -30,6 +30,12 @@ const STRETCH: usize = 3;
 const AHEAD: f64 = 3.0;
 /// What looks like the hand votes for it by this much on average.
 const LIKE_HAND: f64 = 1.0;
+/// Where there is no edge, the hand is told from what is behind it by mean colours so far from the edge
+/// \[px\]; if these differ by so much, in all channels together, something else is behind it than looks
+/// know of \[grey levels\].
+const BEHIND_PX: [f64; 2] = [2.0 * EDGE_PX, 10.0];
+const INSIDE_PX: [f64; 2] = [EDGE_PX, 6.0];
+const OTHER_COLOUR: f64 = 20.0;
 
 /// What leads the contour.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -208,6 +214,15 @@ impl Shaft {
     }
 }
 
+/// A contour as far as it teaches looks.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Contour<'a> {
+    /// Where its edges are.
+    pub edges: &'a [PlacedSample],
+    /// Where the hand is known to end, without an edge: what is behind it there is perhaps not known yet.
+    pub unseen: &'a [PlacedSample],
+}
+
 /// The looks of one hand.
 #[derive(Debug, Clone)]
 pub(super) struct Looks {
@@ -278,11 +293,15 @@ impl Looks {
         &mut self,
         frame: &Frame<'_>,
         image: &mut DiscriminantImage,
-        contour: &[PlacedSample],
+        contour: &Contour<'_>,
         finger: &Silhouette,
         (keep, times): (f64, f64),
     ) -> Result<()> {
-        self.gather(contour, finger, AHEAD_WIDTHS);
+        self.gather(contour.edges, finger, AHEAD_WIDTHS);
+        self.gather_behind(frame, contour.unseen);
+        if self.pixels.is_empty() {
+            return Ok(());
+        }
         self.plain.fade(keep as f32);
         self.discriminant.fade(keep);
         self.plain.observe_all(frame, &self.pixels, times);
@@ -377,6 +396,25 @@ impl Looks {
         Some(Sight { lead, cue, mixture, polarity, in_grey, shades: self.shades.as_ref() })
     }
 
+    /// Adds pixels of what is behind a hand that ends where there is no edge: the mixture that tells the
+    /// hand from what was behind it elsewhere may not tell it from this. It is no more of the hand if it
+    /// is of another colour than the inside, which must look like the hand: what covers that does not.
+    fn gather_behind(&mut self, frame: &Frame<'_>, unseen: &[PlacedSample]) {
+        let Some(colours) = frame.colour() else { return };
+        for PlacedSample { position, normal } in unseen {
+            let along = |[from_px, to_px]: [f64; 2], way: f64| {
+                SidedPixel::along(*position, normal * way, from_px, to_px, false)
+            };
+            let inside = along(INSIDE_PX, -1.0);
+            let differ = colours.mean(inside.clone()).zip(colours.mean(along(BEHIND_PX, 1.0)));
+            let differ = differ.is_some_and(|(a, b)| (a - b).norm() >= OTHER_COLOUR);
+            let places = inside.map(|pixel| pixel.middle());
+            if differ && self.plain.mean_vote(frame, places) >= LIKE_HAND {
+                self.pixels.extend(along([2.0 * EDGE_PX, REACH_PX], 1.0));
+            }
+        }
+    }
+
     /// Pixels on either side of a contour, and so many half-widths more ahead of the tip.
     fn gather(&mut self, contour: &[PlacedSample], finger: &Silhouette, ahead_widths: f64) {
         let depth_px = (2.0 * finger.half_width_px - EDGE_PX).clamp(3.0, REACH_PX);
@@ -389,6 +427,93 @@ impl Looks {
             self.pixels.extend(inside);
             let outside = SidedPixel::along(*position, *normal, 2.0 * EDGE_PX, outer_px, false);
             self.pixels.extend(outside);
+        }
+    }
+}
+
+// What is taught is private to the tracker, and what it must agree with is what was painted.
+#[cfg(test)]
+#[expect(clippy::unwrap_used, reason = "a test may panic")]
+mod tests {
+    use super::*;
+    use crate::frame::ColourView;
+    use crate::image::GrayView;
+
+    const SIDE: usize = 80;
+    /// The hand ends here, before paper above and before something else below \[px\].
+    const EDGE: f64 = 40.0;
+    const SKIN: [f64; 3] = [124.0, 139.0, 175.0];
+    const PAPER: [f64; 3] = [191.0, 184.0, 178.0];
+    const WOOD: [f64; 3] = [104.0, 124.0, 141.0];
+    const BLUE: [f64; 3] = [170.0, 90.0, 60.0];
+
+    /// Looks of a hand that was seen before paper, after a frame in which its lower half shows no edge:
+    /// what that half is of, and what is behind it.
+    fn taught(inside: [f64; 3], behind: [f64; 3]) -> [Looks; 2] {
+        let colour_at = |i: usize| {
+            let (x, y) = (i % SIDE, i / SIDE);
+            let below = 2 * y >= SIDE;
+            let colour = match (x < EDGE as usize, below) {
+                (true, false) => SKIN,
+                (true, true) => inside,
+                (false, false) => PAPER,
+                (false, true) => behind,
+            };
+            // Shades are many, and noise is of every channel's own.
+            let shade = 1.0 - 0.03 * ((3 * x + 7 * y) % 11) as f64;
+            let noise = |k: usize| ((5 * x + 3 * y + 4 * k * (x + 1)) % 7) as f64 - 3.0;
+            [0, 1, 2].map(|k| (shade * colour[k] + noise(k)) as u8)
+        };
+        let colours: Vec<[u8; 3]> = (0..SIDE * SIDE).map(colour_at).collect();
+        let greys: Vec<u8> = colours.iter().map(|[_, g, _]| *g).collect();
+        let gray = GrayView::new(&greys, SIDE, SIDE, SIDE).unwrap();
+        let colour = ColourView::new(colours.as_flattened(), SIDE, SIDE, 3 * SIDE).unwrap();
+        let frame = Frame::coloured(gray, colour).unwrap();
+        let at = |y: usize| PlacedSample {
+            position: Point2::new(EDGE - 0.5, y as f64),
+            normal: Vector2::x(),
+        };
+        let edges: Vec<_> = (4..SIDE / 2 - 2).map(at).collect();
+        let unseen: Vec<_> = (SIDE / 2 + 2..SIDE - 4).map(at).collect();
+        let finger = Silhouette { ahead: Vector2::y(), half_width_px: 8.0 };
+        let mut image = DiscriminantImage::default();
+        let mut before = Looks::new(true);
+        let contour = Contour { edges: &edges, unseen: &[] };
+        before.learn(&frame, &mut image, &contour, &finger, (0.0, 1.0)).unwrap();
+        let mut after = before.clone();
+        let contour = Contour { edges: &[], unseen: &unseen };
+        after.learn(&frame, &mut image, &contour, &finger, (1.0, 1.0)).unwrap();
+        [before, after]
+    }
+
+    /// How much brighter skin is than wood as a mixture shows them \[grey levels\].
+    fn contrast(looks: &Looks) -> f64 {
+        let colours = [SKIN, WOOD].map(|colour| colour.map(|c| c as u8));
+        let gray = GrayView::new(&[0; 2], 2, 1, 2).unwrap();
+        let colour = ColourView::new(colours.as_flattened(), 2, 1, 6).unwrap();
+        let frame = Frame::coloured(gray, colour).unwrap();
+        let mut image = DiscriminantImage::default();
+        let mixture = looks.discriminant.mixture().unwrap();
+        let shown = image.of(&frame, mixture, [0.0, 2.0, 0.0, 1.0]).unwrap();
+        let [skin, wood] = [0, 1].map(|x| f64::from(shown.image().pixel(x, 0).unwrap()));
+        skin - wood
+    }
+
+    #[test]
+    fn what_is_behind_a_hand_is_learned_where_no_edge_shows_it() {
+        let [before, after] = taught(SKIN, WOOD);
+        // Half of the least contrast of a hand is that of an edge that counts.
+        assert!(contrast(&before) < 9.0, "{}", contrast(&before));
+        assert!(contrast(&after) >= 17.0, "{}", contrast(&after));
+        assert!(after.plain.separation() > 2.0);
+    }
+
+    #[test]
+    fn a_hand_behind_it_and_what_covers_it_teach_nothing() {
+        for (inside, behind) in [(SKIN, SKIN), (BLUE, WOOD), (BLUE, BLUE)] {
+            let [before, after] = taught(inside, behind);
+            assert_eq!(after.discriminant.mixture(), before.discriminant.mixture());
+            assert_eq!(after.plain, before.plain);
         }
     }
 }

@@ -252,6 +252,16 @@ impl ContourTracker {
         let looks = self.hand.looks.get_or_insert_with(|| Looks::new(coloured));
         self.convergence.teach(looks, samples, frame, &finger, (keep, frames as f64))
     }
+
+    /// Takes over what is behind a hand where the last accepted fit saw no edge. What covers the hand
+    /// elsewhere teaches nothing.
+    pub(super) fn learn_behind(&mut self, frame: &Scene<'_>) -> Result<()> {
+        let (samples, finger) = (self.hand.fingers(&self.samples), self.hand.shape.silhouette());
+        self.hand
+            .looks
+            .as_mut()
+            .map_or(Ok(()), |looks| self.convergence.teach_unseen(looks, samples, frame, &finger))
+    }
 }
 
 /// Whether the pixels about the flanks are the hand's: what covers a hand has pixels of its own.
