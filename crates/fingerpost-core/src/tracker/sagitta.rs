@@ -27,10 +27,10 @@ const NEAR: f64 = 0.3;
 /// The middle of a stretch is moved by no more than this part of its half-length: what is seen less
 /// of is not told from a parabola.
 const FARTHEST: f64 = 0.15;
-/// Either end of the line may be misled by this part of the bend. Turned into an angle that is the
-/// spread of lines through stretches whose middles scatter by 0.09 half-lengths; lines of hands on rendered
-/// footage miss the exact medial lines by as much.
-const MISLEADS: f64 = 0.16;
+/// Either end of the line of one frame may be misled by this part of the bend. Turned into an angle that
+/// is the spread of lines through stretches whose middles scatter by 0.18 half-lengths. Lines of hands on
+/// rendered footage, each told with the frames before, miss the exact medial lines by half as much.
+const MISLEADS: f64 = 0.32;
 /// Part of a frame that is learned once some are known.
 const RATE: f64 = 0.1;
 

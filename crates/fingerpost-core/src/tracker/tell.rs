@@ -65,9 +65,9 @@ impl ContourTracker {
             Shape::Ribbon(x) if self.options.refine => finger_line.map(|line| {
                 let length_px = self.hand.measure.length_px;
                 let shown = Shown { half_width_px: x[3], taper: x[4], length_px };
-                let line = self.sagitta.told(line, x[3]);
-                let line = self.steady.follow(frame.image(), time_s, line, &shown);
-                line.misled_by_part(self.sagitta.misleads())
+                // What misleads every frame otherwise is counted before the frames are told together.
+                let line = self.sagitta.told(line, x[3]).misled_by_part(self.sagitta.misleads());
+                self.steady.follow(frame.image(), time_s, line, &shown)
             }),
             _ => finger_line,
         };
