@@ -573,8 +573,9 @@ class Following:
                 tip_px=tuple(tip),
                 angle_rad=angle_rad,
                 covariance=np.diag([1e-4, 1e-7]),
+                half_length_px=30.0,
             )
-            self.track = SimpleNamespace(finger_line=line)
+            self.track = SimpleNamespace(finger_line=line, shape_vector=None, shape_names=())
 
 
 def on_table(points: np.ndarray) -> np.ndarray:

@@ -56,9 +56,10 @@ def noisy_fingers(rng, cameras, pointing, covariance):
     ]
 
 
-def fix_of(cameras, pointing, covariance=None, references=None, **options):
+def fix_of(cameras, pointing, covariance=None, references=None, half_width_px=0.0, **options):
+    fingers = [finger_line(view, pointing, covariance) for view in cameras]
     return indicated_point(
-        [finger_line(view, pointing, covariance) for view in cameras],
+        [dataclasses.replace(finger, half_width_px=half_width_px) for finger in fingers],
         [plane_view(view, references) for view in cameras],
         time_s=0.0,
         options=PointingOptions(**options),
@@ -209,6 +210,15 @@ def test_the_bias_allowance_is_added_at_the_anchor():
     assert np.all(
         np.linalg.eigvalsh(allowed.covariance - fix_of(cameras, pointing, FINE).covariance) > 0
     )
+
+
+@pytest.mark.parametrize(("half_width_px", "wider"), [(0.0, 1.0), (6.0, 1.0), (20.0, 2.5)])
+def test_a_finger_that_is_wider_in_the_image_misses_its_axis_by_more_pixels(half_width_px, wider):
+    cameras, pointing = stereo(), rod([120, 260], 20.0, 45.0, 150.0)
+    allowances = {"bias_offset_px": 0.1, "bias_angle_rad": 0.004}
+    allowed = fix_of(cameras, pointing, FINE, half_width_px=half_width_px, **allowances)
+    stated = fix_of(cameras, pointing, FINE + np.diag([(0.1 * wider) ** 2, 0.004**2]))
+    assert np.allclose(allowed.covariance, stated.covariance, rtol=1e-12)
 
 
 def test_constraint_lines_and_their_bands_are_kept_for_drawing():
@@ -404,9 +414,18 @@ def test_a_target_behind_the_finger_tip_is_refused():
     assert largest_sigma(fix.covariance) < 0.01 * SIDE
 
 
-@pytest.mark.parametrize(("short_px", "accepted"), [(0.0, True), (14.0, True), (20.0, False)])
-def test_a_finger_that_touches_the_plane_points_at_its_tip(short_px, accepted):
-    """The target may seem to lie behind the tip by what the tip is uncertain: 4 × 4 px here."""
+@pytest.mark.parametrize(
+    ("short_px", "half_width_px", "accepted"),
+    [
+        (0.0, 0.0, True),
+        (14.0, 8.0, True),
+        (20.0, 8.0, False),
+        (30.0, 16.0, True),
+        (35.0, 16.0, False),
+    ],
+)
+def test_a_finger_that_touches_the_plane_points_at_its_tip(short_px, half_width_px, accepted):
+    """The target may seem to lie behind the tip by 4 × 4 px; so much more if that is larger."""
     cameras, touching = stereo(), rod([120, 260], 20.0, 45.0, 1e-9)
     fingers = [finger_line(view, touching, FINE) for view in cameras]
     fingers = [
@@ -414,6 +433,7 @@ def test_a_finger_that_touches_the_plane_points_at_its_tip(short_px, accepted):
             finger,
             tip_px=finger.tip_px
             + short_px * np.array([np.cos(finger.angle_rad), np.sin(finger.angle_rad)]),
+            half_width_px=half_width_px,
         )
         for finger in fingers
     ]
@@ -554,10 +574,11 @@ def test_alignment_undoes_the_skew_between_the_views():
 
 
 def test_interpolation_is_linear_in_anchor_and_angle_and_carries_the_tip():
-    before = FingerLine([100, 100], 0.2, FINE, [140, 110], 1.0)
-    after = FingerLine([120, 90], 0.6, FINE, [155, 115], 1.04)
+    before = FingerLine([100, 100], 0.2, FINE, [140, 110], 1.0, half_width_px=10.0)
+    after = FingerLine([120, 90], 0.6, FINE, [155, 115], 1.04, half_width_px=14.0)
     line = align([before, after], 1.01).line
     assert np.allclose(line.anchor_px, [105, 97.5])
+    assert line.half_width_px == pytest.approx(11.0)
     assert line.angle_rad == pytest.approx(0.3)
     # Linear motion of the tip itself differs by the second order of the turn alone.
     assert np.allclose(line.tip_px, [143.75, 111.25], atol=1.0)
@@ -667,7 +688,16 @@ def webcam_finger(view, lens, pointing):
     tangent = np.linalg.svd(samples - anchor)[2][0]
     tangent *= np.sign(tangent @ (samples[-1] - samples[0]))
     angle = np.arctan2(tangent[1], tangent[0])
-    return FingerLine(anchor, angle, FINE, samples[-1], 0.0)
+    return FingerLine(anchor, angle, FINE, samples[-1], 0.0, half_width_px=9.0)
+
+
+def test_taking_out_a_lens_keeps_what_else_is_known_of_a_finger():
+    view = camera(15.0, distance_mm=750.0, focal_px=622.0)
+    finger = webcam_finger(view, BARREL, rod([120, 260], 20.0, 45.0, 150.0))
+    seen = webcam_view(view, BARREL, None, BARREL).through_pinhole(finger)
+    assert (seen.time_s, seen.half_length_px) == (finger.time_s, finger.half_length_px)
+    assert seen.half_width_px == 9.0
+    assert abs(seen.angle_rad - finger.angle_rad) > 1e-4
 
 
 def test_a_known_lens_is_taken_out_of_references_and_finger_lines():
@@ -765,6 +795,7 @@ GOOD = {
         ({"tip_px": [100.0, 100.0]}, "behind anchor_px"),
         ({"time_s": np.nan}, "time_s is nan"),
         ({"half_length_px": -1.0}, "half_length_px is -1"),
+        ({"half_width_px": -1.0}, "half_width_px is -1"),
     ],
 )
 def test_bad_finger_lines_are_refused(values, words):

@@ -26,7 +26,7 @@ from fingerpost._core import SearchLines, Track, update_views
 from fingerpost.capture import Frame, open_source, read_views
 from fingerpost.config import Rig
 from fingerpost.errors import FingerpostError, InvalidInputError
-from fingerpost.finding import HandView, Shared, find_hand, how_flat
+from fingerpost.finding import HandView, Shared, find_hand, how_flat, measured_line
 from fingerpost.pointing import (
     BARE_HAND,
     AlignmentState,
@@ -104,18 +104,9 @@ class Observation:
             return Status.LOST
         if self.track is None:
             return self.missing
-        line = self.track.finger_line
-        if line is not None and self.is_adrift:
-            return Status.ILL_CONDITIONED
+        line = measured_line(self.track, self.frame.time_s)
         if line is not None:
-            return FingerLine(
-                np.array(line.anchor_px),
-                line.angle_rad,
-                line.covariance,
-                np.array(line.tip_px),
-                self.frame.time_s,
-                line.half_length_px,
-            )
+            return Status.ILL_CONDITIONED if self.is_adrift else line
         return Status.ACQUIRING if self.track.status == "acquiring" else Status.LOST
 
     @property

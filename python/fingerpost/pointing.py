@@ -47,6 +47,10 @@ from fingerpost.uncertainty import (
 
 _LARGEST = float(np.finfo(np.float64).max)
 
+USUAL_HALF_WIDTH_PX = 8.0
+"""Half the width of a finger for which pixels in `PointingOptions` are meant as they are [px]. What
+a finger is not round by grows with its image; what is owed to pixels does not shrink with it."""
+
 
 class Status(StrEnum):
     """State of a view's hand, and of a fix."""
@@ -86,7 +90,8 @@ class PointingOptions:
 
     bias_offset_px: float = 0.0
     """Standard deviation by which the measured medial line misses the finger's axis sideways, at
-    the anchor, beyond noise [px, ≥ 0]. 0 suits a cylinder; see `BARE_HAND`."""
+    the anchor, beyond noise [px, ≥ 0]: of a finger as wide as `USUAL_HALF_WIDTH_PX` says or
+    slimmer, and of a wider one so much more. 0 suits a cylinder; see `BARE_HAND`."""
 
     bias_angle_rad: float = 0.0
     """The same for its direction, turning about the anchor [rad, ≥ 0]: bent and conical fingers
@@ -94,9 +99,10 @@ class PointingOptions:
     stretch that is measured turns the medial line of a real finger by 0.01 to 0.02."""
 
     tip_sigma_px: float = 4.0
-    """Standard deviation of the finger tip along the finger [px, ≥ 0]: a finger that touches the
-    plane points at its own tip, and must not be refused for pointing backwards. It touches with
-    its pad: a finger 26 px wide was seen to indicate points up to 11 px behind its apex."""
+    """Standard deviation of the finger tip along the finger [px, ≥ 0], as of `bias_offset_px`: a
+    finger that touches the plane points at its own tip, and must not be refused for pointing
+    backwards. It touches with its pad: a finger 26 px wide was seen to indicate points up to 11 px
+    behind its apex."""
 
     max_skew_s: float = 0.001
     """Largest difference between the times of the finger lines in one fix and its own [s, ≥ 0]:
@@ -133,7 +139,7 @@ values for the lines of a rendered hand before tables of wood, stone and cloth, 
 white ones, in colours and in grey: of the exact medial lines the 95 % regions of single lines
 then hold 93 %, and 71 % with a quarter of both. The points' 95 % ellipses hold 93 % of the
 intersections of the exact lines, found or held up, and those of a mechanical device in all of 15
-poses. They suit fingers about 16 px wide."""
+poses. These fingers are about 16 px wide."""
 
 UNSEEN_HAND = replace(BARE_HAND, bias_angle_rad=0.0065)
 """What to expect of a bare hand that nobody has seen: its bend is part of the allowance."""
@@ -160,6 +166,8 @@ class FingerLine:
     half_length_px
         Half the length of that stretch [px], > 0; where a lens bends the finger's image, the line
         is straightened over it. 0 stands for the way from anchor to tip.
+    half_width_px
+        Half the finger's width [px], ≥ 0; 0 where it is not known.
 
     Raises
     ------
@@ -173,6 +181,7 @@ class FingerLine:
     tip_px: NDArray[np.float64]
     time_s: float
     half_length_px: float = 0.0
+    half_width_px: float = 0.0
 
     def __post_init__(self) -> None:
         anchor = finite_array(self.anchor_px, "anchor_px", (2,))
@@ -193,6 +202,13 @@ class FingerLine:
         set_field(self, "time_s", in_range(self.time_s, "time_s", -_LARGEST, _LARGEST))
         half_length = in_range(self.half_length_px, "half_length_px", 0.0, _LARGEST)
         set_field(self, "half_length_px", half_length or ahead)
+        half_width = in_range(self.half_width_px, "half_width_px", 0.0, _LARGEST)
+        set_field(self, "half_width_px", half_width)
+
+    @property
+    def largeness(self) -> float:
+        """How many times as wide as `USUAL_HALF_WIDTH_PX` says the finger is, at least 1."""
+        return max(1.0, self.half_width_px / USUAL_HALF_WIDTH_PX)
 
 
 @dataclass(frozen=True, eq=False)
@@ -381,11 +397,12 @@ class PlaneView:
         """
         u, v = finger.anchor_px.tolist()
         (offset, both), (_, angle) = finger.covariance.tolist()
+        bias_offset_px = options.bias_offset_px * finger.largeness
         line, covariance = constraint_components(
             *self._floats,
             (u, v),
             (math.cos(finger.angle_rad), math.sin(finger.angle_rad)),
-            (offset + options.bias_offset_px**2, both, angle + options.bias_angle_rad**2),
+            (offset + bias_offset_px**2, both, angle + options.bias_angle_rad**2),
         )
         return constraint(line, covariance)
 
@@ -438,7 +455,7 @@ class PlaneView:
         ahead = (tip - anchor) @ (math.cos(angle), math.sin(angle))
         if not ahead > 0.0:  # NaN outside the domain of the lens model
             return Status.ILL_CONDITIONED
-        return FingerLine(anchor, angle, covariance, tip, finger.time_s)
+        return replace(finger, anchor_px=anchor, angle_rad=angle, covariance=covariance, tip_px=tip)
 
 
 @dataclass(frozen=True, eq=False)
@@ -714,6 +731,7 @@ def _interpolate(before: FingerLine, after: FingerLine, turn: float, time_s: flo
         tip_px=anchor + tip_in_finger @ _finger_axes(angle),
         time_s=time_s,
         half_length_px=(1.0 - weight) * before.half_length_px + weight * after.half_length_px,
+        half_width_px=(1.0 - weight) * before.half_width_px + weight * after.half_width_px,
     )
 
 
@@ -784,15 +802,15 @@ def _misplaced(
         place = view.ahead_of_tip(finger, found)
         if place is None:
             return f"the point lies beyond the horizon of view {k}"
-        placed.append(place)
+        placed.append((place, finger.largeness))
     excess = [
-        ahead + options.nsigma * math.sqrt(variance + options.tip_sigma_px**2)
-        for ahead, variance in placed
+        ahead + options.nsigma * math.hypot(math.sqrt(variance), options.tip_sigma_px * largeness)
+        for (ahead, variance), largeness in placed
     ]
     k = excess.index(min(excess))
     if excess[k] >= 0.0:
         return ""
-    return f"the point lies {-placed[k][0]:.3g} px behind the finger tip in view {seen[k]}"
+    return f"the point lies {-placed[k][0][0]:.3g} px behind the finger tip in view {seen[k]}"
 
 
 def _refuse_unmatched(

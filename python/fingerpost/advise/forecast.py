@@ -278,6 +278,7 @@ class _Seen:
     covariance: Array
     tip_px: Array
     length_px: Array
+    half_width_px: Array
     ray_rad: Array
     inside: NDArray[np.bool_]
 
@@ -289,6 +290,7 @@ class _Seen:
             self.tip_px[i],
             0.0,
             float(self.length_px[i]) / 2,
+            float(self.half_width_px[i]),
         )
 
 
@@ -315,6 +317,7 @@ def _seen_by(camera: PlaneCamera, poses: Poses, options: AdviceOptions, unit_mm:
         covariance=axis_covariance(moments, information * options.efficiency),
         tip_px=tip_px,
         length_px=flank_px,
+        half_width_px=around,
         ray_rad=np.arccos(np.clip(cosine, 0.0, 1.0)),
         inside=camera.shows(base_px, border) & camera.shows(tip_px, border),
     )

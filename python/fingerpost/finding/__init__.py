@@ -12,7 +12,7 @@ has moved (`views`). A template that waits for the hand may lock on to the table
 (`first_hand`); what each view follows, and when it lets go, is its own affair (`hand_view`).
 """
 
-from fingerpost.finding.finger import Sighting
+from fingerpost.finding.finger import Sighting, measured_line
 from fingerpost.finding.hand_view import HandView
 from fingerpost.finding.look import flatness, widening
 from fingerpost.finding.one_finger import Shared, are_one, are_two, can_be_one
@@ -32,6 +32,7 @@ __all__ = [
     "find_hand",
     "flatness",
     "how_flat",
+    "measured_line",
     "pair_scores",
     "widening",
 ]

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from fingerpost import pointing
 from fingerpost._core import FingerLine, StartPose, Track
 
 Array = NDArray[np.float64]
@@ -48,6 +49,22 @@ def fitted_half_width_px(track: Track) -> float | None:
     if shape is None or HALF_WIDTH_NAME not in track.shape_names:
         return None
     return float(shape[track.shape_names.index(HALF_WIDTH_NAME)])
+
+
+def measured_line(track: Track | None, time_s: float) -> pointing.FingerLine | None:
+    """Return the line of the finger that a view follows, to point with; None if it shows none."""
+    line = track.finger_line if track is not None else None
+    if track is None or line is None:
+        return None
+    return pointing.FingerLine(
+        np.array(line.anchor_px),
+        line.angle_rad,
+        line.covariance,
+        np.array(line.tip_px),
+        time_s,
+        line.half_length_px,
+        fitted_half_width_px(track) or 0.0,
+    )
 
 
 def are_near(one: StartPose, other: StartPose, reach_px: float, turn_rad: float) -> bool:

@@ -5,17 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
-import numpy as np
-
 from fingerpost._core import Track
-from fingerpost.finding.finger import followed
+from fingerpost.finding.finger import followed, measured_line
 from fingerpost.finding.pairs import OTHER_TIP, Viewpoint, same_tip
-from fingerpost.pointing import (
-    FingerLine,
-    PlaneView,
-    Status,
-    indicated_point,
-)
+from fingerpost.pointing import PlaneView, Status, indicated_point
 
 
 class FollowingView(Protocol):
@@ -35,12 +28,8 @@ Pair = tuple[FollowingView, FollowingView]
 
 def gives_point(views: Sequence[PlaneView], tracks: Sequence[Track | None]) -> bool:
     """Tell whether tracks of two views give a point; so they do while one shows no finger."""
-    lines = [track.finger_line for track in tracks if track is not None]
-    fingers = [
-        FingerLine(np.array(f.anchor_px), f.angle_rad, f.covariance, np.array(f.tip_px), 0.0)
-        for f in lines
-        if f is not None
-    ]
+    lines = [measured_line(track, time_s=0.0) for track in tracks]
+    fingers = [line for line in lines if line is not None]
     if len(fingers) < len(views):
         return True
     return indicated_point(fingers, views, time_s=0.0).status is Status.OK
