@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from fingerpost.references import LOOK_EVERY, MOVED_PX, ReferenceWatch
+from fingerpost.references.registration import PlaneRegistration
 from fingerpost.simulate import Background, DevicePose, Hand, SimulatedRig, Trajectory
 
 REFERENCES_PX = [(100.0, 90.0), (520.0, 110.0), (540.0, 400.0), (90.0, 380.0)]
@@ -85,6 +86,31 @@ def test_the_corners_of_a_hand_and_its_sleeve_move_no_camera():
 
     watch = ReferenceWatch(REFERENCES_PX)
     assert shown(watch, [at(40), at(60), at(120), at(300)]) == 0.0
+
+
+def test_a_pointer_that_is_nearly_half_of_what_shows_moves_no_camera(monkeypatch):
+    # On a table that is so dark that its pixels tell nothing:
+    monkeypatch.setattr(PlaneRegistration, "stands", lambda *_: False)
+    # Three things stand on a plain table; what points has corners in two parts of the picture. It
+    # begins to move by so little that one motion of the camera would nearly do for all five.
+    tip = np.array([250.0, 30.0])
+
+    def with_things(*places: tuple[int, int]) -> np.ndarray:
+        picture = np.full((480, 640), 60.0, np.float32)
+        for u, v in places:
+            picture[v : v + 60, u : u + 90] = 150.0
+        return cv2.GaussianBlur(picture, (0, 0), 1.0)
+
+    still, pointer = (
+        with_things((520, 40), (30, 250), (20, 380)),
+        with_things((190, 60), (370, 180)),
+    )
+    watch = ReferenceWatch([(150.0, 20.0), (480.0, 20.0), (480.0, 260.0), (150.0, 260.0)])
+    for k, step_px in enumerate((0.0, 0.4, 0.8, 1.2, 1.6, 2.0, 4.0, 9.0, 18.0, 30.0)):
+        table_and_pointer = np.maximum(still, moved(pointer, shift(step_px, 0.3 * step_px)))
+        for _ in range(LOOK_EVERY):
+            watch.look(taken(table_and_pointer, k), (tip + step_px, tip + step_px - 20.0, 3.0))
+            assert watch.moved_px == 0.0, step_px
 
 
 def test_reference_points_that_are_corners_tell_on_a_table_without_any_others():

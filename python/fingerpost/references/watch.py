@@ -58,6 +58,11 @@ and its arm have fewer; and votes without those of a hand that is known."""
 LEAST_SHARE = 0.75
 """Part of the votes that must agree on one motion: a shift, a turn and a change of scale."""
 
+STANDS_PX = 0.12
+STANDING_SHARE = 0.5
+"""A vote stands still that is no further from where it was; a camera has not moved if such are
+more than this part of all votes: they would agree as well on a small motion of whatever else."""
+
 AGREES_PX = 0.75
 AGREES_PART = 0.1
 """Votes agree that are off it by no more, or by no more than this part of their middle motion."""
@@ -200,6 +205,9 @@ class ReferenceWatch:
         references = int(is_sure[: self._references].sum())
         least = LEAST_VOTES if hand is None else LEAST_OTHERS
         is_told = len(from_px) >= least or references >= LEAST_REFERENCES
+        if is_told and _stand_still(from_px, to_px):
+            self._rest()
+            return
         gone = self._agreed(from_px, to_px) if is_told else None
         if self.moved_px == 0.0:
             return
@@ -318,6 +326,12 @@ class ReferenceWatch:
                 off_px = np.linalg.norm(moved_px - np.median(moved_px, axis=0), axis=1)
                 voters.append(corners[np.argmin(off_px)])
         return self._corners_px[voters], here_px[voters]
+
+
+def _stand_still(from_px: _Points, to_px: _Points) -> bool:
+    """Tell whether most votes are where they were."""
+    stands = np.linalg.norm(to_px - from_px, axis=1) <= STANDS_PX
+    return bool(np.mean(stands) > STANDING_SHARE)
 
 
 def _halves(grey: _Picture) -> list[_Picture]:
