@@ -308,6 +308,8 @@ def test_the_recipe_of_1994_takes_sigmas_from_residual_offsets():
                 half_length_px=half_length_px,
             ),
             diagnostics=SimpleNamespace(residual_rms_px=residual_px),
+            shape_vector=None,
+            shape_names=(),
         )
         frame = Frame(0, 0.0, np.zeros((2, 2), np.uint8))
         nothing = np.empty((0, 2))

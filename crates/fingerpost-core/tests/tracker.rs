@@ -929,13 +929,22 @@ fn magnified(picture: &Picture, times: usize) -> Picture {
 
 #[test]
 fn a_hand_that_is_seen_larger_is_followed_alike() {
+    // Half its width is 6.4 px; three times that is looked at in a picture a third as large.
+    let usually = StartPose { length_px: 56.0, ..START };
     for (times, thumb) in [(2, Thumb::Left), (3, Thumb::None)] {
         let px = times as f64;
         let place = |p: Point2<f64>| p.map(|c| px * c + 0.5 * (px - 1.0));
-        let start = StartPose { tip_px: place(START.tip_px), length_px: px * LENGTH_PX, ..START };
+        let length_px = px * usually.length_px;
+        let start = StartPose { tip_px: place(START.tip_px), length_px, ..START };
         let template = Template::pistol(thumb).unwrap();
-        let mut large = ContourTracker::new(template, &start, options(Model::Ribbon)).unwrap();
-        let mut usual = tracker(Model::Ribbon, thumb);
+        let half_width_px = length_px * template.proportions().unwrap().half_width;
+        let options = options(Model::Ribbon);
+        let mut large = ContourTracker::new(template.clone(), &start, options).unwrap();
+        // It is waited for as far about as in the frame: where a finger is wider than 10 px on either
+        // side, as much further.
+        let mut nearer = options;
+        nearer.acquire.half_length_px *= half_width_px / 10.0 / px;
+        let mut usual = ContourTracker::new(template, &usually, nearer).unwrap();
         assert_eq!(large.contour().len(), usual.contour().len());
         let mut noise = Noise::new(23);
         let mut lines = 0;
