@@ -191,7 +191,7 @@ impl ContourTracker {
     /// [`Error::Unsupported`] for a traced outline with [`Model::Ribbon`]: only a pistol has bands.
     pub fn new(template: Template, start: &StartPose, options: TrackerOptions) -> Result<Self> {
         options.check()?;
-        let (reduction, options) = Self::reduced(&template, start, options);
+        let reduction = Self::reduction(&template, start, &options);
         let start = &reduction.start(start);
         let map = AffineMap::upright(start.tip_px, start.angle_rad, start.length_px)?;
         let length_px = start.length_px;
@@ -269,18 +269,12 @@ impl ContourTracker {
 
     /// Hands of the band model are followed at the usual size; one of the paper's, which is not
     /// refined, at its own.
-    fn reduced(
-        template: &Template,
-        start: &StartPose,
-        options: TrackerOptions,
-    ) -> (Reduction, TrackerOptions) {
+    fn reduction(template: &Template, start: &StartPose, options: &TrackerOptions) -> Reduction {
         match template.proportions() {
             Some(p) if options.model == Model::Ribbon => {
-                let half_width_px = p.half_width * start.length_px;
-                let reduction = Reduction::of_finger(half_width_px);
-                (reduction, reduction.options(options, half_width_px))
+                Reduction::of_finger(p.half_width * start.length_px)
             }
-            _ => (Reduction::NONE, options),
+            _ => Reduction::NONE,
         }
     }
 

@@ -936,15 +936,11 @@ fn a_hand_that_is_seen_larger_is_followed_alike() {
         let place = |p: Point2<f64>| p.map(|c| px * c + 0.5 * (px - 1.0));
         let length_px = px * usually.length_px;
         let start = StartPose { tip_px: place(START.tip_px), length_px, ..START };
-        let template = Template::pistol(thumb).unwrap();
-        let half_width_px = length_px * template.proportions().unwrap().half_width;
-        let options = options(Model::Ribbon);
-        let mut large = ContourTracker::new(template.clone(), &start, options).unwrap();
-        // It is waited for as far about as in the frame: where a finger is wider than 10 px on either
-        // side, as much further.
-        let mut nearer = options;
-        nearer.acquire.half_length_px *= half_width_px / 10.0 / px;
-        let mut usual = ContourTracker::new(template, &usually, nearer).unwrap();
+        let tracker = |start: &StartPose| {
+            let template = Template::pistol(thumb).unwrap();
+            ContourTracker::new(template, start, options(Model::Ribbon)).unwrap()
+        };
+        let (mut large, mut usual) = (tracker(&start), tracker(&usually));
         assert_eq!(large.contour().len(), usual.contour().len());
         let mut noise = Noise::new(23);
         let mut lines = 0;

@@ -9,7 +9,6 @@
 //! agree with a finger.
 
 use super::line::FingerLine;
-use super::options::{AcquireOptions, TrackerOptions};
 use super::track::{Diagnostics, ShapeEstimate, Track};
 use super::{MAX_DOF, StartPose};
 use crate::Result;
@@ -39,17 +38,6 @@ impl Reduction {
     pub fn of_finger(half_width_px: f64) -> Self {
         let factor = (half_width_px / USUAL_HALF_WIDTH_PX).floor();
         Self { factor: factor.max(1.0).min(f64::from(u8::MAX)) as usize }
-    }
-
-    /// With which options a finger of this half-width in the frame is followed in the picture: it is
-    /// waited for as far about as it would be in the frame. Further about a finger that is slim in the
-    /// picture are the other flank and the thumb.
-    pub fn options(self, options: TrackerOptions, half_width_px: f64) -> TrackerOptions {
-        if !self.is_smaller() {
-            return options;
-        }
-        let half_length_px = options.acquire.reach_px(half_width_px) / self.px();
-        TrackerOptions { acquire: AcquireOptions { half_length_px, ..options.acquire }, ..options }
     }
 
     /// Whether the picture is not the frame itself.
