@@ -802,15 +802,14 @@ def _misplaced(
         place = view.ahead_of_tip(finger, found)
         if place is None:
             return f"the point lies beyond the horizon of view {k}"
-        placed.append((place, finger.largeness))
-    excess = [
-        ahead + options.nsigma * math.hypot(math.sqrt(variance), options.tip_sigma_px * largeness)
-        for (ahead, variance), largeness in placed
-    ]
+        ahead, variance = place
+        tip_sigma_px = options.tip_sigma_px * finger.largeness
+        placed.append((ahead, math.sqrt(variance + tip_sigma_px**2)))
+    excess = [ahead + options.nsigma * sigma_px for ahead, sigma_px in placed]
     k = excess.index(min(excess))
     if excess[k] >= 0.0:
         return ""
-    return f"the point lies {-placed[k][0][0]:.3g} px behind the finger tip in view {seen[k]}"
+    return f"the point lies {-placed[k][0]:.3g} px behind the finger tip in view {seen[k]}"
 
 
 def _refuse_unmatched(

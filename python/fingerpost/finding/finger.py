@@ -53,9 +53,9 @@ def fitted_half_width_px(track: Track) -> float | None:
 
 def measured_line(track: Track | None, time_s: float) -> pointing.FingerLine | None:
     """Return the line of the finger that a view follows, to point with; None if it shows none."""
-    line = track.finger_line if track is not None else None
-    if track is None or line is None:
+    if track is None or track.finger_line is None:
         return None
+    line = track.finger_line
     return pointing.FingerLine(
         np.array(line.anchor_px),
         line.angle_rad,
