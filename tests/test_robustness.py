@@ -355,3 +355,69 @@ def test_a_template_of_the_wrong_length_acquires_the_finger(scale):
     trials = run_experiment(options, workers=1).trials
     assert all(len(trial.lines) == 2 for trial in trials)
     assert np.sqrt(np.mean([trial.error**2 for trial in trials])) < KNOWN_RMS_MM
+
+
+# By then a template that has moved with it is believed to follow a hand.
+UNCOVERED_FRAME = 28
+
+
+def with_flat_finger(
+    image: NDArray[np.uint8], project: Callable[[NDArray[np.float64]], NDArray[np.float64]]
+) -> NDArray[np.uint8]:
+    """Darken what a finger as wide as 18 mm covers that lies on the table, as a shadow does."""
+    turn = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 16)
+    outline_mm = 9.0 * np.stack([np.cos(turn), np.sin(turn), np.zeros(16)], axis=1)
+    back_mm = np.array([[-110.0, 9.0, 0.0], [-110.0, -9.0, 0.0]])
+    outline_px = project(np.vstack([outline_mm, back_mm]))
+    part = np.zeros(image.shape, np.float32)
+    cv2.fillPoly(part, [np.round(16 * outline_px).astype(np.int32)], 1.0, cv2.LINE_AA, shift=4)
+    return np.round(image * (1.0 - 0.6 * cv2.GaussianBlur(part, (0, 0), 1.0))).astype(np.uint8)
+
+
+def test_a_shadow_that_a_template_has_followed_is_left_for_the_hand_that_throws_it():
+    rig = SimulatedRig(device=Hand())
+    path = Trajectory.hold(held_up(), 0.5).then(
+        Trajectory.through([held_up(), held_up((240, 160)), held_up((160, 230))], 0.12)
+    )
+    rng = np.random.default_rng(0x736861646F77)
+
+    def dark(camera, time_s):
+        # It moves beside the hand, and points another way.
+        x_mm, y_mm, _ = path.pose_at(time_s).tip_mm
+        tip_mm = np.array([x_mm - 30.0, y_mm - 150.0, 0.0])
+        turn = np.array([[0.6, 0.8, 0.0], [-0.8, 0.6, 0.0], [0.0, 0.0, 1.0]])
+        return lambda points_mm: camera.project(points_mm @ turn + tip_mm)
+
+    starts = [view.finger.start() for view in rig.truth(path, time_s=0.0).views]
+    ends_mm = np.array([[9.0, 0.0, 0.0], [-81.0, 0.0, 0.0]])
+    tip_px, back_px = dark(rig.cameras[1], 0.0)(ends_mm)
+    along_px = tip_px - back_px
+    starts[1] = replace(
+        starts[1],
+        tip_px=tuple(tip_px.tolist()),
+        angle_deg=float(np.degrees(np.arctan2(along_px[1], along_px[0]))),
+        length_px=float(np.hypot(*along_px)),
+        thumb="none",
+    )
+    pointer = Pointer(described(rig, starts=starts), pointing_options=PointingOptions())
+    followed_px, errors_mm = [], []
+    for k in range(int(path.duration_s * FPS)):
+        time_s = k / FPS
+        shot = rig.render(path, time_s=time_s, rng=rng)
+        # At first the hand covers it in the other view.
+        covered = [k < UNCOVERED_FRAME, False]
+        shadowed = [
+            image if is_covered else with_flat_finger(image, dark(camera, time_s))
+            for image, camera, is_covered in zip(shot.images, rig.cameras, covered, strict=True)
+        ]
+        (step,) = pointer.update([Frame(k, time_s, image) for image in shadowed])
+        track = step.observations[1].track
+        if track is not None and track.finger_line is not None:
+            off_px = np.subtract(track.finger_line.tip_px, dark(rig.cameras[1], time_s)(ends_mm)[0])
+            followed_px.append(np.hypot(*off_px))
+        if step.fix.status is Status.OK and k > UNCOVERED_FRAME + BACK_FRAMES:
+            errors_mm.append(np.hypot(*(step.fix.point - shot.truth.indicated_mm)))
+    assert len(errors_mm) >= 10
+    assert max(followed_px[:UNCOVERED_FRAME]) < 5.0
+    assert np.median(followed_px[-10:]) > 50.0
+    assert max(errors_mm[-10:]) < COVERED_MM

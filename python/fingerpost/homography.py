@@ -255,7 +255,10 @@ def normalising_similarity(points: ArrayLike) -> NDArray[np.float64]:
 
 def _multiply(matrix: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Homogeneous images ``y = matrix·(x, y, 1)``, (..., 3)."""
-    return np.asarray((matrix[..., :2] * points[..., None, :]).sum(axis=-1) + matrix[..., 2])
+    y = matrix[..., 0] * points[..., :1]
+    y += matrix[..., 1] * points[..., 1:]
+    y += matrix[..., 2]
+    return np.asarray(y)
 
 
 def _apply(matrix: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:

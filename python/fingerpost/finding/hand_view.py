@@ -39,6 +39,14 @@ ALONE_FRAMES = 10
 points, as the thumb: the hand is looked for everywhere beside it. Sooner, a second hand would take
 the place of one that the other view is about to see."""
 
+SEEMS_FLAT = 0.5
+FLAT_FRAMES = 5
+"""What has looked so flat to another view for so many frames lies on the table: it is no finger,
+though it moves as one does, but its shadow. Fingers of 22 recordings did for one frame at most."""
+
+FLAT_EVERY = 4
+"""One frame in so many is asked for that, and every one once it has looked so."""
+
 STOOD_FRAMES = 8
 """What has stood still for so many frames while another view's finger has moved is no finger."""
 
@@ -88,6 +96,8 @@ class HandView:
         self._alone_frames = 0
         self._is_elsewhere = False
         self._is_backed = False
+        self._frames = 0
+        self._flat_frames = 0
         self.missing = Status.ACQUIRING
         """What it is while it follows nothing: looking for its first hand, or for a lost one."""
         self._lengthening: Lengthening | None = None
@@ -195,16 +205,26 @@ class HandView:
 
     @property
     def may_follow_table(self) -> bool:
-        """Whether what is followed may lie on the table."""
-        return self._first_hand is not None and self._first_hand.may_be_flat
+        """Whether this frame is to tell if what is followed lies on the table."""
+        if self._first_hand is not None and self._first_hand.may_be_flat:
+            return True
+        return self._flat_frames > 0 or self._frames % FLAT_EVERY == 0
 
     def look_flat(self, flat: float) -> None:
-        """Leave what is followed if it looks flat to others; see `FirstHand.looks_flat`.
+        """Leave what is followed if it looks flat to others.
 
-        The template waits anew, unless it has followed a hand elsewhere: that is looked for.
+        What the template was waiting for waits anew (see `FirstHand.looks_flat`); a hand that it
+        has followed elsewhere is looked for, and so is one whose shadow is followed: what has been
+        behind it all the while is known no more, for the hand was taken for a part of that.
         """
         first = self._first_hand
-        if first is None or not first.looks_flat(flat):
+        if first is None or not first.may_be_flat:
+            self._flat_frames = self._flat_frames + 1 if flat >= SEEMS_FLAT else 0
+            if self._flat_frames >= FLAT_FRAMES:
+                self._let_go()
+                self.search.forget_behind()
+            return
+        if not first.looks_flat(flat):
             return
         had_hand, waiting = first.has_moved, first.wait_anew()
         if had_hand:
@@ -219,6 +239,7 @@ class HandView:
         """
         if frame is None:
             return
+        self._frames += 1
         height_px, width_px = frame.image.shape[:2]
         if self._size_px != (width_px, height_px):
             self._size_px = width_px, height_px
@@ -345,7 +366,7 @@ class HandView:
     def _let_go(self) -> None:
         """Follow nothing any more, and look everywhere."""
         self._tracker, self._track, self._doubts, self._is_table = None, None, 0, False
-        self._alone_frames = 0
+        self._alone_frames, self._flat_frames = 0, 0
         self._lengthening = None
         self._latest.clear()
         self.missing = Status.LOST

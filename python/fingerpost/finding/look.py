@@ -49,17 +49,26 @@ def flatness(
         # From the tip, in half-widths: inside and outside of left flank, right flank and end.
         places = _OUTLINE[..., :1] * e + _OUTLINE[..., 1:] * n
         here = np.array(finger.tip_px) + finger.half_width_px * places
-        on_plane = views[0].back_project(here)
-        seen = np.asarray(np.isfinite(on_plane).all(axis=-1))
-        there = views[1].project(np.where(seen[..., None], on_plane, 0.0))
-        (a_in, a_out), (b_in, b_out) = _shown(greys[0], here), _shown(greys[1], there)
-        a, b = a_in - a_out, np.where(seen.all(axis=0), b_in - b_out, np.nan)
+        a, b = _contrasts(greys[0], here), _contrasts(greys[1], _seen_by_second(views, here))
         if np.isnan(a).any() or np.isnan(b).any():
             continue
         alike = (a * b).sum(axis=-1) / (np.maximum(a**2, b**2).sum(axis=-1) + NOISE_GREY**2)
         low, high = ALIKE_IN_PLANE
-        flat[k] = np.clip((alike.min() - low) / (high - low), 0.0, 1.0)
+        flat[k] = min(max((alike.min() - low) / (high - low), 0.0), 1.0)
     return flat
+
+
+def _seen_by_second(views: tuple[PlaneView, PlaneView], places_px: Array) -> Array:
+    """Return where the second view shows what the first shows of the plane, NaN for what is not."""
+    on_plane = views[0].back_project(places_px)
+    is_seen = np.isfinite(on_plane).all(axis=-1, keepdims=True)
+    return np.where(is_seen, views[1].project(np.where(is_seen, on_plane, 0.0)), np.nan)
+
+
+def _contrasts(grey: NDArray[np.uint8], places_px: Array) -> Array:
+    """Return how far what is inside of an outline differs from what is outside."""
+    inside, outside = _shown(grey, places_px)
+    return np.asarray(inside - outside)
 
 
 def _outline() -> Array:
@@ -132,9 +141,9 @@ def widening(image: NDArray[np.uint8], line: FingerLine, half_width_px: float) -
 
 def _shown(image: NDArray[np.uint8], places: Array) -> Array:
     """Return the levels of the nearest pixels, NaN outside the picture."""
-    x, y = np.moveaxis(np.nan_to_num(np.rint(places), nan=-1.0), -1, 0)
+    x, y = np.moveaxis(np.rint(places), -1, 0)
     inside = (x >= 0) & (y >= 0) & (x < image.shape[1]) & (y < image.shape[0])
-    rows, columns = (np.where(inside, c, 0).astype(int) for c in (y, x))
+    rows, columns = (np.where(inside, c, 0.0).astype(int) for c in (y, x))
     levels = np.asarray(image[rows, columns], dtype=float)
     levels[~inside] = np.nan
     return levels

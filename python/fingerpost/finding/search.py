@@ -91,6 +91,11 @@ class HandSearch:
         self.background.learn(frame.grey(), frame.colour(), keep_out=keep_out)
         self._known_frames = self._known_frames + 1 if self.background.is_known else 0
 
+    def forget_behind(self) -> None:
+        """Learn anew what is behind the hand: the hand itself may have been learned there."""
+        self.background.clear()
+        self._known_frames = 0
+
     def look(self, frame: Frame) -> None:
         """Go on with the trials, and find what else could be tried."""
         for trial in self.trials:
