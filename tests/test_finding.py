@@ -28,6 +28,7 @@ from fingerpost.finding import (
     pair_scores,
 )
 from fingerpost.finding.first_hand import FirstHand
+from fingerpost.finding.trial import belief
 from fingerpost.pipeline import Pointer
 from fingerpost.pointing import PlaneView, Status
 from fingerpost.rehearsal import described
@@ -431,6 +432,20 @@ def test_a_found_finger_is_as_long_as_its_whole_width_says():
     assert trial.half_width_px > 1.1 * slim_px
     # The outline of a template of nine half-widths; by the width near the tip it has less than 7.7.
     assert length_px > 8.0 * trial.half_width_px
+
+
+@pytest.mark.parametrize("is_late", [False, True])
+@pytest.mark.parametrize("has_moved", [False, True])
+@pytest.mark.parametrize("is_backed", [False, True])
+def test_what_was_there_all_the_while_is_a_hand_if_it_moves_with_another_views(
+    is_late: bool, has_moved: bool, is_backed: bool
+):
+    trial = SimpleNamespace(
+        has_come=False, hand=1.0, is_late=is_late, has_moved=has_moved, frames=30
+    )
+    worth, has_held = belief(0.8, [trial], False, is_backed=is_backed)
+    assert has_held
+    assert (worth > 0.0) == (not is_late or (has_moved and is_backed))
 
 
 def test_options_of_the_search_are_checked():

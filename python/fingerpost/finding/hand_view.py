@@ -127,7 +127,7 @@ class HandView:
     @property
     def _misses_hand(self) -> bool:
         """Whether another view has a hand that this one has not found where it waits."""
-        return self._is_elsewhere and not (self._is_sure or self._shows_finger)
+        return self._is_elsewhere and not (self.is_sure or self._shows_finger)
 
     @property
     def _shows_finger(self) -> bool:
@@ -177,7 +177,7 @@ class HandView:
         return self._first_hand is not None and self._first_hand.has_rival
 
     @property
-    def _is_sure(self) -> bool:
+    def is_sure(self) -> bool:
         """Whether what is followed, if anything, is a hand and not perhaps the table."""
         return self._first_hand is None or self._first_hand.is_proven
 
@@ -200,7 +200,7 @@ class HandView:
         if self._first_hand is not None:
             self._first_hand.prove(frame, track.finger_line)
         # What leaves the table for the hand that has come has not moved like one.
-        if track.finger_line is not None and self._is_sure:
+        if track.finger_line is not None and self.is_sure:
             self._latest.append(track.finger_line)
 
     @property
@@ -247,7 +247,7 @@ class HandView:
         self._is_table = self._shows_background(frame)
         if self._first_hand is None and self._is_table:
             self._let_go()
-        self.search.learn(frame, self.track if self._is_sure else None)
+        self.search.learn(frame, self.track if self.is_sure else None)
         if self.is_searching:
             self.search.look(frame)
         else:
@@ -281,7 +281,7 @@ class HandView:
     @property
     def _stands_free(self) -> bool:
         """Whether what is followed was no part of the background while that was learned."""
-        return self._is_sure or (self._first_hand is not None and self._first_hand.has_come)
+        return self.is_sure or (self._first_hand is not None and self._first_hand.has_come)
 
     def settle(self) -> None:
         """Follow for good the hand that the search has found, once it is proven."""
@@ -309,7 +309,7 @@ class HandView:
         self._is_backed = self._is_backed_by(others, shared)
         self._recognise(others, shared)
         # A hand that has come into another view stands out from the table in this one too.
-        is_table = self._is_table and not self._is_sure and any(o.has_newcomer for o in others)
+        is_table = self._is_table and not self.is_sure and any(o.has_newcomer for o in others)
         self._table_frames = self._table_frames + 1 if is_table else 0
         if (
             self._table_frames >= BACKGROUND_FRAMES

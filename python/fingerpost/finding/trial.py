@@ -99,16 +99,16 @@ class Trial:
         return self.line.tip_px, self.line.angle_rad, self.half_width_px
 
     @property
+    def has_moved(self) -> bool:
+        """Whether it is elsewhere than where it was started."""
+        moved_px = np.hypot(*np.subtract(self.line.tip_px, self.candidate.start.tip_px))
+        return bool(moved_px > PROVEN_MOTION * self.candidate.half_width_px)
+
+    @property
     def is_proven(self) -> bool:
         """Whether it has moved, or has stood before the background for a while."""
-        line = self.track.finger_line
-        if line is None:
-            return False
-        moved = np.hypot(*np.subtract(line.tip_px, self.candidate.start.tip_px))
-        return bool(
-            moved > PROVEN_MOTION * self.candidate.half_width_px
-            or (self.has_come and self.frames >= PROVEN_FRAMES)
-        )
+        has_stood = self.has_come and self.frames >= PROVEN_FRAMES
+        return self.track.finger_line is not None and (self.has_moved or has_stood)
 
     def update(self, frame: Frame, background: Background) -> None:
         """Follow for one frame; before the background, if the finger stands out from it."""
@@ -184,10 +184,24 @@ STAYS = 1.25
 """How much better another pair must be than the one that is followed already."""
 
 
-def belief(score: float, trials: Sequence[Trial], stays: bool) -> tuple[float, bool]:
+def belief(
+    score: float, trials: Sequence[Trial], stays: bool, *, is_backed: bool
+) -> tuple[float, bool]:
     """Return how much a pair with these trials is worth, 0 if nothing, and if it has held enough.
 
     One that has yet to hold may turn out to be the hand: what is worth less has to wait for it.
+
+    Parameters
+    ----------
+    score
+        How well the pair fits together, 0 to 1.
+    trials
+        One, where the other view follows its finger for good, or two.
+    stays
+        Whether the pair is the one that is believed already.
+    is_backed
+        Whether the other view's finger is a hand's: then one that has moved with it is no part of
+        the background, though the background may have been learned with the hand in it.
     """
     has_come = all(trial.has_come for trial in trials)
     if not has_come:
@@ -197,5 +211,7 @@ def belief(score: float, trials: Sequence[Trial], stays: bool) -> tuple[float, b
         return STAYS * worth, True
     least, most = FRAMES_TO_TRUST[has_come]
     too_new = min(trial.frames for trial in trials) < score * least + (1.0 - score) * most
-    too_late = not has_come and any(trial.is_late for trial in trials)
+    too_late = not has_come and any(
+        trial.is_late and not (is_backed and trial.has_moved) for trial in trials
+    )
     return 0.0 if too_late or score < LEAST_SCORE else worth, not too_new

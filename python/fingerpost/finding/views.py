@@ -27,6 +27,10 @@ class SearchingView(FollowingView, Protocol):
     def is_searching(self) -> bool:
         """Whether the hand may be anywhere in it."""
 
+    @property
+    def is_sure(self) -> bool:
+        """Whether what it follows, if anything, is a hand and not perhaps the table."""
+
 
 def find_hand(views: Sequence[SearchingView], frames: Sequence[Frame | None]) -> None:
     """Go on with the search for the hand in all views that are searching.
@@ -110,7 +114,9 @@ def _believe(views: Sequence[SearchingView], frames: Sequence[Frame | None]) -> 
             if not trials:
                 continue
             stays = all(views[k].search.found is trial for k, trial in trials.items())
-            worth, has_held = belief(float(scores[a, b]), list(trials.values()), stays)
+            is_backed = any(views[k].is_sure for k in (i, j) if k not in trials)
+            tried = list(trials.values())
+            worth, has_held = belief(float(scores[a, b]), tried, stays, is_backed=is_backed)
             if worth > 0.0:
                 pairs.append((worth, (i, j), trials, stays, has_held))
     taken: dict[int, Trial] = {}
