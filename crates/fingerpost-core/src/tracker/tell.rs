@@ -65,9 +65,11 @@ impl ContourTracker {
             Shape::Ribbon(x) if self.options.refine => finger_line.map(|line| {
                 let length_px = self.hand.measure.length_px;
                 let shown = Shown { half_width_px: x[3], taper: x[4], length_px };
-                // What misleads every frame otherwise is counted before the frames are told together.
-                let line = self.sagitta.told(line, x[3]).misled_by_part(self.sagitta.misleads());
-                self.steady.follow(frame.image(), time_s, line, &shown)
+                // What a bend does to a line makes it count less beside those of other frames; and as it does
+                // the same to all of them, it stays.
+                let misleads = self.sagitta.misleads();
+                let line = self.sagitta.told(line, x[3]).misled_by_part(misleads);
+                self.steady.follow(frame.image(), time_s, line, &shown).misled_by_part(misleads)
             }),
             _ => finger_line,
         };
