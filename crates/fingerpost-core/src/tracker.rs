@@ -73,6 +73,7 @@ mod scene;
 mod seek;
 mod settle;
 mod shape;
+mod standing;
 mod steady;
 mod tell;
 mod track;

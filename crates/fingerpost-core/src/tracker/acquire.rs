@@ -6,12 +6,13 @@ use super::follow::misfit;
 use super::found::Found;
 use super::hand::{Look, MOST_COVERED_FRAMES, Remembered};
 use super::looks::{Lead, Shaft};
-use super::mould::{Mould, STANDS_OUT};
+use super::mould::{Mould, stands_out};
 use super::options::{AcquireOptions, Model};
 use super::pace::Pace;
 use super::sagitta::Sagitta;
 use super::scene::Scene;
 use super::shape::Shape;
+use super::standing::Standing;
 use super::track::{Track, track};
 use super::verdict::{Posture, Refusal};
 use super::worth::Worth;
@@ -38,14 +39,6 @@ const MOST_SLID: f64 = 0.5;
 /// By these edges, its inside is still told from its outside and its contour is explained to this part
 /// of how well they were.
 const STILL_TOLD: f64 = 0.9;
-/// What stands free of the table is foreground this far inside its outline, in parts of its
-/// half-width and at least \[px\]: to this part at least, and by so much more than as far outside,
-/// where the shadow that it throws may be taken for foreground too.
-const FREE_PART: f64 = 0.4;
-const FREE_PX: f64 = 3.0;
-const FREE_SHARE: f64 = 0.5;
-const FREE_CONTRAST: f64 = 0.2;
-
 impl ContourTracker {
     /// One frame of looking for a lost hand: where it was last, then at the waiting template.
     pub(super) fn recover(
@@ -135,49 +128,33 @@ impl ContourTracker {
         frame: &Scene<'_>,
         settled: usize,
     ) -> Result<(Found, Option<Refusal>)> {
-        let alone = self.settled(frame, &frame.alone(), settled)?;
+        let alone = self.settled(&frame.alone(), settled)?;
         if alone.1.is_none() || frame.background().is_none() {
             return Ok(alone);
         }
-        self.settled(frame, frame, settled)
+        self.settled(frame, settled)
     }
 
     /// What is found at the waiting template or where it was, and why it is no hand. What lies on the
     /// table is none, nor is the inside of a hand: a finger shows foreground inside its outline and
     /// less of it outside, as far as what is behind it is known. A thumb may lie before the hand.
-    fn settled(
-        &mut self,
-        frame: &Scene<'_>,
-        seen: &Scene<'_>,
-        settled: usize,
-    ) -> Result<(Found, Option<Refusal>)> {
-        let found = self.mould(seen, settled)?;
+    fn settled(&mut self, frame: &Scene<'_>, settled: usize) -> Result<(Found, Option<Refusal>)> {
+        let found = self.mould(frame, settled)?;
         let refusal = found.refusal(&self.options.acquire.accept);
-        let is_table = || !self.stands_free(frame, &found.shape);
+        let is_table = || self.stands_free(frame, &found.shape) == Some(false);
         let refusal = refusal.or_else(|| is_table().then_some(Refusal::Background));
         Ok((found, refusal))
     }
 
-    fn stands_free(&self, frame: &Scene<'_>, shape: &Shape) -> bool {
-        let Some(background) = frame.background() else { return true };
-        let away_px = (FREE_PART * shape.width()).max(FREE_PX);
-        let mut sides = [(0.0, 0.0); 2];
+    /// Whether a finger stands free of the table; `None` where that is not known.
+    fn stands_free(&self, frame: &Scene<'_>, shape: &Shape) -> Option<bool> {
+        let mut standing = Standing::before(frame.table()?, shape.width());
         self.hand.outline(shape, &self.samples, |part, placed| {
-            if part == Part::Thumb {
-                return;
-            }
-            for ((sum, count), px) in sides.iter_mut().zip([-away_px, away_px]) {
-                let at = placed.position + placed.normal * px;
-                if let Some(likely) = background.foreground(at) {
-                    *sum += likely;
-                    *count += 1.0;
-                }
+            if part != Part::Thumb {
+                standing.see(&placed);
             }
         });
-        let [inside, outside] = sides.map(|(sum, count)| (count > 0.0).then(|| sum / count));
-        inside.is_none_or(|share| {
-            share >= FREE_SHARE && outside.is_none_or(|around| around <= share - FREE_CONTRAST)
-        })
+        standing.is_free()
     }
 
     /// The hand at the waiting template, or where an earlier frame has found it.
@@ -249,7 +226,7 @@ impl ContourTracker {
             && slid[2].sin().abs() <= MOST_TURNED_RAD;
         let accepted = stays
             && frozen.is_accepted(&self.options.track.accept)
-            && self.told_apart(frame) >= STANDS_OUT;
+            && stands_out(self.told_apart(frame), || self.stands_free(frame, &frozen.shape));
         if accepted {
             self.hand.shape = frozen.shape;
         }

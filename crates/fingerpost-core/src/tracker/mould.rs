@@ -10,6 +10,7 @@ use super::convergence::{Attempt, Converged, Convergence, MIN_HALF_LENGTH_PX, Re
 use super::looks::{Lead, Looks, Shaft, Sight, Silhouette};
 use super::options::TrackerOptions;
 use super::scene::Scene;
+use super::standing::Standing;
 use crate::Result;
 use crate::fit::Prior;
 use crate::search::{Cue, MAX_HALF_LENGTH_PX, Polarity, Scale};
@@ -38,7 +39,10 @@ const THUMB_SEEN: f64 = 0.7;
 /// How much the inside and the outside of a finger differ at least, as the mean of the pixels' votes:
 /// fingers on footage of tables, papers and cloth do by 1.4 and more even in grey, false ones on
 /// patterned cloth by up to 1.2.
-pub(super) const STANDS_OUT: f64 = 1.3;
+const STANDS_OUT: f64 = 1.3;
+/// The same of a finger that stands free of a table that is known: that tells them apart as well. Dark
+/// hands before dark wood differ by 0.8 to 1.
+const STANDS_OUT_FREE: f64 = 0.7;
 /// How many times as much the finger that looks lead to must be worth: its thumb may be lost.
 const WORTH_THE_CHANGE: f64 = 1.1;
 /// How often its looks lead a finger.
@@ -160,7 +164,8 @@ impl Mould<'_> {
         }
         let (finger, told) = self.by_looks(convergence, frame, found, polarity)?;
         let score = self.score(&finger) / finger_samples(self.samples).len() as f64;
-        let is_hand = told >= STANDS_OUT && score * told / (1.0 + told) > LEAST_SCORE;
+        let is_hand =
+            self.stands_out(frame, &finger.x, told) && score * told / (1.0 + told) > LEAST_SCORE;
         if is_hand && score * told > best.worth {
             *best = Best { finger, polarity, worth: score * told };
         }
@@ -218,7 +223,7 @@ impl Mould<'_> {
             return Ok((none(found.x), 0.0));
         }
         let (hand, told) = self.by_looks(convergence, frame, &found, polarity)?;
-        let Some(fit) = hand.fit.filter(|_| told >= STANDS_OUT) else {
+        let Some(fit) = hand.fit.filter(|_| self.stands_out(frame, &hand.x, told)) else {
             return Ok((none(hand.x), 0.0));
         };
         let worth = told * hand.explains_finger();
@@ -353,6 +358,19 @@ impl Mould<'_> {
         let samples = finger_samples(self.samples).len();
         let shaft = Shaft::of_band(x, self.measure.length_px);
         convergence.told_apart(samples, frame, &Silhouette::of_band(x), Some(&shaft))
+    }
+
+    /// Whether a finger that is told from what is beside it so well stands out.
+    fn stands_out(&self, frame: &Scene<'_>, x: &RibbonVector, told: f64) -> bool {
+        stands_out(told, || {
+            let space = Ribbon::<5>::about(x, &self.measure.with_thumb(false)).ok()?;
+            let pose = space.pose(&Ribbon::<5>::free(x));
+            let mut standing = Standing::before(frame.table()?, x[3]);
+            for sample in finger_samples(self.samples) {
+                standing.see(&pose.place(sample));
+            }
+            standing.is_free()
+        })
     }
 
     /// Whether a fit explains enough of the thumb's contour, and not because the finger hides it.
@@ -548,6 +566,12 @@ impl Mould<'_> {
     }
 }
 
+/// Whether a finger stands out that is told so well from what is beside it ([`Looks::told_apart`]), and
+/// may stand free of the table, if that is known.
+pub(super) fn stands_out(told: f64, is_free: impl FnOnce() -> Option<bool>) -> bool {
+    told >= STANDS_OUT || (told >= STANDS_OUT_FREE && is_free() == Some(true))
+}
+
 /// A search by some samples of a hand of which no motion is known yet.
 fn attempt<'a>(
     samples: &'a [TemplateSample],
@@ -579,4 +603,22 @@ fn thumb_samples(samples: &[TemplateSample]) -> &[TemplateSample] {
 
 fn crotch(samples: &[TemplateSample]) -> usize {
     samples.iter().position(|s| s.limb == Limb::Thumb).unwrap_or(samples.len())
+}
+
+// What stands out is decided here, between measurements that are tested with the tracker.
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_stands_free_need_not_differ_as_much() {
+        assert!(stands_out(STANDS_OUT, || unreachable!("it stands out anyway")));
+        for told in [STANDS_OUT_FREE, 1.0] {
+            assert!(stands_out(told, || Some(true)));
+            assert!(!stands_out(told, || Some(false)));
+            // Of a table that is not known nothing stands free.
+            assert!(!stands_out(told, || None));
+        }
+        assert!(!stands_out(0.99 * STANDS_OUT_FREE, || Some(true)));
+    }
 }

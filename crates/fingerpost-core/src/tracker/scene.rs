@@ -13,6 +13,8 @@ use std::ops::Deref;
 pub(super) struct Scene<'a> {
     frame: Frame<'a>,
     background: Option<&'a Background>,
+    /// Whether the background has a say in where the hand is, and does not only judge it.
+    leads: bool,
     whole: Frame<'a>,
     reduction: Reduction,
 }
@@ -21,7 +23,7 @@ impl<'a> Scene<'a> {
     /// A frame and its background, which counts only where its edges are.
     pub fn new(frame: &Frame<'a>, background: Option<&'a Background>) -> Self {
         let background = background.filter(|b| b.is_exact());
-        Self { frame: *frame, background, whole: *frame, reduction: Reduction::NONE }
+        Self { frame: *frame, background, leads: true, whole: *frame, reduction: Reduction::NONE }
     }
 
     /// The same, to be looked at in a smaller picture.
@@ -32,9 +34,9 @@ impl<'a> Scene<'a> {
         Scene { frame: picture, reduction, ..*self }
     }
 
-    /// The frame alone.
+    /// The frame, to be looked at alone.
     pub fn alone(&self) -> Self {
-        Self { background: None, ..*self }
+        Self { leads: false, ..*self }
     }
 
     /// The frame as it was recorded, where it is looked at in a smaller picture.
@@ -42,8 +44,13 @@ impl<'a> Scene<'a> {
         self.reduction.is_smaller().then_some(&self.whole)
     }
 
-    /// What is behind the hand, if that is known.
+    /// What is behind the hand, if that is known and has a say in where the hand is.
     pub fn background(&self) -> Option<Behind<'_>> {
+        self.table().filter(|_| self.leads)
+    }
+
+    /// What is behind the hand, if that is known: it judges what was found, in a frame alone as well.
+    pub fn table(&self) -> Option<Behind<'_>> {
         self.background.map(|background| Behind { background, scene: self })
     }
 }
