@@ -184,6 +184,19 @@ def test_a_known_background_makes_a_line_surer_than_colours_alone():
     assert known[1] < np.radians(0.1)
 
 
+@pytest.mark.parametrize("way_rad", [0.3, 1.5, 2.6, -1.2])
+def test_a_hand_that_comes_back_in_full_motion_is_followed(way_rad: float):
+    hand, empty = Hand(), np.full((480, 640), 90, np.uint8)
+    way_px = 60 * np.array([np.cos(way_rad), np.sin(way_rad)])  # in a frame: no edge leads so far
+    passing = [replace(hand, tip=tuple(hand.tip + k * way_px)) for k in range(4)]
+    tracker = waiting_for(hand, track={"lose_after_frames": 4})
+    follow(tracker, [hand.draw()] * 8 + [empty] * 8)
+    for k, seen in enumerate(passing):
+        line = tracker.update(seen.draw(), FRAME_S * (16 + k)).finger_line
+        assert line is not None
+        assert abs(seen.error(line)[0]) < 0.3
+
+
 def test_a_hand_that_leaves_is_lost_and_found_where_it_returns():
     hand, empty = Hand(), np.full((480, 640), 90, np.uint8)
     tracker = waiting_for(hand, track={"lose_after_frames": 4})

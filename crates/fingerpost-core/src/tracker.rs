@@ -224,6 +224,7 @@ impl ContourTracker {
             posture: Posture::Straight,
             bent_frames: 0,
             straight_frames: 0,
+            is_back: false,
             usual_px: f64::INFINITY,
             partly_frames: MOST_COVERED_FRAMES,
             is_covered: false,

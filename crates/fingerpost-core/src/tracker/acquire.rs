@@ -24,8 +24,8 @@ use crate::shape_space::{AffineMap, Pose, RIBBON_DOF, RibbonVector, ShapeSpace};
 use crate::template::{Limb, Part};
 use nalgebra::Vector2;
 
-/// A lost hand is looked for this much further than a tracked one.
-const LOST_REACH: f64 = 2.0;
+/// A hand that is lost, or was until the last frame, is looked for this much further than a tracked one.
+pub(super) const LOST_REACH: f64 = 2.0;
 /// How often the settled hand is looked at anew in its own colours, and how much more freely than
 /// while it is tracked.
 const BED_IN_ROUNDS: usize = 3;
@@ -60,6 +60,7 @@ impl ContourTracker {
             if !posture.is_bent() {
                 self.hand.shape = found.shape;
                 self.start(time_s, &found, posture)?;
+                self.hand.is_back = true;
                 return self.tracked(frame, time_s, &found, &accept);
             }
         }
@@ -298,6 +299,7 @@ impl ContourTracker {
         self.hand.count_partly(found);
         self.hand.thumb_missed = 0;
         self.hand.posture = posture;
+        self.hand.is_back = false;
         (self.hand.bent_frames, self.hand.straight_frames) = (0, 0);
         self.phase = Phase::Tracking { missed: 0 };
         Ok(())

@@ -1,5 +1,6 @@
 //! *Tracking*: where the hand is foretold to be, what is found there, and whether that is the hand.
 
+use super::acquire::LOST_REACH;
 use super::choose::Sought;
 use super::convergence::Window;
 use super::found::Found;
@@ -74,7 +75,8 @@ impl ContourTracker {
         let expected = foretold.window.expected.vector;
         // It may as well have stopped or turned round, and the longer it is unseen the more it may.
         let went_px = (expected - from.placement()).xy().norm();
-        let reach_px = self.largeness() * half_length_px * (1.0 + missed as f64) + went_px;
+        let lately = if self.hand.is_back { LOST_REACH } else { 1.0 };
+        let reach_px = self.largeness() * half_length_px * (lately + missed as f64) + went_px;
         let predicted = from.placed(&expected);
         let Sought { found, pushed_px, likeness } =
             self.find(frame, predicted, reach_px, Some(&foretold))?;
@@ -92,6 +94,7 @@ impl ContourTracker {
             let bend = self.bend(frame, &found)?;
             self.hand.posture = self.hand.posture.after(bend.as_ref(), &found);
             self.hand.shape = found.shape;
+            self.hand.is_back = false;
             let jumped = innovation.is_some_and(|square| square > self.surprise);
             let before = foretold.dynamics.velocity();
             self.dynamics = Some(if jumped { dynamics.doubting(before) } else { dynamics });

@@ -64,6 +64,8 @@ pub(super) struct Hand {
     pub(super) posture: Posture,
     pub(super) bent_frames: usize,
     pub(super) straight_frames: usize,
+    /// Whether it was found again in the last frame: how fast it moves is not known.
+    pub(super) is_back: bool,
     /// Root mean square of its edges' residual offsets as it is seen usually \[px\]; infinite as
     /// long as that is not known.
     pub(super) usual_px: f64,
