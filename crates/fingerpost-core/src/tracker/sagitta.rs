@@ -29,8 +29,8 @@ const NEAR: f64 = 0.3;
 const FARTHEST: f64 = 0.15;
 /// Either end of the line of one frame, and of all together, may be misled by this part of the bend.
 /// Turned into an angle that is the spread of lines through stretches whose middles scatter by 0.18
-/// half-lengths. On 39 films of rendered hands the 95 % ellipses then hold 93 % of the points by the
-/// exact medial lines, of hands found without a start 86 %; 87 and 73 % if a bend counts before frames
+/// half-lengths. On 38 films of rendered hands the 95 % ellipses then hold 93 % of the points by the
+/// exact medial lines, of hands found without a start 86 %; 87 and 74 % if a bend counts before frames
 /// are told together only, and the error of the points grows if it counts afterwards only.
 const MISLEADS: f64 = 0.32;
 /// Part of a frame that is learned once some are known.
