@@ -184,6 +184,39 @@ def test_a_known_background_makes_a_line_surer_than_colours_alone():
     assert known[1] < np.radians(0.1)
 
 
+CURVATURE_PER_PX = 1 / 800
+"""Of a finger that is bent by as much as straight ones are: 1 px in 80."""
+
+
+def bent_finger(tip: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """A bright finger 20 px wide that points along +u, bent about a point beside its middle."""
+    v, u = np.mgrid[:480, :640]
+    radius_px = 1 / CURVATURE_PER_PX
+    middle = tip + np.array([-55.0, radius_px])
+    beside = np.abs(np.hypot(u - middle[0], v - middle[1]) - radius_px) - 10
+    end = tip - np.array([10.0, -0.5 * CURVATURE_PER_PX * 45**2])
+    ahead = np.where(u > end[0], np.hypot(u - end[0], v - end[1]) - 10, beside)
+    cover = np.clip(0.5 - np.where(v < middle[1], ahead, 1.0), 0.0, 1.0)
+    image = cv2.GaussianBlur(90 + 80 * cover, (0, 0), 1.0) + rng.normal(0, NOISE_GREY, v.shape)
+    return np.clip(np.round(image), 0, 255).astype(np.uint8)
+
+
+def test_no_number_of_frames_makes_the_line_of_a_bent_finger_sure():
+    rng = np.random.default_rng(3)
+    start = StartPose((320.0, 240.0), 0.0, 90)
+    tracker = ContourTracker(Template.pistol("none"), start)
+    sigmas_rad = []
+    for k in range(60):
+        tip = np.array([320.0 + 60 * np.sin(0.1 * k), 240.0 + 40 * np.sin(0.07 * k)])
+        line = tracker.update(bent_finger(tip, rng), FRAME_S * k).finger_line
+        sigmas_rad.append(np.nan if line is None else np.sqrt(line.covariance[1, 1]))
+    # The end of a line of half-length h may be off by 0.32 of the bend, which is κ h² / 3: the
+    # spread of lines through other stretches of the finger. The line stands for h = 40 px or so.
+    open_rad = np.sqrt(3) * 0.32 * CURVATURE_PER_PX * 40 / 3
+    assert np.isfinite(sigmas_rad[5:]).all()
+    np.testing.assert_allclose(sigmas_rad[-20:], open_rad, rtol=0.2)
+
+
 @pytest.mark.parametrize("way_rad", [0.3, 1.5, 2.6, -1.2])
 def test_a_hand_that_comes_back_in_full_motion_is_followed(way_rad: float):
     hand, empty = Hand(), np.full((480, 640), 90, np.uint8)

@@ -66,9 +66,9 @@ class LoopOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     """
 
     guard: GuardOptions = GuardOptions(
-        # The open gripper takes a block that stands within 20 mm of its middle. The arm may move by
-        # a point that is less sure: who points sees where the gripper is, and corrects it.
-        tolerance_m=0.025,
+        # The open gripper takes a block that stands within 20 mm of its middle; feedback does the
+        # rest.
+        tolerance_m=0.02,
     )
     follow: FollowOptions = FollowOptions(above_m=0.06, stride_s=0.8, dead_band_m=0.002)
     pick_place: PickPlaceOptions = PickPlaceOptions()

@@ -39,6 +39,7 @@ const MOST_SLID: f64 = 0.5;
 /// By these edges, its inside is still told from its outside and its contour is explained to this part
 /// of how well they were.
 const STILL_TOLD: f64 = 0.9;
+
 impl ContourTracker {
     /// One frame of looking for a lost hand: where it was last, then at the waiting template.
     pub(super) fn recover(

@@ -35,6 +35,11 @@ impl FingerLine {
         Self { axis: *axis, half_length_px, covariance: *covariance, source: LineSource::Contour }
     }
 
+    /// Variance of the line over its stretch \[px²\].
+    pub(super) fn spread(&self) -> f64 {
+        self.covariance[(0, 0)] + self.half_length_px.powi(2) * self.covariance[(1, 1)]
+    }
+
     /// How far another axis is from this one, in offset and angle.
     pub(super) fn apart(&self, other: &Axis) -> Vector2<f64> {
         let turn = other.angle_rad - self.axis.angle_rad;

@@ -278,7 +278,7 @@ impl Known {
         let common =
             |covariance: &Matrix2<f64>| Some((look.measured.covariance - covariance) * COMMON_PART);
         let together = look.together(&look.foretold, &look.told, common)?;
-        if spread(&together) <= spread(&look.line) {
+        if together.spread() <= look.line.spread() {
             return Some((scattered.taught(look, &look.told)?, together));
         }
         Some((scattered.replaced(look)?, look.line))
@@ -387,11 +387,6 @@ impl Look {
 /// How the errors of two lines of a finger correlate that has gone so far in between, in half-widths.
 pub(super) fn correlation(gone: f64) -> f64 {
     MOST_CORRELATED.min((-gone / FRESH_WIDTHS).exp())
-}
-
-/// Variance of a line over its stretch \[px²\].
-fn spread(line: &FingerLine) -> f64 {
-    line.covariance[(0, 0)] + line.half_length_px.powi(2) * line.covariance[(1, 1)]
 }
 
 // What is steadied is private to the crate, and what it must agree with is where it was painted.

@@ -65,11 +65,13 @@ impl ContourTracker {
             Shape::Ribbon(x) if self.options.refine => finger_line.map(|line| {
                 let length_px = self.hand.measure.length_px;
                 let shown = Shown { half_width_px: x[3], taper: x[4], length_px };
-                // What a bend does to a line makes it count less beside those of other frames; and as it does
-                // the same to all of them, it stays.
+                // A bend does the same to all lines. It makes one count less beside those of other frames,
+                // and as much of it as these average away is put back.
                 let misleads = self.sagitta.misleads();
                 let line = self.sagitta.told(line, x[3]).misled_by_part(misleads);
-                self.steady.follow(frame.image(), time_s, line, &shown).misled_by_part(misleads)
+                let told = self.steady.follow(frame.image(), time_s, line, &shown);
+                let left = (told.spread() / line.spread()).min(1.0);
+                told.misled_by_part(misleads * (1.0 - left).sqrt())
             }),
             _ => finger_line,
         };
