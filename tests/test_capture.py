@@ -592,12 +592,16 @@ def test_recorded_views_go_in_step_with_their_own_times(tmp_path, caplog):
     write_video(tmp_path / "b.avi", 9, fourcc="MJPG", fps=20)
     with open_source(str(tmp_path / "a.mp4")) as a, open_source(str(tmp_path / "b.avi")) as b:
         steps = list(read_views([a, b]))
-    assert [[frame.index for frame in step] for step in steps] == [[k, k] for k in range(9)]
-    assert [[number_in(frame.image) for frame in step] for step in steps] == [
-        [k, k] for k in range(9)
-    ]
-    assert steps[8][0].time_s == pytest.approx(8 / 25)
-    assert steps[8][1].time_s == pytest.approx(8 / 20)
+    # Frames of 0.04 and 0.05 s: the fourth of the one, at 0.12 s, is nearer to none of the other's.
+    together = [[k, k] for k in range(3)] + [[3, None], [4, 3], [5, 4], [6, 5], [7, 6]]
+    together += [[8, None], [9, 7], [10, 8]]
+    assert [[frame and frame.index for frame in step] for step in steps] == together
+    for step in steps:
+        assert all(frame is None or number_in(frame.image) == frame.index for frame in step)
+        assert all(
+            frame is None or frame.time_s == pytest.approx(frame.index * step_s)
+            for frame, step_s in zip(step, (1 / 25, 1 / 20), strict=True)
+        )
     assert f"{tmp_path / 'b.avi'} ended before the other views" in caplog.text
 
 

@@ -330,6 +330,12 @@ def test_a_lens_of_another_resolution_is_found(clean):
         ({"fps": (30.0, 24.0)}, Severity.WARNING, "", "left 30.0, right 24.0"),
         ({"fps": (9.0, 9.0)}, Severity.WARNING, "left", "9.0 frames a second"),
         ({"late_s": 3.0}, Severity.ERROR, "right", "s off those of left"),
+        (
+            {"fps": (8.0, 8.0), "late_s": 0.02},
+            Severity.ERROR,
+            "right",
+            "0.02 s off those of left, and 0.125 s apart",
+        ),
     ],
 )
 def test_faults_of_the_clocks_are_found(changes, severity, view, words):

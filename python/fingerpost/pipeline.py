@@ -29,7 +29,6 @@ from fingerpost.errors import FingerpostError, InvalidInputError
 from fingerpost.finding import HandView, Shared, find_hand, how_flat, measured_line
 from fingerpost.pointing import (
     BARE_HAND,
-    AlignmentState,
     FingerLine,
     Fix,
     PlaneView,
@@ -55,7 +54,7 @@ class Observation:
     view
         The view's name.
     frame
-        The frame; None where it could not be read.
+        The frame; None where there is none of that time, or it could not be read.
     track
         What the tracker made of it; None without a frame, and while no hand has been found.
     contour_px
@@ -113,7 +112,7 @@ class Observation:
     def reasons(self) -> tuple[str, ...]:
         """Why the frame went the way it did, for people: the verdict, then details."""
         if self.frame is None:
-            return ("the frame could not be read",)
+            return ("no frame of this time could be read",)
         if self.is_adrift:
             return (_moved(self.moved_px), *self._reasons)
         if self.moved_px > 0.0:
@@ -130,7 +129,7 @@ class Observation:
         return _verdict(self.track), _details(self.track, self.search)
 
     def track_row(self) -> TrackRow | None:
-        """Return the row of `tracks.csv`; None for a frame that could not be read."""
+        """Return the row of `tracks.csv`; None without a frame."""
         if self.frame is None:
             return None
         cells: dict[str, float] = {}
@@ -241,24 +240,43 @@ class _Pending:
     observations: tuple[Observation, ...]
 
 
+@dataclass(frozen=True, slots=True)
+class _NoLine:
+    """Why a view has no finger line at a time.
+
+    Attributes
+    ----------
+    status
+        What the view is.
+    reason
+        Why, where the view itself has not lost its hand; else empty.
+    """
+
+    status: Status
+    reason: str = ""
+
+
 @dataclass(slots=True)
 class _History:
     """The latest entries of one view, oldest first: time, finger line or status, plane view."""
 
-    entries: deque[tuple[float, FingerLine | Status, PlaneView]] = field(
-        default_factory=lambda: deque(maxlen=16)
-    )
+    entries: list[tuple[float, FingerLine | Status, PlaneView]] = field(default_factory=list)
 
     def add(self, observation: Observation, plane_view: PlaneView) -> None:
         if observation.frame is not None:
             self.entries.append((observation.frame.time_s, observation.finger, plane_view))
 
-    def at(self, time_s: float, options: PointingOptions) -> FingerLine | Status | None:
+    def forget(self, time_s: float) -> None:
+        """Forget what is not needed to tell what the view has at a time, or later."""
+        while len(self.entries) > 1 and self.entries[1][0] <= time_s:
+            del self.entries[0]
+
+    def at(self, time_s: float, options: PointingOptions) -> FingerLine | _NoLine | None:
         """Tell what the view has at a time; None if its next frame is needed for that."""
         before: FingerLine | Status = Status.ACQUIRING
         for entry_time_s, entry, _ in self.entries:
             if entry_time_s == time_s:
-                return entry
+                return _NoLine(entry) if isinstance(entry, Status) else entry
             if entry_time_s > time_s:
                 return _between(before, entry, time_s, options)
             before = entry
@@ -282,16 +300,14 @@ def _between(
     after: FingerLine | Status,
     time_s: float,
     options: PointingOptions,
-) -> FingerLine | Status:
+) -> FingerLine | _NoLine:
     """Finger line between two neighbours in time; the status of the one that has none."""
     if isinstance(before, Status):
-        return before
+        return _NoLine(before)
     if isinstance(after, Status):
-        return after
+        return _NoLine(after)
     aligned = align([before, after], time_s, options)
-    if aligned.state is AlignmentState.ALIGNED and aligned.line is not None:
-        return aligned.line
-    return Status.LOST
+    return aligned.line or _NoLine(Status.LOST, aligned.reason)
 
 
 class Pointer:
@@ -348,12 +364,13 @@ class Pointer:
         """Take one frame of every view; yield the steps that can be told from them.
 
         Views that are captured at one time give their step at once. Where a view lags behind, the
-        step of the first view's frame comes when the others have passed its time, one call later.
+        step of the first view's frame comes when the others have passed its time, or when that
+        takes longer than `max_wait_s`.
 
         Parameters
         ----------
         frames
-            One per view, in the rig's order; None where a frame could not be read.
+            One per view, in the rig's order; None where a view has none of that time.
         """
         self._watch(frames)
         self._follow(frames)
@@ -379,6 +396,9 @@ class Pointer:
         if first is not None:
             self._pending.append(_Pending(first.index, first.time_s, observations))
         yield from self._ready()
+        needed_s = self._pending[0].time_s if self._pending else np.inf
+        for history in self._histories:
+            history.forget(needed_s)
 
     def _watch(self, frames: Sequence[Frame | None]) -> None:
         """Tell the views how they see the plane: a camera may have moved."""
@@ -428,34 +448,40 @@ class Pointer:
     def finish(self) -> Iterator[Step]:
         """Yield the last steps, whose time not every view has reached."""
         while self._pending:
-            pending = self._pending.popleft()
-            fingers = [
-                history.at(pending.time_s, self._options) or Status.LOST
-                for history in self._histories
-            ]
-            yield self._step(pending, fingers)
+            yield self._step(self._pending.popleft(), "the view has ended before")
 
     def _ready(self) -> Iterator[Step]:
+        """Yield the steps whose time all views have reached, or for which one is too late."""
         while self._pending:
-            oldest = self._pending[0]
-            fingers = [history.at(oldest.time_s, self._options) for history in self._histories]
-            if any(finger is None for finger in fingers):
+            oldest_s = self._pending[0].time_s
+            waited_s = self._pending[-1].time_s - oldest_s
+            is_late = waited_s > self._options.max_wait_s
+            if not is_late and any(h.at(oldest_s, self._options) is None for h in self._histories):
                 return
-            self._pending.popleft()
-            yield self._step(oldest, [finger for finger in fingers if finger is not None])
+            most_s = self._options.max_wait_s
+            late = f"no frame for {waited_s:.4g} s; at most {most_s:g} s are waited for"
+            yield self._step(self._pending.popleft(), late)
 
-    def _step(self, pending: _Pending, fingers: Sequence[FingerLine | Status]) -> Step:
+    def _step(self, pending: _Pending, without_frame: str) -> Step:
+        """Point at the time of a frame; `without_frame` says why a view may not have reached it."""
+        told = [
+            history.at(pending.time_s, self._options) or _NoLine(Status.LOST, without_frame)
+            for history in self._histories
+        ]
         plane_views = [
             history.plane_view_at(pending.time_s, view.plane_view)
             for history, view in zip(self._histories, self.views, strict=True)
         ]
+        fingers = [finger.status if isinstance(finger, _NoLine) else finger for finger in told]
         fix = indicated_point(fingers, plane_views, time_s=pending.time_s, options=self._options)
-        reasons = {
-            f"view {k} is {Status.ILL_CONDITIONED}": f"{_moved(o.moved_px)} in view {k}"
-            for k, o in enumerate(pending.observations)
-            if o.is_adrift
-        }
-        for without, why in reasons.items():
+        for k, (finger, seen) in enumerate(zip(told, pending.observations, strict=True)):
+            if isinstance(finger, _NoLine) and finger.reason:
+                without, why = f"view {k} is {finger.status}", f"view {k}: {finger.reason}"
+            elif seen.is_adrift:
+                without = f"view {k} is {Status.ILL_CONDITIONED}"
+                why = f"{_moved(seen.moved_px)} in view {k}"
+            else:
+                continue
             fix = replace(fix, reason=fix.reason.replace(without, why))
         return Step(pending.index, pending.observations, fix)
 

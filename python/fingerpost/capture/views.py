@@ -25,9 +25,10 @@ def read_views(sources: Sequence[Source]) -> Iterator[tuple[Frame | None, ...]]:
     Yields
     ------
     tuple of Frame or None
-        One entry per source, in their order. Recorded views advance by frame index and end with
-        the shortest; an entry is None where a view's frame of that index cannot be read. Live
-        views wait until every view has a new frame and then give the newest of each.
+        One entry per source, in their order. Recorded views advance by their times and end with
+        the shortest; an entry is None where a view has no frame of about that time, as it was
+        recorded at a lower rate or its frame cannot be read. Live views wait until every view has
+        a new frame and then give the newest of each.
 
     Raises
     ------
@@ -48,16 +49,18 @@ def read_views(sources: Sequence[Source]) -> Iterator[tuple[Frame | None, ...]]:
 
 def _in_step(sources: Sequence[Source]) -> Iterator[tuple[Frame | None, ...]]:
     frames = [next(source, None) for source in sources]
+    # Before any second frame only equal times are known to belong together.
+    steps_s = [0.0] * len(sources)
     while True:
         heads = [frame for frame in frames if frame is not None]
         if len(heads) < len(sources):
             break
-        index = min(head.index for head in heads)
-        yield tuple(head if head.index == index else None for head in heads)
-        frames = [
-            next(source, None) if head.index == index else head
-            for source, head in zip(sources, heads, strict=True)
-        ]
+        latest_s = min(head.time_s for head in heads) + min(steps_s) / 2
+        yield tuple(head if head.time_s <= latest_s else None for head in heads)
+        for k, head in enumerate(heads):
+            if head.time_s <= latest_s:
+                frames[k] = following = next(sources[k], None)
+                steps_s[k] = following.time_s - head.time_s if following else steps_s[k]
     if heads:
         ended = sources[frames.index(None)]
         _log.warning("%s ended before the other views; their rest is not read", ended.name)

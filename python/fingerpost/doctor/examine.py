@@ -197,16 +197,22 @@ def _judge_rates(readings: Sequence[ViewReadings]) -> Iterator[Finding]:
 
 
 def _judge_skew(rig: Rig, frames: Sequence[Sequence[Frame]]) -> Iterator[Finding]:
-    """Say which views never come near the first in time, so that there is no fix."""
+    """Say which views cannot be brought to the first one's times, so that there is no fix."""
     first = np.array([frame.time_s for frame in frames[0]])
+    most_s = DEFAULT_OPTIONS.max_gap_s
     for view, own in zip(rig.views[1:], frames[1:], strict=True):
         times = np.array([frame.time_s for frame in own])
         skew = float(np.median(np.abs(first[:, None] - times).min(axis=1)))
-        if skew > DEFAULT_OPTIONS.max_gap_s:
-            yield Finding(
-                Severity.ERROR,
-                Check.TIMING,
-                view.name,
-                f"its frames are {skew:.3g} s off those of {rig.views[0].name}",
-                f"at most {DEFAULT_OPTIONS.max_gap_s:g} s can be bridged: one clock for all views",
+        step_s = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
+        off = f"its frames are {skew:.3g} s off those of {rig.views[0].name}"
+        if skew > most_s:
+            right = f"at most {most_s:g} s can be bridged: one clock for all views"
+        elif skew > DEFAULT_OPTIONS.max_skew_s and step_s > most_s:
+            off += f", and {step_s:.3g} s apart"
+            right = (
+                f"at most {most_s:g} s can be bridged: {1 / most_s:.0f} frames a second and more, "
+                "or all views at the same times"
             )
+        else:
+            continue
+        yield Finding(Severity.ERROR, Check.TIMING, view.name, off, right)

@@ -32,7 +32,7 @@ class Observed(Protocol):
 
     @property
     def frame(self) -> Pictured | None:
-        """The frame; None where it could not be read."""
+        """The frame; None where there is none of that time."""
 
     @property
     def contour_px(self) -> Points:
