@@ -220,6 +220,13 @@ def test_a_file_that_cannot_be_written_is_named(tmp_path):
         rig_of(view()).save(tmp_path / "none" / "rig.toml")
 
 
+def test_a_rig_is_not_written_to_a_directory(tmp_path):
+    for place in (tmp_path, Path()):
+        with pytest.raises(RigError, match="cannot be written: it is a directory"):
+            rig_of(view()).save(place)
+    assert list(tmp_path.parent.glob("*.part")) == list(tmp_path.iterdir()) == []
+
+
 finite = st.floats(allow_nan=False, allow_infinity=False)
 text = st.text(st.characters(exclude_categories=["Cs"]), min_size=1)
 starts = st.builds(

@@ -109,7 +109,8 @@ def test_the_hand_in_the_clip_is_tracked(clip):
     _, summary = clip
     assert summary.fixes > FRAMES / 2
     assert summary.availability > 0.9
-    assert summary.median < 0.2 * summary.plane_size
+    # The clip gives 2 % of the plane; twice that is no longer the same tracker.
+    assert summary.median < 0.04 * summary.plane_size
 
 
 def test_the_hand_in_the_simulation_is_tracked(simulation):

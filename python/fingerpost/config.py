@@ -394,6 +394,8 @@ class Rig(_Table, kw_only=True, frozen=True):
             for view in self.views
         )
         text = msgspec.structs.replace(self, views=tuple(views)).dumps()
+        if not path.name or path.is_dir():
+            raise RigError(f"{path}: cannot be written: it is a directory, not a file")
         part = path.with_name(f"{path.name}.part")
         try:
             part.write_text(text, encoding="utf-8")

@@ -327,7 +327,7 @@ class _Problem:
         """Take a step of the parameters."""
         if self.lens is not None:
             step = np.append(np.zeros(3), step)
-        rotation = _turn(step[3:6]) @ state.pose[:, :3]
+        rotation = rotation_by(step[3:6]) @ state.pose[:, :3]
         shift = state.pose[:, 3] + step[6:] * self.unit
         return _State(
             state.log_focal + float(step[0]),
@@ -397,8 +397,8 @@ def _cross_matrix(vectors: Array) -> Array:
     return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(-1, 3, 3)
 
 
-def _turn(vector: Array) -> Array:
-    """Rotation by a vector (Rodrigues)."""
+def rotation_by(vector: Array) -> Array:
+    """Return the rotation (3, 3) about a vector, by its length in radians (Rodrigues)."""
     angle = float(np.linalg.norm(vector))
     (cross,) = _cross_matrix(vector[None])
     if angle < 1e-12:

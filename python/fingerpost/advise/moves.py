@@ -16,7 +16,7 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from fingerpost.advise.camera import PlaneCamera
+from fingerpost.advise.camera import PlaneCamera, rotation_by
 from fingerpost.advise.forecast import Figures, predict
 from fingerpost.advise.options import AdviceOptions
 from fingerpost.advise.poses import Poses, Workspace
@@ -202,9 +202,5 @@ def _shows_as_much(moved: PlaneCamera, camera: PlaneCamera, plane_points: Array)
 
 
 def _rotation(axis: Array, angle_rad: float) -> Array:
-    """Rotation about an axis of any length (Rodrigues)."""
-    x, y, z = axis / np.linalg.norm(axis)
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return np.asarray(
-        np.eye(3) + math.sin(angle_rad) * cross + (1.0 - math.cos(angle_rad)) * cross @ cross
-    )
+    """Rotation about an axis of any length."""
+    return rotation_by(angle_rad * axis / np.linalg.norm(axis))

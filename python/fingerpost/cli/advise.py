@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+
+from fingerpost.cli.outputs import keep_apart, rig_files
+from fingerpost.cli.progress import counting
 
 if TYPE_CHECKING:
     from fingerpost.advise import AdviceOptions
@@ -57,14 +59,19 @@ def advise(
     """
     from fingerpost.advise import advise as predicted
     from fingerpost.config import Rig
+    from fingerpost.recording import check_picture
 
     rig = Rig.load(rig_file)
+    if draw is not None:
+        check_picture(draw)
+        keep_apart({"--draw": draw}, rig_files(rig_file, rig))
     options = _options(device, settings)
     sizes = [size] * len(rig.views) if size is not None else _sizes(rig)
-    result = predicted(rig, sizes, options, progress=_progress())
+    with counting("moves") as progress:
+        result = predicted(rig, sizes, options, progress=progress)
+    click.echo(json.dumps(result.as_dict()) if as_json else "\n".join(result.table()))
     if draw is not None:
         result.draw(draw)
-    click.echo(json.dumps(result.as_dict()) if as_json else "\n".join(result.table()))
 
 
 def _options(device: str, settings: dict[str, Any]) -> AdviceOptions:
@@ -101,14 +108,3 @@ def _sizes(rig: Rig) -> list[tuple[int, int]]:
             )
         sizes.append((frame.image.shape[1], frame.image.shape[0]))
     return sizes
-
-
-def _progress() -> Any:
-    """Count on stderr, where a person watches."""
-    if not sys.stderr.isatty():
-        return None
-
-    def show(done: int, of: int) -> None:
-        click.echo(f"\r{done} of {of} moves", nl=done == of, err=True)
-
-    return show

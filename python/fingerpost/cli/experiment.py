@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import json
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from fingerpost.cli.outputs import keep_apart, rig_files
+from fingerpost.cli.progress import counting
+
 if TYPE_CHECKING:
-    from fingerpost.experiment import ExperimentOptions, ExperimentResult, Progress
+    from fingerpost.experiment import ExperimentOptions, ExperimentResult
 
 _IN = click.Path(path_type=Path)
-_Pair = tuple[float, float]
 
 
 @click.command()
@@ -58,8 +59,11 @@ def experiment(
 ) -> None:
     """Measure accuracy and honesty, as section 3.3 of the paper does and beyond.
 
-    A simulated device points at random targets; RECORDING and TRUTH measure on footage. What is
-    not given is the paper's rig at its ordinary settings.
+    A simulated device points at random targets. What is not given is the paper's rig at its
+    ordinary settings.
+
+    --recording measures on footage instead, whose truth --truth tells; it takes --tracker, --draw
+    and --json.
 
     --guidance repeats the robot guidance experiment of section 3.4 under physics; it takes --seed
     and --json, and needs fingerpost[mujoco].
@@ -67,34 +71,58 @@ def experiment(
     if guidance is not None:
         _guide(guidance, settings["seed"], as_json)
         return
-    from fingerpost.experiment import run_experiment, run_recording
+    from fingerpost.recording import check_picture
 
     if (recording is None) != (truth is None):
         raise click.UsageError("--recording and --truth go together")
-    progress = _progress("targets")
+    if draw is not None:
+        check_picture(draw)
     if recording is not None and truth is not None:
-        result = run_recording(
+        result = _measured(recording, truth, tracker, draw)
+    else:
+        result = _simulated(_options(tracker, settings))
+    _report(result, draw, as_json)
+
+
+def _simulated(options: ExperimentOptions) -> ExperimentResult:
+    """Run the experiment on the simulated rig."""
+    from fingerpost.experiment import run_experiment
+
+    with counting("targets") as progress:
+        return run_experiment(options, progress=progress)
+
+
+def _measured(recording: Path, truth: Path, tracker: str, draw: Path | None) -> ExperimentResult:
+    """Run the experiment on footage."""
+    from fingerpost.config import Rig
+    from fingerpost.experiment import run_recording
+
+    _refuse_beside("recording", {"truth", "tracker", "draw", "as_json"})
+    read = [("the truth", truth), *rig_files(recording, Rig.load(recording))]
+    keep_apart({"--draw": draw}, read)
+    with counting("targets") as progress:
+        return run_recording(
             recording, truth, tracker_options={"model": tracker}, progress=progress
         )
-    else:
-        result = run_experiment(_options(tracker, settings), progress=progress)
-    _report(result, draw, as_json)
 
 
 def _guide(trials: int, seed: int, as_json: bool) -> None:
     """Repeat the guidance experiment and print its table."""
-    _refuse_beside_guidance()
+    _refuse_beside("guidance", {"seed", "as_json"})
     from fingerpost.closed_loop import GuidanceOptions, run_guidance
 
-    result = run_guidance(trials, GuidanceOptions(seed=seed), progress=_progress("trials"))
+    with counting("trials") as progress:
+        result = run_guidance(trials, GuidanceOptions(seed=seed), progress=progress)
     click.echo(json.dumps(result.as_dict()) if as_json else "\n".join(result.table()))
 
 
-def _refuse_beside_guidance() -> None:
+def _refuse_beside(chosen: str, kept: set[str]) -> None:
+    """Refuse every given option that would be ignored beside the chosen one."""
     context = click.get_current_context()
-    for name in set(context.params) - {"guidance", "seed", "as_json"}:
-        if context.get_parameter_source(name) is not click.core.ParameterSource.DEFAULT:
-            raise click.UsageError(f"--{name.replace('_', '-')} does not go with --guidance")
+    for name in context.params:
+        given = context.get_parameter_source(name) is not click.core.ParameterSource.DEFAULT
+        if given and name not in {chosen, *kept}:
+            raise click.UsageError(f"--{name.replace('_', '-')} does not go with --{chosen}")
 
 
 def _options(tracker: str, settings: dict[str, Any]) -> ExperimentOptions:
@@ -121,21 +149,7 @@ def _options(tracker: str, settings: dict[str, Any]) -> ExperimentOptions:
     return ExperimentOptions(tracker={"model": tracker}, **nested, **renamed, **given)
 
 
-def _progress(what: str) -> Progress | None:
-    """Count on stderr, where a person watches."""
-    if not sys.stderr.isatty():
-        return None
-
-    def show(done: int, of: int) -> None:
-        click.echo(f"\r{done} of {of} {what}", nl=done == of, err=True)
-
-    return show
-
-
 def _report(result: ExperimentResult, draw: Path | None, as_json: bool) -> None:
+    click.echo(json.dumps(result.as_dict()) if as_json else "\n".join(result.table()))
     if draw is not None:
         result.draw(draw)
-    if as_json:
-        click.echo(json.dumps(result.as_dict()))
-    else:
-        click.echo("\n".join(result.table()))

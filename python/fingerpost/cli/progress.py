@@ -43,7 +43,33 @@ def telling() -> Iterator[Callable[[str], None]]:
     if not sys.stderr.isatty():
         yield lambda _words: None
         return
+    told = False
+
+    def tell(words: str) -> None:
+        nonlocal told
+        told = True
+        click.echo(f"\r{words:<60}", nl=False, err=True)
+
     try:
-        yield lambda words: click.echo(f"\r{words:<60}", nl=False, err=True)
+        yield tell
     finally:
-        click.echo(err=True)
+        if told:
+            click.echo(err=True)
+
+
+@contextmanager
+def counting(what: str) -> Iterator[Callable[[int, int], None]]:
+    """Give what shows, in one line that changes, how many of all are done.
+
+    Parameters
+    ----------
+    what
+        What is counted, in the plural.
+
+    Yields
+    ------
+    callable
+        Takes the number that is done and that of all.
+    """
+    with telling() as tell:
+        yield lambda done, of: tell(f"{done} of {of} {what}")

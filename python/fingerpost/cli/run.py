@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from fingerpost.cli.outputs import keep_apart, rig_files
 from fingerpost.cli.progress import watched
 
 if TYPE_CHECKING:
@@ -59,8 +60,13 @@ def run(
     from fingerpost.capture import open_source, read_views
     from fingerpost.config import Rig
     from fingerpost.pipeline import Pointer, steps
+    from fingerpost.recording import part_of
 
     rig = Rig.load(rig_file)
+    written = {"--points": points, "--tracks": tracks, "--overlay": overlay}
+    if overlay:  # grows under a name of its own, which may hold something else
+        written["--overlay (until complete)"] = part_of(overlay)
+    keep_apart(written, rig_files(rig_file, rig))
     pointer = Pointer(rig, tracker_options={"model": model})
     statuses: Counter[str] = Counter()
     with ExitStack() as stack:
@@ -88,12 +94,13 @@ def _takers(
 ) -> list[Callable[[Step], None]]:
     """Everything that takes the steps as they come: tables, video, standard output."""
     takers: list[Callable[[Step], None]] = []
+    # First what may yet be refused: an opened table has lost what was in it.
+    if overlay:
+        takers.append(_overlay_video(stack, overlay, pointer, unit))
     if points:
         takers.append(_point_table(stack, points))
     if tracks:
         takers.append(_track_table(stack, tracks))
-    if overlay:
-        takers.append(_overlay_video(stack, overlay, pointer, unit))
     if as_json:
         takers.append(lambda step: click.echo(json.dumps(dataclasses.asdict(step.point_row()))))
     return takers

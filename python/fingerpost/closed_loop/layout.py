@@ -11,7 +11,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from fingerpost.simulate import Camera, DevicePose, checks
 
@@ -99,10 +99,3 @@ def indicated_mm(pose: DevicePose, plane_mm: float) -> Array | None:
     x, y, z = pose.tip_mm
     lowered = DevicePose((x, y, z - plane_mm), pose.azimuth_deg, pose.slant_deg, pose.roll_deg)
     return lowered.indicated_mm
-
-
-def inside_workspace(point_mm: ArrayLike, margin_mm: float = 0.0) -> bool:
-    """Whether a point (2,) of the table lies in the workspace, this far from its rim."""
-    point = np.asarray(point_mm)
-    low, high = WORKSPACE_MM.min(axis=0) + margin_mm, WORKSPACE_MM.max(axis=0) - margin_mm
-    return bool((point >= low).all() and (point <= high).all())

@@ -1,6 +1,6 @@
 """What a run leaves behind: tables of points and tracks, pictures, and a video with the overlay."""
 
-from fingerpost.recording.still import write_picture
+from fingerpost.recording.still import check_picture, write_picture
 from fingerpost.recording.tables import (
     PointRow,
     TableWriter,
@@ -10,13 +10,15 @@ from fingerpost.recording.tables import (
     write_points,
     write_tracks,
 )
-from fingerpost.recording.video import VideoWriter
+from fingerpost.recording.video import VideoWriter, part_of
 
 __all__ = [
     "PointRow",
     "TableWriter",
     "TrackRow",
     "VideoWriter",
+    "check_picture",
+    "part_of",
     "read_points",
     "read_tracks",
     "write_picture",

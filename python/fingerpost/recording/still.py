@@ -2,12 +2,32 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fingerpost.errors import InvalidInputError
+
+
+def check_picture(path: Path) -> None:
+    """Refuse a file that `write_picture` could not write, before the work that leads to it.
+
+    Raises
+    ------
+    InvalidInputError
+        A name whose ending OpenCV does not know, a folder that does not exist, or a name that is
+        a folder's.
+    """
+    _encoded(path, np.zeros((2, 2, 3), np.uint8))
+    # Path.is_dir would raise where a name is too long to exist.
+    if not os.path.isdir(path.parent):  # noqa: PTH112
+        raise InvalidInputError(
+            f"{path}: the folder {path.parent} does not exist; name a file in an existing folder"
+        )
+    if os.path.isdir(path):  # noqa: PTH112
+        raise InvalidInputError(f"{path}: is a folder; the name of a picture is needed")
 
 
 def write_picture(path: Path, image: NDArray[np.uint8]) -> None:
@@ -25,6 +45,17 @@ def write_picture(path: Path, image: NDArray[np.uint8]) -> None:
     InvalidInputError
         A name whose ending OpenCV does not know, or a file that cannot be written.
     """
+    data = _encoded(path, image)
+    try:
+        path.write_bytes(data)
+    except OSError as error:
+        raise InvalidInputError(
+            f"{path}: cannot be written: {error.strerror}; name a file in an existing folder"
+        ) from error
+
+
+def _encoded(path: Path, image: NDArray[np.uint8]) -> bytes:
+    """Return the content of an image file; the name's ending says of which kind."""
     import cv2
 
     try:
@@ -35,9 +66,4 @@ def write_picture(path: Path, image: NDArray[np.uint8]) -> None:
         raise InvalidInputError(
             f"{path}: OpenCV cannot write such images; a name that ends in .png is right"
         )
-    try:
-        path.write_bytes(data.tobytes())
-    except OSError as error:
-        raise InvalidInputError(
-            f"{path}: cannot be written: {error.strerror}; name a file in an existing folder"
-        ) from error
+    return data.tobytes()

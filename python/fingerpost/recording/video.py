@@ -24,6 +24,11 @@ if TYPE_CHECKING:
 _CODECS = {".mp4": "mp4v", ".mkv": "mp4v", ".avi": "MJPG"}
 
 
+def part_of(path: Path) -> Path:
+    """Return the file that holds a video's frames until it is complete."""
+    return path.with_name(f"{path.stem}.part{path.suffix}") if path.name else path
+
+
 class VideoWriter:
     """A video of constant frame rate, opened at the size of its first frame.
 
@@ -51,7 +56,7 @@ class VideoWriter:
             raise InvalidInputError(f"{path}: is a folder; the name of a video is needed")
         if not 0 < fps < float("inf"):
             raise InvalidInputError(f"fps = {fps}: must be a finite number above 0")
-        self._part = self.path.with_suffix(f".part{self.path.suffix}")
+        self._part = part_of(self.path)
         self._fps = fps
         self._writer: cv2.VideoWriter | None = None
         self._size = (0, 0)

@@ -55,11 +55,9 @@ class FingerTruth:
     apex_px: Array  # (2,) ideal; where the axis leaves the silhouette
     flanks_px: Array  # (2, 2, 2) ideal; left and right side seen along the finger, base to tip
     length_px: float  # ideal; from where the finger begins to the apex
-    axis_point_pictured_px: Array  # (2,)
     axis_angle_pictured_rad: float  # of the chord from where the finger's axis starts to its end
     apex_pictured_px: Array  # (2,)
     root_pictured_px: Array  # (2,) axis point where the finger begins
-    flanks_pictured_px: Array  # (2, 2, 2)
     thumb: ThumbSide  # side of the thumb seen along the direction of pointing
     in_view: bool  # all of the finger lies inside the image (it may be covered all the same)
 
@@ -141,21 +139,19 @@ def finger_truth(camera: Camera, body: Body, pose: DevicePose) -> FingerTruth:
         apex = camera.project_seen(outline.apex[0])
         if not outline.end_on[0]:
             flanks = camera.project_seen(outline.flanks[0])
-    pictured = camera.pictured(np.stack([*flanks.reshape(-1, 2), apex, root, tip, base]))
-    chord = pictured[6] - pictured[7]
+    pictured = camera.pictured(np.stack([apex, root, tip, base]))
+    chord = pictured[2] - pictured[3]
     return FingerTruth(
         axis_point_px=tip,
         axis_angle_rad=math.atan2(along[1], along[0]),
         apex_px=apex,
         flanks_px=flanks,
         length_px=float(np.linalg.norm(apex - root)),
-        axis_point_pictured_px=pictured[6],
         axis_angle_pictured_rad=math.atan2(chord[1], chord[0]),
-        apex_pictured_px=pictured[4],
-        root_pictured_px=pictured[5],
-        flanks_pictured_px=pictured[:4].reshape(2, 2, 2),
+        apex_pictured_px=pictured[0],
+        root_pictured_px=pictured[1],
         thumb=_thumb_side(camera, body, world_from_device, tip, along),
-        in_view=bool(camera.contains(pictured[4:]).all()),
+        in_view=bool(camera.contains(pictured).all()),
     )
 
 

@@ -1,0 +1,290 @@
+"""What commands write: not over what they read or each other, and refused before the work."""
+
+import json
+import os
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner, Result
+
+from fingerpost.cli import main
+from fingerpost.cli.outputs import keep_apart
+from fingerpost.cli.progress import counting
+from fingerpost.errors import InvalidInputError
+from fingerpost.recording import check_picture, part_of
+from fingerpost.simulate import DevicePose, Placement, SimulatedRig, Trajectory, write_recording
+
+FRAMES = 6
+SMALL = ("--targets", 2, "--size", 320, 240)
+
+
+def invoked(*arguments: object) -> Result:
+    return CliRunner().invoke(main, [str(argument) for argument in arguments])
+
+
+def refused(*arguments: object) -> str:
+    """The one line with which bad input is refused, before anything else is said."""
+    done = invoked(*arguments)
+    assert done.exit_code == 2, done.output
+    assert done.stdout == ""
+    (line,) = done.stderr.splitlines()
+    return line
+
+
+def recorded(folder: Path, picture_format: str) -> Path:
+    pose = DevicePose.pointing_at((200.0, 200.0), azimuth_deg=20.0, slant_deg=50.0, hover_mm=120.0)
+    rig = SimulatedRig(Placement(width_px=320, height_px=240))
+    motion = Trajectory.hold(pose, 1.0)
+    return write_recording(folder, rig, motion, frames=FRAMES, picture_format=picture_format)
+
+
+@pytest.fixture
+def videos(tmp_path):
+    return recorded(tmp_path / "videos", "mp4")
+
+
+@pytest.fixture
+def pictures(tmp_path):
+    return recorded(tmp_path / "pictures", "png")
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {str(path): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def the_long_way(path: Path, target: Path) -> Path:
+    path.mkdir()
+    return path / ".." / os.path.relpath(target, path.parent)
+
+
+def symlinked(path: Path, target: Path) -> Path:
+    path.symlink_to(target)
+    return path
+
+
+def hard_linked(path: Path, target: Path) -> Path:
+    os.link(target, path)
+    return path
+
+
+# --- over what is read ------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("named", [the_long_way, symlinked, hard_linked])
+@pytest.mark.parametrize(
+    ("option", "victim", "what"),
+    [
+        ("--overlay", "left.mp4", 'footage of view "left"'),
+        ("--points", "right.mp4", 'footage of view "right"'),
+        ("--tracks", "rig.toml", "the rig file"),
+    ],
+)
+def test_run_does_not_write_over_what_it_reads(videos, tmp_path, named, option, victim, what):
+    output = named(tmp_path / "link.mp4", videos.with_name(victim))
+    before = contents(tmp_path)
+    line = refused("run", videos, option, output)
+    assert f"{option} {output} would overwrite {videos.with_name(victim)}, {what}" in line
+    assert contents(tmp_path) == before
+
+
+def test_run_does_not_write_over_an_image_of_a_glob(pictures):
+    image = pictures.parent / "left" / "00003.png"
+    before = image.read_bytes()
+    assert str(image) in refused("run", pictures, "--points", image)
+    assert image.read_bytes() == before
+
+
+def test_a_video_that_is_refused_costs_no_table(videos, tmp_path):
+    table = tmp_path / "points.csv"
+    table.write_text("of the last run")
+    refused("run", videos, "--points", table, "--overlay", tmp_path / "overlay.gif")
+    assert table.read_text() == "of the last run"
+
+
+def test_a_video_does_not_grow_over_footage(videos, tmp_path):
+    text = videos.read_text().replace("left.mp4", "left.part.mp4")
+    videos.write_text(text)
+    (videos.parent / "left.mp4").rename(videos.parent / "left.part.mp4")
+    before = contents(tmp_path)
+    line = refused("run", videos, "--overlay", videos.parent / "left.mp4")
+    assert str(videos.parent / "left.part.mp4") in line
+    assert contents(tmp_path) == before
+
+
+def test_the_experiment_does_not_draw_over_what_it_reads(pictures):
+    truth = pictures.with_name("truth.csv")
+    image = pictures.parent / "right" / "00000.png"
+    before = contents(pictures.parent)
+    line = refused("experiment", "--recording", pictures, "--truth", truth, "--draw", image)
+    assert f"--draw {image} would overwrite {image}" in line
+    named_so = truth.rename(truth.with_suffix(".png"))
+    line = refused("experiment", "--recording", pictures, "--truth", named_so, "--draw", named_so)
+    assert "the truth" in line
+    named_so.rename(truth)
+    assert contents(pictures.parent) == before
+
+
+def test_the_advice_is_not_drawn_over_what_it_reads(pictures):
+    image = pictures.parent / "left" / "00000.png"
+    before = image.read_bytes()
+    assert 'footage of view "left"' in refused("advise", pictures, "--draw", image)
+    assert image.read_bytes() == before
+
+
+# --- over each other --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        ("--points", "same.csv", "--tracks", "same.csv"),
+        ("--points", "same.csv", "--tracks", "there/../same.csv"),
+        ("--points", "o.mp4", "--overlay", "o.mp4"),
+        ("--tracks", "o.part.mp4", "--overlay", "o.mp4"),
+    ],
+)
+def test_no_two_outputs_are_one_file(videos, tmp_path, monkeypatch, options):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "there").mkdir()
+    line = refused("run", videos, *options)
+    assert "are one file; name two" in line
+    assert options[0] in line
+    assert options[2] in line
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["there", "videos"]
+
+
+def test_outputs_through_links_to_one_new_file_are_refused(tmp_path):
+    outputs = {name: symlinked(tmp_path / name, tmp_path / "new.csv") for name in ("a", "b")}
+    with pytest.raises(InvalidInputError, match="are one file"):
+        keep_apart(outputs, [])
+
+
+def test_different_files_and_the_null_device_pass(tmp_path):
+    (tmp_path / "old.csv").touch()
+    read = [("the rig file", tmp_path / "rig.toml")]
+    outputs = {"--a": tmp_path / "old.csv", "--b": tmp_path / "new.csv", "--c": None}
+    keep_apart(outputs, read)
+    keep_apart({"--a": Path(os.devnull), "--b": Path(os.devnull)}, read)
+    keep_apart({"--a": tmp_path / ("x" * 5000), "--b": tmp_path / ("y" * 5000)}, read)
+
+
+def test_a_rig_of_live_views_is_no_file(tmp_path, videos):
+    text = videos.read_text().replace('"left.mp4"', "0").replace("right.mp4", "rtsp://nowhere/*")
+    (tmp_path / "rig.toml").write_text(text)
+    line = refused("run", tmp_path / "rig.toml", "--points", "p.csv", "--tracks", "p.csv")
+    assert "are one file" in line
+
+
+# --- before the work, and after what was found out --------------------------------------------
+
+
+@pytest.fixture
+def no_work(monkeypatch):
+    """Fail where work is begun."""
+
+    def begun(*_: object, **__: object) -> None:
+        pytest.fail("the work was begun")
+
+    for name in ("experiment.run_experiment", "experiment.run_recording", "advise.advise"):
+        monkeypatch.setattr(f"fingerpost.{name}", begun)
+
+
+@pytest.mark.parametrize(
+    ("picture", "words"),
+    [
+        ("missing/x.png", "does not exist"),
+        ("x.nonsense", "a name that ends in .png is right"),
+        ("x", "a name that ends in .png is right"),
+        ("folder.png", "is a folder"),
+    ],
+)
+@pytest.mark.usefixtures("no_work")
+def test_a_picture_that_cannot_be_is_refused_before_the_work(pictures, tmp_path, picture, words):
+    (tmp_path / "folder.png").mkdir()
+    path = tmp_path / picture
+    truth = pictures.with_name("truth.csv")
+    assert words in refused("experiment", *SMALL, "--draw", path)
+    assert words in refused("experiment", "--recording", pictures, "--truth", truth, "--draw", path)
+    assert words in refused("advise", pictures, "--draw", path)
+
+
+def test_a_picture_that_can_be_passes_and_is_not_begun(tmp_path):
+    check_picture(tmp_path / "new.png")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("command", "kind"),
+    [("experiment", "experiment.ExperimentResult"), ("advise", "advise.Advice")],
+)
+def test_figures_are_printed_even_if_drawing_fails(pictures, tmp_path, monkeypatch, command, kind):
+    def full(_result: object, path: Path) -> None:
+        raise InvalidInputError(f"{path}: cannot be written: No space left on device")
+
+    monkeypatch.setattr(f"fingerpost.{kind}.draw", full)
+    arguments = SMALL if command == "experiment" else (pictures,)
+    done = invoked(command, *arguments, "--json", "--draw", tmp_path / "x.png")
+    assert done.exit_code == 2
+    assert json.loads(done.stdout)
+    assert "No space left" in done.stderr
+
+
+# --- options that would do nothing ------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        ("--noise", 99),
+        ("--targets", 400),
+        ("--seed", 1),
+        ("--size", 320, 240),
+        ("--background-frames", 3),
+        ("--lens", "known"),
+    ],
+)
+@pytest.mark.usefixtures("no_work")
+def test_options_of_the_simulation_do_not_go_with_a_recording(pictures, options):
+    truth = pictures.with_name("truth.csv")
+    line = refused("experiment", "--recording", pictures, "--truth", truth, *options)
+    assert f"{options[0]} does not go with --recording" in line
+
+
+def test_a_recording_takes_the_other_options(pictures, tmp_path):
+    arguments = ["--recording", pictures, "--truth", pictures.with_name("truth.csv")]
+    arguments += ["--tracker", "paper", "--draw", tmp_path / "e.png", "--json"]
+    done = invoked("experiment", *arguments)
+    assert done.exit_code == 0, done.output
+    assert json.loads(done.stdout)["settings"]["tracker_options"] == {"model": "paper"}
+    assert (tmp_path / "e.png").stat().st_size > 0
+
+
+# --- what is told meanwhile -------------------------------------------------------------------
+
+
+def told(monkeypatch, capsys, *, watched: bool, counts: int) -> str:
+    monkeypatch.setattr("sys.stderr.isatty", lambda: watched)
+    with counting("moves") as count:
+        for done in range(1, counts + 1):
+            count(done, 2)
+    return capsys.readouterr().err
+
+
+def test_counting_shows_one_line_where_a_person_watches(monkeypatch, capsys):
+    said = told(monkeypatch, capsys, watched=True, counts=2)
+    assert [words.rstrip() for words in said.split("\r")] == ["", "1 of 2 moves", "2 of 2 moves"]
+    assert said.endswith("\n")
+    assert said.count("\n") == 1
+
+
+def test_counting_is_silent_where_nobody_watches_or_nothing_is_done(monkeypatch, capsys):
+    assert told(monkeypatch, capsys, watched=False, counts=2) == ""
+    assert told(monkeypatch, capsys, watched=True, counts=0) == ""
+
+
+@pytest.mark.parametrize("name", ["o.mp4", "a.b/o.x.avi"])
+def test_the_part_of_a_video_keeps_its_folder_and_suffix(name):
+    path = Path(name)
+    part = part_of(path)
+    assert part.parent == path.parent
+    assert part.name == f"{path.stem}.part{path.suffix}"
