@@ -120,6 +120,13 @@ def test_a_region_that_is_none_is_refused_before_homing(hand_film, tmp_path, cha
         assert not arm.controller.homed
 
 
+@pytest.mark.parametrize("command", ["follow", "pick"])
+def test_a_log_is_not_written_over_the_rig(rig, command):
+    before = rig.read_bytes()
+    assert "would overwrite" in refused(command, rig, "--arm", "--log", rig)
+    assert rig.read_bytes() == before
+
+
 @pytest.mark.parametrize(
     ("options", "words"),
     [
@@ -127,6 +134,9 @@ def test_a_region_that_is_none_is_refused_before_homing(hand_film, tmp_path, cha
         (("pick", "--select", "key"), "terminal"),
         (("follow", "--speed", "-1"), "speed_m_s"),
         (("follow", "--tolerance", "0"), "tolerance_m"),
+        (("follow", "--max-age", "inf"), "max_fix_age_s"),
+        (("follow", "--operator-timeout", "inf"), "operator_timeout_s"),
+        (("pick", "--homing-timeout", "nan"), "--homing-timeout"),
         (("pick", "--grip-height", "x"), "grip-height"),
     ],
 )

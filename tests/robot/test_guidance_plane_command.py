@@ -1,20 +1,29 @@
 """`fingerpost robot plane` as a user meets it: live views and an emulated Scorbot."""
 
+import contextlib
 import json
 import signal
+from types import SimpleNamespace
 
+import click
 import numpy as np
 import pytest
-from guidance_scene import HEIGHT_M, NAMES, REGION_M, draw_marker, pixel
+from click.testing import CliRunner
+from guidance_scene import HEIGHT_M, NAMES, REGION_M, draw_marker, pixel, table
 from guided_process import STOPPED_S, EmulatedArm, Guided, JpegStreams, commands, jpeg
 
+from fingerpost.capture import Frame, SourceKind
+from fingerpost.cli import main
+from fingerpost.cli.robot_plane import _asking
 from fingerpost.config import Rig
-from fingerpost.guidance import guard_of, robot_of, spread_places
+from fingerpost.errors import RecordingError
+from fingerpost.guidance import GivenFinder, guard_of, robot_of, spread_places
 from fingerpost.pointing import PlaneView
 from fingerpost.robot import SimulatedRobot
 
 REGION = " ".join(f"{x},{y}" for x, y in REGION_M)
 PLACE = ("--region", REGION, "--z", "0.005", "0.3", "--height", HEIGHT_M)
+UNUSABLE_S = ("-1", "0", "nan", "inf")
 BLANK = jpeg(np.full((480, 640), 60, np.uint8))
 
 
@@ -62,11 +71,11 @@ def test_a_marker_on_the_gripper_defines_the_plane(tmp_path, up_m):
     rig = Rig.load(output)
     assert rig.plane.unit == "m"
     assert len(rig.plane.points) == 6
-    table = robot_of(rig)
-    assert table.url == home
-    assert table.height_m == pytest.approx(height_m, abs=3e-4)
-    assert table.pitch_deg == -90.0
-    assert np.allclose(table.region_m, REGION_M)
+    defined = robot_of(rig)
+    assert defined.url == home
+    assert defined.height_m == pytest.approx(height_m, abs=3e-4)
+    assert defined.pitch_deg == -90.0
+    assert np.allclose(defined.region_m, REGION_M)
     assert max(errors_m(rig, height_m)) < 0.002
     assert "6 of 6 places" in guided.out
     assert f"written to {output}" in guided.out
@@ -74,22 +83,14 @@ def test_a_marker_on_the_gripper_defines_the_plane(tmp_path, up_m):
     visits = [row for row in commands(log) if row["command"] == "visit"]
     assert len(visits) == 18
     # What was written is what the other commands read.
-    guard_of(SimulatedRobot(), table)
+    guard_of(SimulatedRobot(), defined)
 
 
 def test_given_pixels_define_it_too_and_json_tells_all(tmp_path):
     output, pixels = tmp_path / "plane.toml", tmp_path / "pixels.csv"
     with EmulatedArm(5.0) as arm, JpegStreams([[BLANK]] * 2) as streams:
         cameras = write_cameras(tmp_path, streams.urls)
-        places = spread_places(_allowed(), 5)
-        rows = [
-            f"{place + 1},{name},{u:.3f},{v:.3f}"
-            for k, name in enumerate(NAMES)
-            for place, (u, v) in enumerate(
-                pixel(k, np.column_stack([places, np.full(5, HEIGHT_M)]))
-            )
-        ]
-        pixels.write_text("\n".join(["place,view,u,v", *rows]))
+        write_pixels(pixels, 5)
         options = ("--finder", "pixels", "--pixels", pixels, "--points", 5, "--json", "--arm")
         with Guided("plane", cameras, arm.url, *PLACE, *options, "-o", output) as guided:
             assert guided.end(60) == 0, guided.said()
@@ -100,10 +101,16 @@ def test_given_pixels_define_it_too_and_json_tells_all(tmp_path):
     assert max(errors_m(Rig.load(output), HEIGHT_M)) < 0.001
 
 
-def _allowed():
-    from guidance_scene import table
-
-    return guard_of(SimulatedRobot(), table(z_m=(0.005, 0.3))).allowed
+def write_pixels(path, count):
+    """Where the views show the gripper at each of so many places."""
+    allowed = guard_of(SimulatedRobot(), table(z_m=(0.005, 0.3))).allowed
+    places = np.column_stack([spread_places(allowed, count), np.full(count, HEIGHT_M)])
+    rows = [
+        f"{place + 1},{name},{u:.3f},{v:.3f}"
+        for k, name in enumerate(NAMES)
+        for place, (u, v) in enumerate(pixel(k, places))
+    ]
+    path.write_text("\n".join(["place,view,u,v", *rows]))
 
 
 def test_a_gripper_that_is_not_there_is_one_line_and_no_file(tmp_path):
@@ -135,6 +142,63 @@ def test_a_signal_in_the_middle_of_the_visits_stops_the_arm(tmp_path):
     assert halts[0] == "signal SIGINT"
 
 
+def test_a_rig_that_cannot_be_saved_after_all_is_printed(tmp_path):
+    output, pixels = tmp_path / "plane.toml", tmp_path / "pixels.csv"
+    with EmulatedArm(5.0) as arm, JpegStreams([[BLANK]] * 2) as streams:
+        cameras = write_cameras(tmp_path, streams.urls)
+        write_pixels(pixels, 5)
+        options = ("--finder", "pixels", "--pixels", pixels, "--points", 5, "--arm")
+        with Guided("plane", cameras, arm.url, *PLACE, *options, "-o", output) as guided:
+            guided.until_said("place  1")
+            output.mkdir()
+            assert guided.end(60) == 2, guided.said()
+    assert "5 of 5 places" in guided.out
+    assert "written to" not in guided.out
+    assert "plane.toml: cannot be written" in guided.said().splitlines()[-1]
+
+
+def test_a_log_that_fails_with_the_last_stop_loses_no_plane(tmp_path, monkeypatch):
+    def log(record):
+        if record.command == "halt":
+            raise RecordingError("commands.csv: cannot be written: No space left on device")
+
+    rig = SimpleNamespace(save=lambda path: path.write_text("the plane"))
+    found = SimpleNamespace(lines=lambda: ["9 of 9 places"], rig=lambda *_: rig)
+    view = contextlib.nullcontext(SimpleNamespace(kind=SourceKind.LIVE))
+    monkeypatch.setattr("fingerpost.capture.open_source", lambda _: view)
+    monkeypatch.setattr("fingerpost.capture.read_views", iter)
+    monkeypatch.setattr("fingerpost.guidance.define_plane", lambda *_, **__: found)
+    monkeypatch.setattr("fingerpost.cli.robot_plane.open_log", lambda *_: log)
+    cameras, output = write_cameras(tmp_path, ["a.mp4", "b.mp4"]), tmp_path / "plane.toml"
+    command = ("robot", "plane", cameras, "sim://?homing_s=0", *PLACE, "--arm", "-o", output)
+    ended = CliRunner().invoke(main, list(map(str, command)))
+    assert ended.exit_code == 1
+    assert "9 of 9 places" in ended.output
+    assert ended.output.splitlines()[-1].endswith("No space left on device")
+    assert output.read_text() == "the plane"
+
+
+def test_a_folder_for_pictures_that_is_none_is_refused_before_consent_is_asked(tmp_path):
+    cameras = write_cameras(tmp_path, ["a.mp4", "b.mp4"])
+    options = ("--finder", "pixels", "--pictures", cameras, *PLACE, "-o", tmp_path / "plane.toml")
+    with Guided("plane", cameras, "sim://", *options, terminal=True) as guided:
+        assert guided.end() == 2
+    (line,) = guided.said().splitlines()
+    assert f"--pictures {cameras}: nothing can be saved there: File exists" in line
+
+
+def test_a_pixel_that_is_none_is_asked_for_again(tmp_path, monkeypatch, capsys):
+    answers = iter(["3200 240", "nan nan", "12", "12, 13"])
+    monkeypatch.setattr(click, "prompt", lambda *_, **__: next(answers))
+    ask = _asking("left", tmp_path)
+    sighting = GivenFinder(ask).find(0, [Frame(0, 0.0, np.zeros((48, 64), np.uint8))], [])
+    assert sighting.pixel_px.tolist() == [12.0, 13.0]
+    outside, not_finite, not_two = capsys.readouterr().err.splitlines()
+    assert "(3200, 240), outside the image of 64 x 48 px" in outside
+    assert "finite" in not_finite
+    assert "two numbers" in not_two
+
+
 def refused(*arguments):
     with Guided(*arguments) as guided:
         assert guided.end() == 2, guided.said()
@@ -152,6 +216,12 @@ def refused(*arguments):
         (("--finder", "contour"), "--gripper left"),
         (("--finder", "pixels"), "--pixels"),
         (("--finder", "contour", "--gripper", "top", "1", "1", "90", "50"), "--gripper left"),
+        *((("--operator-timeout", value), "operator_timeout_s") for value in UNUSABLE_S),
+        *((("--homing-timeout", value), "--homing-timeout") for value in UNUSABLE_S),
+        (("-o", "/"), "-o / cannot be written: it is a folder"),
+        (("-o", "/dev/null"), "it is no file"),
+        (("-o", "/nonexistent/plane.toml"), "No such file or directory; name a file"),
+        (("-o", f"{'x' * 300}.toml"), "File name too long"),
     ],
 )
 def test_what_cannot_be_used_is_refused_before_anything_moves(tmp_path, change, words):

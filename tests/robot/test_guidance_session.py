@@ -58,6 +58,28 @@ def test_a_terminal_that_is_gone_is_told_once(terminal):
         assert gone.wait(5.0)
 
 
+def test_a_key_that_fails_keeps_no_later_one_from_stopping(terminal):
+    ours, theirs = terminal
+    pressed = []
+
+    def press(key):
+        pressed.append(key)
+        if key == "c":
+            raise RecordingError("a key's")
+
+    def read():
+        with Keys(press, lambda: None, descriptor=theirs):
+            os.write(ours, b"c")
+            wait_until(lambda: pressed)
+            os.write(ours, b"x")
+            wait_until(lambda: pressed == ["c", "x"])
+
+    before = termios.tcgetattr(theirs)
+    with pytest.raises(RecordingError, match="a key's"):
+        read()
+    assert termios.tcgetattr(theirs) == before
+
+
 def test_keys_need_a_terminal():
     reading, writing = os.pipe()
     with pytest.raises(InvalidInputError, match="terminal"):

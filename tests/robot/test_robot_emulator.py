@@ -1,6 +1,7 @@
 """Serving emulated controllers: ports, faults by name, and the command that does it."""
 
 import signal
+import socket
 import subprocess
 import sys
 import threading
@@ -9,7 +10,9 @@ import time
 import numpy as np
 import pytest
 import serial
+from click.testing import CliRunner
 
+from fingerpost.cli import main
 from fingerpost.errors import InvalidInputError
 from fingerpost.robot.emulator import EMULATED, Fault, make_emulator, serve
 from fingerpost.robot.emulator.acl import IMPACT_RAD, PARKED_JOINTS_RAD, AclController, AclStyle
@@ -94,10 +97,41 @@ def test_faults_come_at_random():
     assert len(set(said[1:])) > 3
 
 
-@pytest.mark.parametrize("options", [{"homing_s": 0.0}, {"time_scale": -1.0}])
+@pytest.mark.parametrize(
+    "options", [{"homing_s": 0.0}, {"time_scale": -1.0}, {"tcp_port": 65536}, {"tcp_port": -5}]
+)
 def test_values_out_of_range_are_refused(options):
     with pytest.raises(InvalidInputError):
         make_emulator("acl", **options)
+
+
+def test_a_port_that_cannot_be_made_is_refused(tmp_path):
+    (tmp_path / "folder").mkdir()
+    for link in (tmp_path / "no" / "such", tmp_path / "folder"):
+        emulator = make_emulator("acl", link=link)
+        with pytest.raises(InvalidInputError, match=f"{link}: no link can be put there"), emulator:
+            pass
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        emulator = make_emulator("acl", tcp_port=taken.getsockname()[1])
+        with pytest.raises(InvalidInputError, match="cannot be served"), emulator:
+            pass
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["stop", "acl://[x"], "acl://[x: "),
+        (["emulate", "acl", "--tcp-port", "99999"], "99999"),
+        (["emulate", "acl", "--tcp-port", "-5"], "-5"),
+        (["emulate", "acl", "--link", "/nonexistent/x"], "/nonexistent/x"),
+        (["home", "sim://", "--timeout", "nan"], "nan"),
+    ],
+)
+def test_what_the_commands_cannot_use_is_told_in_one_line(arguments, words):
+    ended = CliRunner().invoke(main, ["robot", *arguments])
+    assert ended.exit_code == 2
+    (line,) = ended.output.splitlines()
+    assert words in line
 
 
 def test_the_command_prints_the_port_and_serves_until_it_is_interrupted():

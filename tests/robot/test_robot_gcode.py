@@ -4,6 +4,7 @@ import math
 import threading
 import time
 from contextlib import contextmanager
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -28,8 +29,17 @@ from fingerpost.robot.errors import (
     RobotTimeoutError,
     StoppedError,
 )
-from fingerpost.robot.gcode import DOBOT, MARLIN, UARM, GcodeArm, GcodeOptions, checksummed
+from fingerpost.robot.gcode import (
+    DOBOT,
+    MARLIN,
+    MAX_SPEED_M_S,
+    UARM,
+    GcodeArm,
+    GcodeOptions,
+    checksummed,
+)
 from fingerpost.robot.protocol import GripperKind, Pose, Robot, RobotState
+from fingerpost.robot.registry import open_robot
 
 BOX = {"lower_m": (0.0, -0.3, -0.1), "upper_m": (0.32, 0.3, 0.2), "max_speed_m_s": 0.2}
 GOAL = Pose(0.2, 0.05, 0.1)
@@ -229,6 +239,31 @@ def test_a_uarm_has():
     assert robot.limits.gripper is GripperKind.OPEN_CLOSE
     with pytest.raises(InvalidInputError):
         robot.limits.check(Pose(0.2, 0.0, 0.1, roll_rad=0.0))
+
+
+@pytest.mark.parametrize(
+    ("options", "changes"),
+    [
+        ("lower_m=0.1,-0.1,0.02", {"lower_m": (0.1, -0.1, 0.02)}),
+        ("upper_m=0.3,0.2,0.1", {"upper_m": (0.3, 0.2, 0.1)}),
+        ("max_speed_m_s=0.02", {"max_speed_m_s": 0.02}),
+    ],
+)
+def test_every_limit_that_is_given_holds_over_a_uarms_own(options, changes):
+    limits = open_robot(f"uarm:///dev/null?{options}").limits
+    assert limits == replace(UARM.limits, **changes)
+
+
+@pytest.mark.parametrize(("given", "missing"), [("lower_m", "upper_m"), ("upper_m", "lower_m")])
+def test_half_a_box_is_refused_where_there_is_no_other_half(given, missing):
+    with pytest.raises(InvalidInputError, match=f"{missing} is missing"):
+        open_robot(f"marlin:///dev/null?{given}=0.1,0.2,0.3")
+
+
+def test_a_box_alone_is_gone_through_slowly():
+    url = "marlin:///dev/null?lower_m=0,0,0&upper_m=0.1,0.1,0.1"
+    assert open_robot(url).limits.max_speed_m_s == MAX_SPEED_M_S
+    assert open_robot(f"{url}&max_speed_m_s=0.2").limits.max_speed_m_s == 0.2
 
 
 def test_a_dobot_like_arm_turns_its_gripper():

@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from robot_rig import TIME_SCALE, ManualClock, fast_options, scorbot_rig
 
-from fingerpost.errors import InvalidInputError
+from fingerpost.errors import InvalidInputError, RecordingError
 from fingerpost.pointing import Fix, Status
 from fingerpost.robot.emulator.acl import AclStyle
 from fingerpost.robot.emulator.faults import Fault
@@ -71,14 +71,14 @@ class Rig:
 
 
 @contextmanager
-def guard_rig(*, home=True, arm=True, enter=True, **options):
+def guard_rig(*, home=True, arm=True, enter=True, on_record=None, **options):
     clock = ManualClock()
     robot = SimulatedRobot(SimulatedOptions(homing_s=0.0), clock=clock, sleep=clock.sleep)
     robot.connect()
     if home:
         robot.home()
     options = GuardOptions(**{**PATIENT, **options})
-    guard = Guard(robot, PLANE, REGION, options, clock=clock)
+    guard = Guard(robot, PLANE, REGION, options, clock=clock, on_record=on_record)
     rig = Rig(robot, guard, clock)
     if home and arm:
         guard.arm()
@@ -262,7 +262,7 @@ def test_what_has_been_selected_goes_on_without_a_fix():
 def test_a_robot_that_fails_is_disarmed(state, monkeypatch):
     with guard_rig() as rig:
         rig.start_moving(Presence.OPERATOR)
-        status = RobotStatus(state, False, None, None, None)
+        status = RobotStatus(state, False, None, None)
         monkeypatch.setattr(rig.robot, "status", lambda: status)
         rig.guard.check()
         assert not rig.guard.armed
@@ -328,19 +328,188 @@ def test_disarming_is_a_stop():
         assert not rig.guard.armed
 
 
+def move(rig, **fields):
+    return rig.guard.move(
+        [290, 390], 0.1, fix=rig.fix(), needs=Presence.OPERATOR, speed_m_s=0.02, **fields
+    )
+
+
+def interrupt_before(method, interrupt, rig, monkeypatch):
+    """Have the guard interrupted when the robot is called, before it does what it is told."""
+    real = getattr(rig.robot, method)
+
+    def late(*arguments, **fields):
+        getattr(rig.guard, interrupt)("just now")
+        return real(*arguments, **fields)
+
+    monkeypatch.setattr(rig.robot, method, late)
+
+
 @pytest.mark.parametrize("interrupt", ["hold", "halt"])
-def test_an_interruption_that_overtakes_a_command_is_repeated_after_it(interrupt, monkeypatch):
+@pytest.mark.parametrize(
+    ("method", "command"),
+    [
+        ("move_to", lambda rig: move(rig, wait=False)),
+        ("gripper", lambda rig: rig.guard.gripper("close", fix=rig.fix())),
+        ("wait", move),
+        ("wait", lambda rig: rig.guard.visit([290, 390], 0.1)),
+        ("wait", lambda rig: rig.guard.enter()),
+    ],
+    ids=["move", "gripper", "wait", "visit", "enter"],
+)
+def test_an_interruption_that_overtakes_a_command_is_repeated_after_it(
+    interrupt, method, command, monkeypatch
+):
     with guard_rig() as rig:
-        move_to = rig.robot.move_to
-
-        def late(*arguments, **fields):
-            getattr(rig.guard, interrupt)("just now")
-            move_to(*arguments, **fields)
-
-        monkeypatch.setattr(rig.robot, "move_to", late)
+        interrupt_before(method, interrupt, rig, monkeypatch)
         with pytest.raises(StoppedError):
-            rig.guard.move([290, 390], 0.1, fix=rig.fix(), needs=Presence.OPERATOR, wait=False)
+            command(rig)
         assert not rig.is_moving()
+        assert not rig.guard.busy
+        assert rig.guard.armed is (interrupt == "hold")
+
+
+@pytest.mark.parametrize("interrupt", ["hold", "halt"])
+def test_an_arm_that_was_stopped_on_its_way_in_is_not_inside(interrupt, monkeypatch):
+    with guard_rig(enter=False) as rig:
+        with monkeypatch.context() as patch:
+            interrupt_before("wait", interrupt, rig, patch)
+            with pytest.raises(StoppedError):
+                rig.guard.enter()
+        rig.guard.arm()
+        with pytest.raises(RefusedError, match="enter"):
+            move(rig)
+
+
+@pytest.mark.parametrize(
+    "command",
+    [move, lambda rig: rig.guard.gripper("close", fix=rig.fix())],
+    ids=["move", "gripper"],
+)
+def test_what_was_stopped_before_it_was_sent_is_not_sent(command, monkeypatch):
+    def stop(record):
+        if record.command in ("move", "gripper"):
+            rig.guard.halt("just now")
+
+    with guard_rig(on_record=stop) as rig:
+        sent = []
+        for method in ("move_to", "gripper"):
+            monkeypatch.setattr(rig.robot, method, lambda *_, **__: sent.append(1))
+        with pytest.raises(StoppedError):
+            command(rig)
+        assert sent == []
+
+
+# A log that fails.
+
+
+class FailingLog:
+    """A log on a disk that may be full."""
+
+    def __init__(self):
+        self.full = False
+
+    def __call__(self, _record):
+        if self.full:
+            raise RecordingError("commands.csv: cannot be written: No space left on device")
+
+
+@pytest.fixture
+def log():
+    return FailingLog()
+
+
+@pytest.mark.parametrize("stop", ["hold", "halt", "disarm"])
+def test_a_log_that_fails_keeps_no_stop_from_the_arm(log, stop):
+    with guard_rig(on_record=log) as rig:
+        rig.start_moving(Presence.OPERATOR)
+        log.full = True
+        getattr(rig.guard, stop)(*() if stop == "disarm" else ("enough",))
+        assert not rig.is_moving()
+        assert rig.guard.records[-1].command == stop
+        log.full = False
+        with pytest.raises(RecordingError, match="No space left"):  # whose record is missing
+            move(rig)
+        assert not rig.guard.armed
+        rig.guard.arm()
+        move(rig)
+
+
+def test_what_cannot_be_logged_is_not_sent(log):
+    with guard_rig(on_record=log) as rig:
+        log.full = True
+        with pytest.raises(RecordingError):
+            move(rig)
+        assert not rig.is_moving()
+        assert not rig.guard.armed
+        with pytest.raises(RecordingError):
+            rig.guard.arm()
+        assert not rig.guard.armed
+        rig.robot.move_to(PLANE.pose(CENTRE, 0.1), speed_m_s=0.01, wait=False)
+        rig.guard.halt("enough")
+        assert not rig.is_moving()
+
+
+def test_a_guard_whose_arming_cannot_be_logged_is_not_armed(log):
+    with guard_rig(arm=False, on_record=log) as rig:
+        log.full = True
+        with pytest.raises(RecordingError):
+            rig.guard.arm()
+        assert not rig.guard.armed
+        log.full = False
+        rig.guard.arm()
+        assert rig.guard.armed
+
+
+def test_a_stop_that_could_not_be_logged_is_told_at_the_end_of_the_block(log):
+    with guard_rig(on_record=log) as rig:
+
+        def end(error=None):
+            with rig.guard:
+                rig.start_moving(Presence.OPERATOR)
+                log.full = True
+                if error is not None:
+                    raise error
+
+        with pytest.raises(RecordingError):
+            end()
+        assert not rig.is_moving()
+        log.full = False
+        rig.guard.arm()
+        rig.guard.enter()
+        with pytest.raises(ZeroDivisionError):
+            end(ZeroDivisionError("somewhere else"))
+        assert not rig.is_moving()
+
+
+def test_the_watch_outlives_a_log_that_fails(log):
+    """In real time, from its own thread."""
+
+    def until_disarmed():
+        end_s = time.monotonic() + 5.0
+        while guard.armed and time.monotonic() < end_s:
+            time.sleep(0.01)
+        assert not guard.armed
+
+    with SimulatedRobot(SimulatedOptions(homing_s=0.0)) as robot:
+        robot.home()
+        options = GuardOptions(operator_timeout_s=0.2)
+        guard = Guard(robot, PLANE, REGION, options, on_record=log)
+
+        def run():
+            with guard.watching():
+                guard.arm()
+                log.full = True
+                until_disarmed()
+                with pytest.raises(RecordingError):
+                    guard.arm()
+                log.full = False
+                guard.arm()
+                log.full = True
+                until_disarmed()  # by the same watch
+
+        with pytest.raises(RecordingError):
+            run()
 
 
 def test_the_watch_stops_the_arm_by_itself():

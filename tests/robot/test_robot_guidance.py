@@ -431,6 +431,29 @@ def test_every_step_can_be_aborted_and_then_taken_again_or_undone(step, then):
         assert_state(rig, *AFTER[Step.RETREAT])
 
 
+def test_a_step_that_is_stopped_before_it_is_waited_for_is_not_taken(monkeypatch):
+    with guard_rig() as rig:
+        machine = pick_place(rig)
+        while machine.next_step is not Step.GO:
+            machine.advance()
+        wait = rig.robot.wait
+
+        def late(**fields):
+            machine.abort()
+            wait(**fields)
+
+        with monkeypatch.context() as patch:
+            patch.setattr(rig.robot, "wait", late)
+            with pytest.raises(StoppedError):
+                machine.advance()
+        assert machine.interrupted
+        assert machine.next_step is Step.GO
+        rig.guard.arm()
+        for step in (Step.GO, Step.LOWER):
+            assert machine.advance() is step
+            assert_state(rig, *AFTER[step])
+
+
 def test_a_place_outside_the_region_is_refused_not_moved():
     with guard_rig() as rig:
         inside, outside = (Selection(point, rig.fix(CENTRE)) for point in (CENTRE, [310.0, 50.0]))

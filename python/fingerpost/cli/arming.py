@@ -4,24 +4,40 @@ from __future__ import annotations
 
 import signal
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
+import msgspec
+
+from fingerpost.errors import InvalidInputError
 
 if TYPE_CHECKING:
     from fingerpost.robot import Guard, HomingProgress, Robot
     from fingerpost.robot.guard import RecordCallback
 
 Command = TypeVar("Command", bound=Callable[..., Any])
+Options = TypeVar("Options", bound=msgspec.Struct)
+
+LONGEST_HOMING_S = 3600.0
+"""Nobody watches an arm home for longer [s]."""
 
 ENDING_SIGNALS = tuple(
     getattr(signal, name) for name in ("SIGTERM", "SIGHUP", "SIGQUIT") if hasattr(signal, name)
 )
 """Signals that end a program; an interrupted one exits with 128 and the signal's number."""
+
+
+def homing_seconds(context: click.Context, parameter: click.Parameter, value: float) -> float:
+    """Check a time-out of homing; `click.FloatRange` would let NaN pass."""
+    if not 0 < value <= LONGEST_HOMING_S:
+        raise click.BadParameter(
+            f"{value:g} s; above 0, at most {LONGEST_HOMING_S:g} s is right", context, parameter
+        )
+    return value
 
 
 def arming_options(command: Command) -> Command:
@@ -36,7 +52,12 @@ def arming_options(command: Command) -> Command:
                 help="Write every command with the fix that caused it.",
             ),
             click.option(
-                "--homing-timeout", type=float, default=180.0, show_default=True, metavar="S"
+                "--homing-timeout",
+                type=float,
+                callback=homing_seconds,
+                default=180.0,
+                show_default=True,
+                metavar="S",
             ),
             click.option(
                 "--operator-timeout",
@@ -50,6 +71,21 @@ def arming_options(command: Command) -> Command:
     ):
         command = option(command)
     return command
+
+
+def laid_over(kind: type[Options], given: Mapping[str, Any], what: str) -> Options:
+    """Lay what was given over the defaults, which stand where the options are defined.
+
+    Raises
+    ------
+    InvalidInputError
+        A value that the options do not take: their constructor would not check it.
+    """
+    named = {name: value for name, value in given.items() if value is not None}
+    try:
+        return msgspec.convert(named, kind)
+    except msgspec.ValidationError as error:
+        raise InvalidInputError(f"options {what}: {error}") from error
 
 
 def need_consent(arm: bool, what: str) -> None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from fingerpost.cli.arming import show_homing
+from fingerpost.cli.arming import homing_seconds, show_homing
 from fingerpost.cli.robot_guide import follow, pick
 from fingerpost.cli.robot_plane import plane
 
@@ -35,7 +35,14 @@ def list_robots() -> None:
 
 @robot.command()
 @click.argument("url")
-@click.option("--timeout", type=float, default=180.0, show_default=True, help="Give up after, s.")
+@click.option(
+    "--timeout",
+    type=float,
+    callback=homing_seconds,
+    default=180.0,
+    show_default=True,
+    help="Give up after, s.",
+)
 def home(url: str, timeout: float) -> None:
     """Home an arm and print where its gripper is. The arm moves; Ctrl-C stops it."""
     from fingerpost.robot import open_robot

@@ -12,18 +12,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
-import msgspec
 
 from fingerpost.cli.arming import (
     arming_options,
     ending_orderly,
     guarded,
     home,
+    laid_over,
     need_consent,
     open_log,
     tell,
 )
-from fingerpost.errors import InvalidInputError
+from fingerpost.cli.outputs import keep_apart, rig_files
 
 if TYPE_CHECKING:
     from fingerpost.capture import Frame
@@ -33,7 +33,6 @@ if TYPE_CHECKING:
 
 _IN = click.Path(path_type=Path)
 Command = TypeVar("Command", bound=Callable[..., Any])
-Options = TypeVar("Options", bound=msgspec.Struct)
 
 
 def _guiding_options(command: Command) -> Command:
@@ -122,7 +121,7 @@ def pick(
 
     names = ("travel_m", "grip_m", "release_m", "grip")
     carried = {name: given.pop(name) for name in names} | {"speed_m_s": given["speed_m_s"]}
-    carry = _laid_over(PickPlaceOptions, carried, "of picking and placing")
+    carry = laid_over(PickPlaceOptions, carried, "of picking and placing")
     if (select == "key" or step_by_step) and not sys.stdin.isatty():
         raise click.UsageError("--select key and --step need a terminal as standard input")
     choose = {"dwell_s": dwell_s, "radius_m": radius_m, "by_key": select == "key"}
@@ -139,12 +138,13 @@ def _guide(
     from fingerpost.robot import FollowOptions, GuardOptions, open_robot
 
     rig = Rig.load(given["rig_file"])
+    keep_apart({"--log": given["log"]}, rig_files(given["rig_file"], rig))
     table = robot_of(rig)
     attendance = Attendance(given["attendance"])
     has_keys = sys.stdin.isatty()
     if attendance is Attendance.KEY and not has_keys:
         raise click.UsageError("--attendance key needs a terminal as standard input")
-    guard_options = _laid_over(
+    guard_options = laid_over(
         GuardOptions,
         {
             "tolerance_m": given["tolerance_m"],
@@ -155,9 +155,7 @@ def _guide(
         "of the guard",
     )
     names = ("above_m", "speed_m_s", "stride_s", "min_cutoff_hz", "slope_hz_m")
-    follow_options = _laid_over(
-        FollowOptions, {name: given[name] for name in names}, "of following"
-    )
+    follow_options = laid_over(FollowOptions, {name: given[name] for name in names}, "of following")
     pointer = Pointer(rig)
     robot = open_robot(given["url"] or table.url)
     guard_of(robot, table, guard_options)  # a region that is none is refused before all else
@@ -234,12 +232,3 @@ def _print_report(fix: Fix, report: FollowReport) -> None:
 def _report(session: Session, *, as_json: bool) -> None:
     report = session.report
     click.echo(json.dumps(report.as_dict()) if as_json else "\n".join(report.lines()))
-
-
-def _laid_over(kind: type[Options], given: dict[str, Any], what: str) -> Options:
-    """Lay what was given over the defaults, which stand where the options are defined."""
-    named = {name: value for name, value in given.items() if value is not None}
-    try:
-        return msgspec.convert(named, kind)
-    except msgspec.ValidationError as error:
-        raise InvalidInputError(f"options {what}: {error}") from error

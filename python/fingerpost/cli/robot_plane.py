@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
@@ -16,15 +17,21 @@ from fingerpost.cli.arming import (
     ending_orderly,
     guarded,
     home,
+    laid_over,
     need_consent,
     open_log,
     tell,
 )
+from fingerpost.cli.outputs import keep_apart, rig_files
+from fingerpost.errors import CaptureError, InvalidInputError
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from fingerpost.capture import Frame
     from fingerpost.config import Rig, RobotTable
-    from fingerpost.guidance import GripperFinder, PlaneByRobot, PlaneOptions, Visit
+    from fingerpost.guidance import GripperFinder, PlaneByRobot, Visit
 
 _IN = click.Path(path_type=Path)
 Start = tuple[str, float, float, float, float]
@@ -95,7 +102,10 @@ def _corners(
 @click.option("--threshold", type=float, default=25.0, help="Least change (motion), grey levels.")
 @click.option("--pixels", type=_IN, help="CSV place,view,u,v (pixels); without it you are asked.")
 @click.option(
-    "--pictures", type=_IN, metavar="DIR", help="Save what every view shows at each place."
+    "--pictures",
+    type=_IN,
+    metavar="DIR",
+    help="Save what you are asked about here (pixels); else in the working folder.",
 )
 @click.option("--offset", "offset_m", type=(float, float, float), help="Found point from tip, m.")
 @click.option("--lift", "lift_m", type=float, help="Height of the way between places, m.")
@@ -127,17 +137,22 @@ def plane(
     """
     from fingerpost.capture import SourceKind, open_source, read_views
     from fingerpost.config import Rig, RobotTable
-    from fingerpost.errors import CaptureError, InvalidInputError
-    from fingerpost.guidance import attended, define_plane, guard_of, held_down
+    from fingerpost.guidance import PlaneOptions, attended, define_plane, guard_of, held_down
     from fingerpost.robot import GuardOptions, open_robot
 
     cameras = Rig.load_cameras(rig_file)
+    keep_apart({"--log": log, "--output": output}, [])
+    keep_apart({"--log": log}, rig_files(rig_file, cameras))
     table = RobotTable(url=url, height_m=height_m, region_m=region, z_m=z_m)
-    options = _plane_options(given)
+    names = ("points", "offset_m", "lift_m", "speed_m_s", "max_sigma_m")
+    options = laid_over(PlaneOptions, {name: given[name] for name in names}, "of the visits")
+    guard_options = laid_over(
+        GuardOptions, {"operator_timeout_s": operator_timeout}, "of the guard"
+    )
     finders = _finders(cameras, given)
     robot = open_robot(url)
+    _need_file(output)  # what the visits are for must not be lost at their end
     with ExitStack() as stack:
-        guard_options = GuardOptions(operator_timeout_s=operator_timeout)
         guard_of(robot, table, guard_options)  # a region that is none is refused before all else
         need_consent(arm, "robot plane")
         on_record = open_log(stack, log)
@@ -165,23 +180,43 @@ def plane(
             found = define_plane(
                 guard, cameras, frames, finders, options, progress=_progress(options.points)
             )
-    found.rig(cameras, table).save(output)
-    _report(found, output, as_json)
+            # Inside, as a log that fails with the last stop makes leaving the block raise.
+            _report(found, as_json)
+            found.rig(cameras, table).save(output)
+    if not as_json:
+        click.echo(f"written to {output}")
 
 
-def _plane_options(given: Mapping[str, Any]) -> PlaneOptions:
-    """Lay what was given over the defaults."""
-    import msgspec
-
-    from fingerpost.errors import InvalidInputError
-    from fingerpost.guidance import PlaneOptions
-
-    names = ("points", "offset_m", "lift_m", "speed_m_s", "max_sigma_m")
-    named = {name: given[name] for name in names if given[name] is not None}
+def _need_file(path: Path) -> None:
+    """See that the new rig can be written, by writing what `Rig.save` would write first."""
+    problem = ""
     try:
-        return msgspec.convert(named, PlaneOptions)
-    except msgspec.ValidationError as error:
-        raise InvalidInputError(f"options of the visits: {error}") from error
+        if path.is_dir():
+            problem = "it is a folder"
+        elif path.exists() and not path.is_file():
+            problem = "it is no file"
+        else:
+            part = path.with_name(f"{path.name}.part")
+            part.touch()
+            part.unlink()
+    except OSError as error:
+        problem = str(error.strerror)
+    if problem:
+        raise InvalidInputError(
+            f"-o {path} cannot be written: {problem}; name a file in an existing folder"
+        )
+
+
+def _need_folder(path: Path) -> None:
+    """See that pictures can be saved in a folder, which is made if it does not exist."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=path):
+            pass
+    except OSError as error:
+        raise InvalidInputError(
+            f"--pictures {path}: nothing can be saved there: {error.strerror}; name a folder"
+        ) from error
 
 
 def _replaced(table: RobotTable, changes: Mapping[str, Any]) -> RobotTable:
@@ -242,7 +277,9 @@ def _given_finders(
     if given["pixels"] is None:
         if not sys.stdin.isatty():
             raise click.UsageError("--finder pixels needs --pixels, or a terminal to ask on")
-        return [GivenFinder(_asking(name, given["pictures"]), **sigma) for name in names]
+        pictures = given["pictures"] or Path()
+        _need_folder(pictures)
+        return [GivenFinder(_asking(name, pictures), **sigma) for name in names]
     pixels = load_pixels(given["pixels"])
     for name in names:
         if name not in pixels:
@@ -256,15 +293,14 @@ def _looking_up(
     return lambda place, _frame: pixels.get(place)
 
 
-def _asking(name: str, pictures: Path | None) -> Callable[[int, Frame], tuple[float, float] | None]:
+def _asking(name: str, pictures: Path) -> Callable[[int, Frame], NDArray[np.float64] | None]:
     """Return what asks for a pixel on the terminal, having saved the picture to look at."""
 
-    def ask(place: int, frame: Frame) -> tuple[float, float] | None:
+    def ask(place: int, frame: Frame) -> NDArray[np.float64] | None:
+        from fingerpost.guidance.finders import pixel_of
         from fingerpost.recording import write_picture
 
-        folder = pictures or Path()
-        path = folder / f"place-{place + 1:02d}-{name}.png"
-        folder.mkdir(parents=True, exist_ok=True)
+        path = pictures / f"place-{place + 1:02d}-{name}.png"
         write_picture(path, frame.image)
         while True:
             answer = click.prompt(
@@ -277,10 +313,11 @@ def _asking(name: str, pictures: Path | None) -> Callable[[int, Frame], tuple[fl
                 return None
             try:
                 u, v = (float(number) for number in answer.replace(",", " ").split())
+                return pixel_of((u, v), frame, "the pixel")
+            except InvalidInputError as error:
+                tell(str(error))
             except ValueError:
                 tell("two numbers are needed")
-            else:
-                return u, v
 
     return ask
 
@@ -296,8 +333,5 @@ def _progress(points: int) -> Callable[[Visit], None]:
     return show
 
 
-def _report(found: PlaneByRobot, output: Path, as_json: bool) -> None:
-    if as_json:
-        click.echo(json.dumps(found.as_dict()))
-    else:
-        click.echo("\n".join([*found.lines(), f"written to {output}"]))
+def _report(found: PlaneByRobot, as_json: bool) -> None:
+    click.echo(json.dumps(found.as_dict()) if as_json else "\n".join(found.lines()))

@@ -357,14 +357,25 @@ class GivenFinder(GripperFinder):
         pixel = self._ask(place, frames[-1])
         if pixel is None:
             raise GripperNotFoundError("no pixel is given")
-        height, width = frames[-1].image.shape[:2]
-        u, v = finite_array(pixel, f"pixel of place {place + 1}", (2,))
-        if not (-0.5 <= u <= width - 0.5 and -0.5 <= v <= height - 0.5):
-            raise InvalidInputError(
-                f"pixel of place {place + 1} is ({u:g}, {v:g}), outside the image of "
-                f"{width} x {height} px"
-            )
-        return Sighting(np.array([u, v]), self._sigma_px**2 * np.eye(2))
+        pixel = pixel_of(pixel, frames[-1], f"pixel of place {place + 1}")
+        return Sighting(pixel, self._sigma_px**2 * np.eye(2))
+
+
+def pixel_of(value: ArrayLike, frame: Frame, name: str) -> NDArray[np.float64]:
+    """Give `value` as a pixel (u, v) of a frame.
+
+    Raises
+    ------
+    InvalidInputError
+        Not two finite numbers, or outside the image.
+    """
+    height, width = frame.image.shape[:2]
+    u, v = finite_array(value, name, (2,))
+    if not (-0.5 <= u <= width - 0.5 and -0.5 <= v <= height - 0.5):
+        raise InvalidInputError(
+            f"{name} is ({u:g}, {v:g}), outside the image of {width} x {height} px"
+        )
+    return np.array([u, v])
 
 
 def load_pixels(path: str | Path) -> dict[str, dict[int, tuple[float, float]]]:

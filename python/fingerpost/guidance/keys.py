@@ -18,7 +18,8 @@ class Keys:
     """Reads a terminal's keys in a thread, so that a stop waits for nothing; a context manager.
 
     The terminal gives every key at once and does not show it; Ctrl-C and Ctrl-Z stay signals. On
-    leaving, it is as it was.
+    leaving, it is as it was. A key whose callback fails ends nothing, as the next one may be a
+    stop: the first failure is raised on leaving, unless something else is under way.
 
     Parameters
     ----------
@@ -47,6 +48,7 @@ class Keys:
         self._descriptor = sys.stdin.fileno() if descriptor is None else descriptor
         if not os.isatty(self._descriptor):
             raise InvalidInputError("keys need a terminal as standard input")
+        self._error: Exception | None = None
         self._before: list[Any] = []
         self._wake_out, self._wake_in = -1, -1
         self._thread = threading.Thread(target=self._read, name="keys", daemon=True)
@@ -75,6 +77,8 @@ class Keys:
         os.close(self._wake_in)
         with suppress(termios.error):  # the terminal may be gone
             termios.tcsetattr(self._descriptor, termios.TCSADRAIN, self._before)
+        if kind is None and self._error is not None:
+            raise self._error
 
     def _read(self) -> None:
         while True:
@@ -86,7 +90,13 @@ class Keys:
             except OSError:
                 pressed = b""
             if not pressed:
-                self._on_end()
+                self._tell(self._on_end)
                 return
             for key in pressed.decode("utf-8", errors="replace"):
-                self._on_key(key)
+                self._tell(self._on_key, key)
+
+    def _tell(self, callback: Callable[..., None], *keys: str) -> None:
+        try:
+            callback(*keys)
+        except Exception as error:  # whatever it is, the stop key must go on working
+            self._error = self._error or error

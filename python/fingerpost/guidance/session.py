@@ -264,8 +264,10 @@ class Session:
         trace: TracebackType | None,
     ) -> None:
         # Before the worker is waited for: what it waits for is the arm.
-        self._guard.__exit__(kind, error, trace)
-        self._worker.__exit__(kind, error, trace)
+        try:
+            self._guard.__exit__(kind, error, trace)
+        finally:
+            self._worker.__exit__(kind, error, trace)
 
     def press(self, key: str) -> None:
         """Take a key, from any thread; the key that stops does so at once."""

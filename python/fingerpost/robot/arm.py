@@ -147,7 +147,6 @@ class Arm(ABC):
         self._goal: Pose | None = None
         self._due_s = 0.0  # when the arm must have come to its goal
         self._last_pose: Pose | None = None
-        self._last_pose_time_s: float | None = None
 
     # What a driver provides. Each raises a RobotError, and none waits past the turn's deadline.
 
@@ -411,9 +410,7 @@ class Arm(ABC):
 
     def status(self) -> RobotStatus:
         """Tell what is known, without waiting."""
-        return RobotStatus(
-            self._state, self._homed, self._last_pose, self._last_pose_time_s, self._fault
-        )
+        return RobotStatus(self._state, self._homed, self._last_pose, self._fault)
 
     # What drivers use.
 
@@ -440,10 +437,6 @@ class Arm(ABC):
             self._check(turn)
             self._sleep_for(min(left_s, SLICE_S))
         self._check(turn)
-
-    def _last_angle(self, angle: Angle) -> float | None:
-        value: float | None = getattr(self._last_pose, angle, None)
-        return value
 
     # Inside.
 
@@ -488,7 +481,7 @@ class Arm(ABC):
     def _forget(self) -> None:
         self._state = RobotState.DISCONNECTED
         self._homed, self._fault, self._goal = False, None, None
-        self._last_pose = self._last_pose_time_s = None
+        self._last_pose = None
 
     def _short_turn(self) -> Turn:
         return Turn(self._stops, self._clock() + READING_TIMEOUT_S)
@@ -500,7 +493,7 @@ class Arm(ABC):
         except (RobotFaultError, ConnectionLostError):
             with self._failing_safely():
                 raise
-        self._last_pose, self._last_pose_time_s = pose, self._clock()
+        self._last_pose = pose
         return pose
 
     def _await_arrival(self, goal: Pose, turn: Turn) -> None:

@@ -21,12 +21,13 @@ import math
 import re
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Annotated
 
 import msgspec
 
+from fingerpost.errors import InvalidInputError
 from fingerpost.robot.arm import Arm, ArrivalRule, Turn
 from fingerpost.robot.errors import (
     CommandRefusedError,
@@ -44,6 +45,9 @@ from fingerpost.robot.serial_line import Flow, SerialLine, Tap
 logger = logging.getLogger(__name__)
 
 MM_PER_M = 1000.0
+MAX_SPEED_M_S = 0.1
+"""Greatest speed of an arm that has no limits of its own and is given a box only [m/s]."""
+
 STARTUP_S = 8.0
 """A board that resets when its port is opened is ready after this [s]."""
 
@@ -171,9 +175,11 @@ class GcodeOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     open_gripper, close_gripper : str or None
         Commands of the gripper, where the dialect knows none.
     lower_m, upper_m : tuple of 3 floats, or None
-        Box of permitted positions [m]; both are needed where the dialect knows no limits.
-    max_speed_m_s : float
-        Greatest speed, with the box [m/s].
+        Corners of the box of permitted positions [m]; what is not given is the dialect's own, and
+        both are needed where the dialect knows no limits.
+    max_speed_m_s : float or None
+        Greatest speed that may be asked for [m/s]; the dialect's own by default, or
+        `MAX_SPEED_M_S`.
     """
 
     baud: Annotated[int, msgspec.Meta(gt=0)] | None = None
@@ -187,7 +193,7 @@ class GcodeOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     close_gripper: str | None = None
     lower_m: tuple[float, float, float] | None = None
     upper_m: tuple[float, float, float] | None = None
-    max_speed_m_s: Annotated[float, msgspec.Meta(gt=0)] = 0.1
+    max_speed_m_s: Annotated[float, msgspec.Meta(gt=0)] | None = None
 
 
 _COORDINATES = re.compile(
@@ -214,6 +220,16 @@ _UNREACHABLE = 22
 _HALTED = re.compile(r"halt|kill", re.IGNORECASE)
 
 
+def _need_no_half_box(options: GcodeOptions) -> None:
+    """Refuse one corner without the other: a limit that is given must not be passed over."""
+    for given, missing in (("lower_m", "upper_m"), ("upper_m", "lower_m")):
+        if (corner := getattr(options, given)) is not None:
+            raise InvalidInputError(
+                f"{given} is {corner}, but {missing} is missing: this arm has no limits of its "
+                "own, so both corners of the box are needed"
+            )
+
+
 def checksummed(number: int, command: str) -> str:
     """Return a line with Marlin's number and sum: the exclusive or of all bytes before the star."""
     body = f"N{number} {command}"
@@ -235,11 +251,16 @@ class GcodeArm(Arm):
     options : GcodeOptions
         How to talk to it.
     limits : Limits, optional
-        What it may be asked for; by default the box of the options, or the dialect's own.
+        What it may be asked for; by default the dialect's own with the box of the options.
     tap : callable, optional
         Sees every transfer, `tap("out" or "in", data)`.
     clock, sleep : callable
         Monotonic time [s], and a wait of so many seconds of it.
+
+    Raises
+    ------
+    InvalidInputError
+        A box that is none, or one corner of a box where the dialect has no limits of its own.
     """
 
     def __init__(
@@ -260,7 +281,7 @@ class GcodeArm(Arm):
             options.open_gripper or dialect.open_gripper,
         )
         super().__init__(
-            limits or self._declared_limits() or dialect.limits,
+            limits or self._declared_limits(),
             arrival=ArrivalRule(poll_s=options.poll_s, stall_s=options.stall_s),
             clock=clock,
             sleep=sleep,
@@ -274,13 +295,22 @@ class GcodeArm(Arm):
         self._in_step_since = 0
 
     def _declared_limits(self) -> Limits | None:
+        """Lay the limits that were given over the dialect's own, if it has any."""
         options = self._options
+        if self._dialect.limits is not None:
+            declared = {
+                name: value
+                for name in ("lower_m", "upper_m", "max_speed_m_s")
+                if (value := getattr(options, name)) is not None
+            }
+            return replace(self._dialect.limits, **declared)
         if options.lower_m is None or options.upper_m is None:
+            _need_no_half_box(options)
             return None
         return Limits(
             lower_m=options.lower_m,
             upper_m=options.upper_m,
-            max_speed_m_s=options.max_speed_m_s,
+            max_speed_m_s=options.max_speed_m_s or MAX_SPEED_M_S,
             angles=frozenset({Angle.ROLL} if self._dialect.rotation else ()),
             gripper=GripperKind.OPEN_CLOSE if all(self._grip) else GripperKind.NONE,
         )

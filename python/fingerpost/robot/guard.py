@@ -10,6 +10,9 @@ A `Guard` is the only way by which guidance moves a robot. It lets a command pas
 `check`, called often (`watching` does it from a thread), stops the robot when one of these ends
 while it moves. Whatever passes or is refused, and every stop, goes into the log with the fix that
 caused it.
+
+A log that fails never stands in the way of a stop, but nothing passes that could not be logged:
+the failure is kept, and raised at the next command, when arming, or at the end of the block.
 """
 
 from __future__ import annotations
@@ -66,6 +69,8 @@ RECORDS_KEPT = 10_000
 class GuardOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """When a command may pass.
 
+    The upper bounds are far from any use; they keep out what would switch a check off.
+
     Attributes
     ----------
     tolerance_m : float
@@ -84,12 +89,12 @@ class GuardOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         Greatest speed of any command [m/s].
     """
 
-    tolerance_m: Annotated[float, msgspec.Meta(gt=0)] = 0.01
+    tolerance_m: Annotated[float, msgspec.Meta(gt=0, le=1)] = 0.01
     confidence: Annotated[float, msgspec.Meta(gt=0, lt=1)] = 0.95
-    max_fix_age_s: Annotated[float, msgspec.Meta(gt=0)] = 0.3
-    operator_timeout_s: Annotated[float, msgspec.Meta(gt=0)] = 1.0
-    clearance_m: Annotated[float, msgspec.Meta(ge=0)] = 0.001
-    max_speed_m_s: Annotated[float, msgspec.Meta(gt=0)] = 0.1
+    max_fix_age_s: Annotated[float, msgspec.Meta(gt=0, le=60)] = 0.3
+    operator_timeout_s: Annotated[float, msgspec.Meta(gt=0, le=60)] = 1.0
+    clearance_m: Annotated[float, msgspec.Meta(ge=0, le=1)] = 0.001
+    max_speed_m_s: Annotated[float, msgspec.Meta(gt=0, le=10)] = 0.1
 
 
 class Presence(StrEnum):
@@ -157,7 +162,9 @@ class Guard:
     clock : callable
         The clock of the fixes' `time_s` [s].
     on_record : callable, optional
-        Called with every `CommandRecord`.
+        Called with every `CommandRecord`. What it raises for a stop is raised later: by the next
+        command, by `arm`, or at the end of a `with` block or of `watching` that nothing else ends.
+        What it raises for a command voids the command, and the arm is halted.
 
     Raises
     ------
@@ -181,6 +188,7 @@ class Guard:
         self._robot = robot
         self._clock = clock
         self._on_record = on_record or (lambda _: None)
+        self._log_error: Exception | None = None
         self._allowed = self._without_rim()
         self._records: deque[CommandRecord] = deque(maxlen=RECORDS_KEPT)
         self._armed = False
@@ -249,7 +257,10 @@ class Guard:
             The robot is not connected, not homed, in a fault, or has no limits.
         OutOfReachError
             Part of the safe region is outside the robot's limits.
+        Exception
+            The log's own: this record, or that of a stop before it, could not be written.
         """
+        self._need_log()
         status = self._robot.status()
         try:
             if status.state in (RobotState.DISCONNECTED, RobotState.FAULT):
@@ -347,10 +358,11 @@ class Guard:
         NotArmedError, RobotError
             As for `move`.
         """
+        interruptions = self._interruptions
         self._need_armed("enter", None)
         goal = self.plane.pose(self._allowed.centre, self._allowed.highest_m)
-        self._send("enter", goal, None, Presence.OPERATOR, None, self._interruptions)
-        self._finish()
+        self._send("enter", goal, None, Presence.OPERATOR, None, interruptions)
+        self._finish(interruptions)
         self._inside = True
 
     def visit(self, point: ArrayLike, above_m: float, *, speed_m_s: float | None = None) -> Pose:
@@ -388,7 +400,7 @@ class Guard:
             raise OutOfReachError(f"{problem}; {goal} will do")
         self._need_inside(None)
         pose = self._send("visit", goal, None, Presence.OPERATOR, speed_m_s, interruptions)
-        self._finish()
+        self._finish(interruptions)
         return pose
 
     def make_way(self, aside: ArrayLike | None = None, *, speed_m_s: float = AWAY_M_S) -> Pose:
@@ -466,6 +478,8 @@ class Guard:
             Held or halted meanwhile.
         RobotError
             The robot's own; the guard has been disarmed.
+        Exception
+            The log's own; the command has not been sent, and the guard has been disarmed.
         """
         interruptions = self._interruptions
         if self._fix is None or fix.time_s > self._fix.time_s:
@@ -478,7 +492,7 @@ class Guard:
         goal = self.plane.pose(*self.clamp(point, above_m))
         pose = self._send("move", goal, fix, needs, speed_m_s, interruptions)
         if wait:
-            self._finish()
+            self._finish(interruptions)
         return pose
 
     def gripper(self, target: GripperTarget, *, fix: Fix) -> None:
@@ -486,13 +500,14 @@ class Guard:
 
         Raises
         ------
-        NotArmedError, RobotError
+        NotArmedError, StoppedError, RobotError
             As for `move`.
         """
+        interruptions = self._interruptions
         self._need_armed("gripper", fix)
         self._needs = Presence.OPERATOR
         self._record("gripper", str(target), fix=fix)
-        with self._halting("gripper"):
+        with self._uninterrupted("gripper", interruptions):
             self._robot.gripper(target)
         self._needs = None
 
@@ -522,7 +537,13 @@ class Guard:
 
     @contextmanager
     def watching(self) -> Iterator[Self]:
-        """Call `check` from a thread every `WATCH_S`; halt when the block ends in any way."""
+        """Call `check` from a thread every `WATCH_S`; halt when the block ends in any way.
+
+        Raises
+        ------
+        Exception
+            The log's own, if it has failed on a stop and nothing else has ended the block.
+        """
         done = threading.Event()
 
         def watch() -> None:
@@ -541,6 +562,7 @@ class Guard:
         finally:
             done.set()
             thread.join()
+        self._need_log()  # the watch may have stopped the arm last
 
     @contextmanager
     def signals(self, *numbers: signal.Signals) -> Iterator[Self]:
@@ -584,6 +606,8 @@ class Guard:
     ) -> None:
         if self._armed:
             self.halt("the end" if kind is None else f"{kind.__name__}: {error}")
+        if kind is None:
+            self._need_log()
 
     # Inside.
 
@@ -614,22 +638,35 @@ class Guard:
         speed_m_s: float | None,
         interruptions: int,
     ) -> Pose:
-        """Send a motion; a stop that came in between is repeated after it."""
+        """Send a motion."""
         fastest = self.options.max_speed_m_s
         speed = fastest if speed_m_s is None else min(speed_m_s, fastest)
         self._needs = needs
         self._record(command, str(goal), pose=goal, fix=fix)
-        with self._halting(command):
+        with self._uninterrupted(command, interruptions):
             self._robot.move_to(goal, speed_m_s=speed, wait=False)
-            if self._interruptions != interruptions or not self._armed:
-                self._robot.stop()
-                raise StoppedError("held or halted while the command was being sent")
         return goal
 
-    def _finish(self) -> None:
-        with self._halting("wait"):
+    def _finish(self, interruptions: int) -> None:
+        """Wait for the arm to arrive, which one that was stopped before the wait has not."""
+        with self._uninterrupted("wait", interruptions):
             self._robot.wait()
         self._needs = None
+
+    @contextmanager
+    def _uninterrupted(self, command: str, interruptions: int) -> Iterator[None]:
+        """Void what has been interrupted since it began; halt on failures as `_halting` does."""
+        with self._halting(command):
+            self._need_uninterrupted(interruptions)
+            yield
+            self._need_uninterrupted(interruptions)
+
+    def _need_uninterrupted(self, interruptions: int) -> None:
+        """Raise if a stop came in between; it is repeated, as the command may have overtaken it."""
+        if self._interruptions != interruptions or not self._armed:
+            self._needs = None
+            self._robot.stop()
+            raise StoppedError("held or halted before the command was done")
 
     @contextmanager
     def _halting(self, command: str) -> Iterator[None]:
@@ -652,9 +689,10 @@ class Guard:
         except RobotError as error:
             self._armed = False
             outcome = str(error)
-        self._record(command, reason, fix=self._fix, outcome=outcome)
+        self._note(command, reason, fix=self._fix, outcome=outcome)
 
     def _need_armed(self, command: str, fix: Fix | None) -> None:
+        self._need_log()
         problem = ""
         if not self._armed:
             problem = "not armed"
@@ -703,7 +741,36 @@ class Guard:
         fix: Fix | None = None,
         outcome: str = "sent",
     ) -> None:
+        """Log a command; what cannot be logged does not pass."""
+        self._note(command, detail, pose=pose, fix=fix, outcome=outcome)
+        self._need_log()
+
+    def _note(
+        self,
+        command: str,
+        detail: str,
+        *,
+        pose: Pose | None = None,
+        fix: Fix | None = None,
+        outcome: str = "sent",
+    ) -> None:
+        """Log something; a failure of the log is kept for `_need_log`."""
         record = CommandRecord(self._clock(), command, detail, pose, fix, outcome)
         self._records.append(record)
         logger.info("%s", record)
-        self._on_record(record)
+        try:
+            self._on_record(record)
+        except Exception as error:  # whatever it is, stopping must go on
+            if self._log_error is None:
+                logger.warning("the log failed: %s", error)
+                self._log_error = error
+
+    def _need_log(self) -> None:
+        """Halt and raise if the log has failed since this was last asked."""
+        error = self._log_error
+        if error is None:
+            return
+        if self._armed:
+            self.halt(f"the log failed: {error}")
+        self._log_error = None
+        raise error

@@ -97,8 +97,32 @@ class _Run:
         return self.path.at(self.ramp.at(now_s - self.start_s) / self.ramp.length)
 
 
+@dataclass(frozen=True, slots=True)
+class _Plan:
+    """Where an arm rests before its runs, and these; the last one tells where it will end."""
+
+    rest: Vector
+    runs: tuple[_Run, ...] = ()
+
+    @property
+    def end(self) -> Vector:
+        return self.runs[-1].path.goal if self.runs else self.rest
+
+    def ahead(self, now_s: float) -> tuple[_Run, ...]:
+        return tuple(run for run in self.runs if run.end_s > now_s)
+
+    def position(self, now_s: float) -> Vector:
+        ahead = self.ahead(now_s)
+        return ahead[0].at(now_s) if ahead else self.end
+
+
 class MotionQueue:
     """Paths run one after the other.
+
+    It may be used from several threads, and aborted from a signal's handler, where a lock could
+    wait for the very thread it has interrupted: looking changes nothing, and what changes puts a
+    whole new plan in place of the old. Of an `add` and an `abort` at the same moment either may
+    win; who must know that the abort has won aborts again after adding.
 
     Parameters
     ----------
@@ -107,41 +131,33 @@ class MotionQueue:
     """
 
     def __init__(self, position: Vector) -> None:
-        self._rest = position
-        self._runs: list[_Run] = []
+        self._plan = _Plan(position)
 
     @property
     def end(self) -> Vector:
         """Configuration when everything queued is done."""
-        return self._runs[-1].path.goal if self._runs else self._rest
-
-    @property
-    def queued(self) -> int:
-        """Number of paths not yet finished when the queue was last looked at."""
-        return len(self._runs)
+        return self._plan.end
 
     def add(self, path: Path, speed: float, acceleration: float, now_s: float) -> float:
         """Queue a path from `end`; return when it will be done [s]."""
-        self.position(now_s)
-        start_s = max(now_s, self._runs[-1].end_s) if self._runs else now_s
-        self._runs.append(_Run(start_s, path, Ramp(path.length, speed, acceleration)))
-        return self._runs[-1].end_s
+        plan = self._plan
+        ahead = plan.ahead(now_s)
+        start_s = ahead[-1].end_s if ahead else now_s
+        run = _Run(start_s, path, Ramp(path.length, speed, acceleration))
+        self._plan = _Plan(plan.position(now_s), (*ahead, run))
+        return run.end_s
 
     def position(self, now_s: float) -> Vector:
         """Return the configuration now."""
-        while self._runs and self._runs[0].end_s <= now_s:
-            self._rest = self._runs.pop(0).path.goal
-        return self._runs[0].at(now_s) if self._runs else self._rest
+        return self._plan.position(now_s)
 
     def is_moving(self, now_s: float) -> bool:
         """Whether something is still being run."""
-        self.position(now_s)
-        return bool(self._runs)
+        return bool(self._plan.ahead(now_s))
 
     def abort(self, now_s: float) -> None:
         """Stand still where the arm is, and forget the rest."""
-        self._rest = self.position(now_s)
-        self._runs.clear()
+        self._plan = _Plan(self.position(now_s))
 
 
 def straight(start: Vector, goal: Vector, *, lengths: slice) -> Path:

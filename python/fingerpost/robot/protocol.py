@@ -269,8 +269,8 @@ class RobotStatus:
         What it does.
     homed : bool
         Its positions mean something.
-    pose, pose_time_s : Pose and float, or None
-        The last believed reading and when it was made, on the robot's own clock [s].
+    pose : Pose or None
+        The last believed reading.
     fault : str or None
         The last fault, until homing clears it.
     """
@@ -278,7 +278,6 @@ class RobotStatus:
     state: RobotState
     homed: bool
     pose: Pose | None
-    pose_time_s: float | None
     fault: str | None
 
 

@@ -107,7 +107,12 @@ def _split(target: str) -> tuple[str, str, dict[str, object]]:
     """Take a URL apart into name, address and options."""
     if "://" not in target:
         return target, "", {}
-    parts = urlsplit(target)
+    try:
+        parts = urlsplit(target)
+    except ValueError as error:
+        raise InvalidInputError(
+            f"{target}: {error}; name://address?option=value is needed"
+        ) from error
     name, plus, transport = parts.scheme.partition("+")
     address = parts.netloc + parts.path
     try:

@@ -105,11 +105,6 @@ class SerialLine:
         self._write_lock = threading.Lock()
         self._purgeable = False
 
-    @property
-    def is_open(self) -> bool:
-        """Whether the line is open."""
-        return self._port is not None
-
     def open(self) -> None:
         """Open the line, closing it first if it is open.
 

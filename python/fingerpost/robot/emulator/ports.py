@@ -27,6 +27,9 @@ from fingerpost.robot.errors import RobotTimeoutError
 
 READ_SIZE = 4096
 
+LAST_PORT = 65535
+"""Greatest number of a TCP port."""
+
 
 class ArmTime:
     """The clock of an arm that lives faster than we do; give it to the driver as well.
@@ -111,7 +114,7 @@ class PtyPort(Port):
     Parameters
     ----------
     link : path, optional
-        Where to put the link; a fresh directory by default.
+        Where to put the link, in an existing folder; a fresh directory by default.
     """
 
     def __init__(self, link: str | os.PathLike[str] | None = None) -> None:
@@ -126,7 +129,13 @@ class PtyPort(Port):
         return str(self._link or "")
 
     def plug(self) -> None:
-        """Make the pseudo-terminal and the link to it."""
+        """Make the pseudo-terminal and the link to it.
+
+        Raises
+        ------
+        InvalidInputError
+            The link cannot be put there.
+        """
         if self._master is not None:
             return
         if self._link is None:
@@ -135,17 +144,27 @@ class PtyPort(Port):
         self._master, self._slave = pty.openpty()
         tty.setraw(self._slave)
         os.set_blocking(self._master, False)
-        self._link.unlink(missing_ok=True)
-        self._link.symlink_to(os.ttyname(self._slave))
+        try:
+            self._link.unlink(missing_ok=True)
+            self._link.symlink_to(os.ttyname(self._slave))
+        except OSError as error:
+            self._close_ends()
+            raise InvalidInputError(
+                f"{self._link}: no link can be put there: {error.strerror}; name one in an "
+                "existing folder"
+            ) from error
 
     def unplug(self) -> None:
         """Close it, as when a USB adapter is pulled out."""
+        self._close_ends()
+        if self._link is not None:
+            self._link.unlink(missing_ok=True)
+
+    def _close_ends(self) -> None:
         for descriptor in (self._slave, self._master):
             if descriptor is not None:
                 os.close(descriptor)
         self._master = self._slave = None
-        if self._link is not None:
-            self._link.unlink(missing_ok=True)
 
     def close(self) -> None:
         """Close it and remove its directory."""
@@ -180,9 +199,16 @@ class TcpPort(Port):
         Address to listen on.
     port : int
         Port to listen on; 0 picks a free one.
+
+    Raises
+    ------
+    InvalidInputError
+        No such port.
     """
 
     def __init__(self, host: str = "127.0.0.1", port: int = 0) -> None:
+        if not 0 <= port <= LAST_PORT:
+            raise InvalidInputError(f"TCP port is {port}; 0 to {LAST_PORT} is needed")
         self._wanted = (host, port)
         self._listener: socket.socket | None = None
         self._peer: socket.socket | None = None
@@ -193,9 +219,21 @@ class TcpPort(Port):
         return f"socket://{self._wanted[0]}:{self._wanted[1]}"
 
     def plug(self) -> None:
-        """Listen."""
+        """Listen.
+
+        Raises
+        ------
+        InvalidInputError
+            Another program listens there, or we may not.
+        """
         if self._listener is None:
-            self._listener = socket.create_server(self._wanted)
+            try:
+                self._listener = socket.create_server(self._wanted)
+            except OSError as error:
+                raise InvalidInputError(
+                    f"{self.address} cannot be served: {os.strerror(error.errno or 0)}; port 0 "
+                    "picks a free one"
+                ) from error
             self._wanted = self._listener.getsockname()[:2]
 
     def unplug(self) -> None:
