@@ -13,7 +13,7 @@ from msgspec.structs import replace
 
 import fingerpost as fp
 from fingerpost._core import Background as LearnedBackground
-from fingerpost._core import HandFinder
+from fingerpost._core import HandFinder, StartPose
 from fingerpost.capture import Frame, open_source, read_views
 from fingerpost.config import Rig
 from fingerpost.errors import InvalidInputError
@@ -28,7 +28,8 @@ from fingerpost.finding import (
     pair_scores,
 )
 from fingerpost.finding.first_hand import FirstHand
-from fingerpost.finding.trial import belief
+from fingerpost.finding.trial import Trial, belief
+from fingerpost.finding.views import are_left_standing
 from fingerpost.pipeline import Pointer
 from fingerpost.pointing import PlaneView, Status
 from fingerpost.rehearsal import described
@@ -204,6 +205,38 @@ def test_a_hand_that_waits_in_the_first_frame_is_found():
     found = [s.index for s in steps if s.fix.point is not None]
     assert found
     assert found[0] < 25
+
+
+def test_the_hand_that_moves_is_followed_and_not_one_that_lies_there():
+    still_s = 0.8
+    first, last, lying = (
+        DevicePose.pointing_at(place, azimuth_deg=azimuth, slant_deg=50.0, hover_mm=hover_mm)
+        for place, azimuth, hover_mm in (
+            ((250.0, 250.0), 20.0, 110.0),
+            ((320.0, 180.0), 30.0, 110.0),
+            ((110.0, 120.0), 15.0, 60.0),
+        )
+    )
+    motion = Trajectory.hold(first, still_s).then(Trajectory.through([first, last], 0.1))
+    motion = motion.then(Trajectory.hold(last, 0.4))
+    scene = SimulatedRig(
+        device=Hand(),
+        background=Background(texture="wood"),
+        sensor=Sensor(channels="bgr", cells_per_sigma=2),
+    )
+    pointer, rng = Pointer(described(scene)), np.random.default_rng(SEED)
+    misses_mm = {}
+    for k in range(int(motion.duration_s * FPS)):
+        shot = scene.render(motion, time_s=k / FPS, rng=rng, others=[(Hand(), lying)])
+        for step in pointer.update([Frame(k, k / FPS, image) for image in shot.images]):
+            if step.fix.point is not None:
+                misses_mm[k] = np.hypot(*(step.fix.point - shot.truth.indicated_mm))
+    # While both are still, either may be the one that points.
+    assert any(miss > 100.0 for k, miss in misses_mm.items() if k < still_s * FPS)
+    knows = int((still_s + 0.5) * FPS)
+    told = [miss for k, miss in misses_mm.items() if k >= knows]
+    assert len(told) >= 8
+    assert max(told) < 20.0
 
 
 def test_an_empty_cluttered_table_starts_nothing():
@@ -432,6 +465,59 @@ def test_a_found_finger_is_as_long_as_its_whole_width_says():
     assert trial.half_width_px > 1.1 * slim_px
     # The outline of a template of nine half-widths; by the width near the tip it has less than 7.7.
     assert length_px > 8.0 * trial.half_width_px
+
+
+@pytest.mark.parametrize(
+    ("moved_px", "changes", "stands", "moves_on"),
+    [
+        (0.0, {}, True, False),
+        (3.0, {}, True, False),
+        (6.0, {}, False, False),
+        (30.0, {}, False, True),
+        (30.0, {"frames": 5}, False, False),
+        (30.0, {"score": 0.3}, False, False),
+        (30.0, {"hand": 0.2}, False, False),
+        (0.0, {"foreground": 1.0}, False, False),
+    ],
+)
+def test_what_stands_and_what_moves_on_is_told(moved_px, changes, stands, moves_on):
+    """Of a finger 16 px wide, by how far its tip is from where the fit saw it first."""
+
+    def line(u_px: float) -> SimpleNamespace:
+        return SimpleNamespace(tip_px=(u_px, 80.0), angle_rad=0.0)
+
+    # Where the fit was started tells nothing: it leads to the finger from as far as its width.
+    candidate = SimpleNamespace(start=StartPose((60.0, 80.0), 0.0, 70.0), half_width_px=8.0)
+    known = {"score": 0.9, "foreground": 0.0, "hand": 1.0, "frames": 6, "is_late": False}
+    trial = Trial(
+        candidate,
+        None,
+        None,
+        first_line=line(90.0),
+        line=line(90.0 + moved_px),
+        lengthening=None,
+        **(known | changes),
+    )
+    assert trial.stands == stands
+    assert trial.moves_on == moves_on
+
+
+def test_a_pair_that_stands_gives_way_to_what_moves_on_in_either_view():
+    def view(*moving: bool) -> SimpleNamespace:
+        trials = [SimpleNamespace(stands=not moves, moves_on=moves) for moves in moving]
+        return SimpleNamespace(search=SimpleNamespace(trials=trials))
+
+    def is_left(views: list, *pair: int) -> bool:
+        chosen = zip(views, pair, strict=True)
+        trials = {k: view.search.trials[i] for k, (view, i) in enumerate(chosen)}
+        return are_left_standing(views, trials)
+
+    both = [view(False, True), view(False, True)]
+    assert is_left(both, 0, 0)
+    assert not is_left(both, 1, 1)
+    assert not is_left(both, 0, 1)
+    assert is_left([view(False), view(False, True)], 0, 0)
+    assert not is_left([view(False, False), view(False)], 0, 0)
 
 
 @pytest.mark.parametrize("is_late", [False, True])

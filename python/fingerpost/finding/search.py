@@ -135,21 +135,31 @@ class HandSearch:
         start, reach_px = candidate.start, candidate.half_width_px
         return any(are_near(start, r.start, reach_px, 0.25) for r in self._refused)
 
+    def _is_tried(self, start: StartPose, half_width_px: float) -> bool:
+        return any(trial.is_at(start, half_width_px) for trial in self.trials)
+
     def try_out(self, candidate: Candidate, frame: Frame) -> bool:
-        """Start a trial at a candidate of this frame; tell if there was none there already."""
+        """Start a trial at a candidate of this frame; tell if there was none there already.
+
+        One from which the fit leads to no finger, or to one that is tried already, is refused.
+        """
         start, half_width_px = candidate.start, candidate.half_width_px
-        if any(trial.is_at(start, half_width_px) for trial in self.trials):
+        if self._is_tried(start, half_width_px):
             return False
+        worst = None
         if len(self.trials) >= MOST_TRIALS:
             worst = min(self.trials, key=lambda trial: (trial is self.found, trial.worth))
             if worst.worth >= candidate.score * precedence(candidate.foreground):
                 return False
-            self.trials.remove(worst)
         tracker = self._tracker_at(start, half_width_px)
         track = tracker.update(frame.grey(), frame.time_s, frame.colour())
-        if track.finger_line is None:
+        line = track.finger_line
+        here = line and StartPose(line.tip_px, line.angle_rad, start.length_px)
+        if line is None or here is None or self._is_tried(here, half_width_px):
             self._refused.append(_Refusal(start))
             return True
+        if worst is not None:
+            self.trials.remove(worst)
         place = self.candidates.index(candidate)
         score, is_late = candidate.score * self._worth[place], self._known_frames > SETTLED_FRAMES
         self.trials.append(
@@ -157,10 +167,11 @@ class HandSearch:
                 candidate,
                 tracker,
                 track,
-                track.finger_line,
+                first_line=line,
+                line=line,
                 score=float(score),
                 foreground=candidate.foreground,
-                hand=widening(frame.image, track.finger_line, candidate.half_width_px),
+                hand=widening(frame.image, line, candidate.half_width_px),
                 is_late=is_late,
                 lengthening=Lengthening(self._tracker_at, half_width_px),
             )

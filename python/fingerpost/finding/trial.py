@@ -17,7 +17,13 @@ from fingerpost._core import (
     Track,
 )
 from fingerpost.capture import Frame
-from fingerpost.finding.finger import PROVEN_MOTION, are_near, fitted_half_width_px
+from fingerpost.finding.finger import (
+    KEPT_PLACE,
+    MOVED_ON,
+    PROVEN_MOTION,
+    are_near,
+    fitted_half_width_px,
+)
 from fingerpost.finding.foreground import IN_FOREGROUND, foreground_part
 from fingerpost.finding.length import Lengthening
 from fingerpost.finding.look import widening
@@ -30,6 +36,12 @@ FORGET = 0.8
 
 PROVEN_FRAMES = 10
 """A finger that has been foreground for so many frames is followed for good."""
+
+
+MOVER_FRAMES = 6
+MOVER_SCORE = 0.5
+"""What moves on is a hand if it has held for so many frames and is that much like a finger, before
+something like a hand."""
 
 
 def precedence(foreground: float) -> float:
@@ -47,8 +59,8 @@ class Trial:
         What it was started at.
     tracker, track
         The tracker, and what it made of the last frame.
-    line
-        The finger where it was seen last.
+    first_line, line
+        The finger where it was seen first and last.
     score, foreground
         How like a finger and how like foreground it has been lately, 0 to 1.
     hand
@@ -64,6 +76,7 @@ class Trial:
     candidate: Candidate
     tracker: ContourTracker
     track: Track
+    first_line: FingerLine
     line: FingerLine
     score: float
     foreground: float
@@ -100,9 +113,25 @@ class Trial:
 
     @property
     def has_moved(self) -> bool:
-        """Whether it is elsewhere than where it was started."""
-        moved_px = np.hypot(*np.subtract(self.line.tip_px, self.candidate.start.tip_px))
-        return bool(moved_px > PROVEN_MOTION * self.candidate.half_width_px)
+        """Whether it is elsewhere than where it was seen first."""
+        return self._motion > PROVEN_MOTION
+
+    @property
+    def stands(self) -> bool:
+        """Whether it was there when the search began, and has kept its place since."""
+        return not self.has_come and self._motion < KEPT_PLACE
+
+    @property
+    def moves_on(self) -> bool:
+        """Whether it has held and is elsewhere, a finger before its hand: no part of the table."""
+        is_hand = self.score >= MOVER_SCORE and self.hand >= HAND_SEEN
+        return is_hand and self.frames >= MOVER_FRAMES and self._motion > MOVED_ON
+
+    @property
+    def _motion(self) -> float:
+        """How far the tip is from where it was seen first [half-widths]."""
+        moved_px = np.hypot(*np.subtract(self.line.tip_px, self.first_line.tip_px))
+        return float(moved_px / self.candidate.half_width_px)
 
     @property
     def is_proven(self) -> bool:

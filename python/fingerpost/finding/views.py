@@ -111,7 +111,7 @@ def _believe(views: Sequence[SearchingView], frames: Sequence[Frame | None]) -> 
         for a, b in _best_first(scores):
             both = ((i, tried_i[a]), (j, tried_j[b]))
             trials = {k: trial for k, trial in both if trial is not None}
-            if not trials:
+            if not trials or are_left_standing(views, trials):
                 continue
             stays = all(views[k].search.found is trial for k, trial in trials.items())
             is_backed = any(views[k].is_sure for k in (i, j) if k not in trials)
@@ -138,6 +138,16 @@ def _believe(views: Sequence[SearchingView], frames: Sequence[Frame | None]) -> 
     for k, (view, frame) in enumerate(zip(views, frames, strict=True)):
         if frame is not None:
             view.search.believe(believed.get(k))
+
+
+def are_left_standing(views: Sequence[SearchingView], trials: Mapping[int, Trial]) -> bool:
+    """Tell whether fingers that were there from the start stand while another moves on.
+
+    A hand that lies on the table does, as long as the one that points moves.
+    """
+    return all(trial.stands for trial in trials.values()) and any(
+        other.moves_on for k in trials for other in views[k].search.trials
+    )
 
 
 def _candidates(
