@@ -1,7 +1,8 @@
 """The public boundary: whatever a caller hands over becomes a checked array, or a typed error.
 
-The wording of every complaint about shape, type, NaN and covariance lives here once. A message
-names the value, its place and what would be right.
+The wording of every complaint about shape, type, NaN and covariance of what is measured lives here
+once; options of the simulated rig have `fingerpost.simulate.checks`. A message names the value, its
+place and what would be right.
 """
 
 import math
