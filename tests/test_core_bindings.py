@@ -32,6 +32,7 @@ from fingerpost._core import (
     ContourTracker,
     EdgeSearch,
     Fitter,
+    HandFinder,
     ShapeSpace,
     StartPose,
     Template,
@@ -1108,6 +1109,58 @@ def test_images_are_not_copied(tmp_path: Path) -> None:
         [sys.executable, "-c", textwrap.dedent(program)], capture_output=True, text=True
     )
     assert (done.stdout, done.stderr) == (3 * "acquiring acquiring\n", "")
+
+
+# --- where a hand may be, and what is behind it ----------------------------------------------
+
+
+def test_a_band_is_given_by_any_numbers_that_are_some():
+    image = grey(80, 100)
+    told = HandFinder.likeness(image, (60.0, 40.0), 0.3, 6.0)
+    assert told is not None
+    for tip in [[60, 40], np.array([60, 40]), np.array([60.0, 40.0], np.float32)]:
+        assert HandFinder.likeness(image, tip, np.float64(0.3), 6) == told
+
+
+@pytest.mark.parametrize(
+    ("band", "complaint"),
+    [
+        (((60, 40, 1), 0.3, 6), r"^tip_px has the shape \(3,\); it must be \(2,\)"),
+        ((None, 0.3, 6), "^tip_px has the dtype object"),
+        (("ab", 0.3, 6), "^tip_px has the dtype <U2"),
+        (((60, np.nan), 0.3, 6), "must be finite"),
+        (((60, 40), "0.3", 6), "^angle_rad is '0.3'; it must be a real number"),
+        (((60, 40), 0.3, None), "^half_width_px is None; it must be a real number"),
+        (((60, 40), 0.3, True), "^half_width_px is True"),
+        (((60, 40), 0.3, -1), "is -1; it must be"),
+    ],
+)
+def test_a_band_that_is_none_is_refused(band, complaint):
+    with pytest.raises(InvalidInputError, match=complaint):
+        HandFinder.likeness(grey(80, 100), *band)
+
+
+@pytest.mark.parametrize(
+    ("part", "complaint"),
+    [
+        (3, "{what} is 3; it must be two ends"),
+        ("abc", r"{what}\[0\] has the dtype <U1"),
+        (((1, 2), (3, 4)), r"{what} is \(\(1, 2\), \(3, 4\)\); it must be two ends"),
+        (((1, 2), (3, 4), 5, 6), "{what} is .*; it must be two ends"),
+        (((1, 2), None, 5), r"{what}\[1\] has the dtype object"),
+        (((1, 2), (3, 4), "5"), r"{what}\[2\] is '5'; it must be a real number"),
+    ],
+)
+def test_a_part_of_an_image_that_is_none_is_refused(part, complaint):
+    background, image = Background(), grey(48, 64)
+    for what, call in [
+        ("keep_out", lambda: background.observe(image, keep_out=part)),
+        ("keep_out", lambda: background.learn(image, keep_out=part)),
+        ("part", lambda: background.forget(part)),
+    ]:
+        with pytest.raises(InvalidInputError, match="^" + complaint.format(what=what)):
+            call()
+    background.observe(image, keep_out=[np.array([1, 2]), [3, 4], 5])
 
 
 # --- several views ---------------------------------------------------------------------------

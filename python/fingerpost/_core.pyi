@@ -1449,7 +1449,7 @@ class HandFinder:
     @staticmethod
     def likeness(
         image: NDArray[np.uint8],
-        tip_px: tuple[float, float],
+        tip_px: ArrayLike,
         angle_rad: float,
         half_width_px: float,
         colour: NDArray[np.uint8] | None = None,
@@ -1473,7 +1473,7 @@ class HandFinder:
         Raises
         ------
         InvalidInputError
-            Arrays of another type or shape, a place that is not finite, no width.
+            Arrays of another type or shape, a place that is none or not finite, no width.
         """
 
     @property
@@ -1967,8 +1967,10 @@ class Diagnostics:
     def bend_rad(self) -> float | None:
         """How much the finger is bent, as the image shows it [rad].
 
-        The direction of the part with the tip minus that of the part with the knuckle; beyond 0.35
-        (20°) the fit is a "misfit". A view sees only what of a bend lies across its line of sight.
-        None where the flanks of either part do not tell, for a fit that is refused for another
-        reason, and for the paper's model.
+        The direction of the part with the tip minus that of the part with the knuckle. Beyond 0.35
+        (20°) the fit is a "misfit", if it is so by two standard deviations or in the second frame
+        in a row; from then on until it is below 0.26 (15°) and the tip is seen, or a frame that
+        does not tell it shows the contour whole. A view sees only what of a bend lies across its
+        line of sight. None where the flanks of either part do not tell, for a fit that is refused
+        for another reason, and for the paper's model.
         """

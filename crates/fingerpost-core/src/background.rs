@@ -256,6 +256,9 @@ const FARTHEST_SHIFT_PX: f64 = 1.0;
 /// less than this \[px\].
 const SHIFT_FITS: usize = 3;
 const SHIFT_SETTLED_PX: f64 = 1e-3;
+/// A direction in which the shift is known no better than this tells nothing \[px\]: along edges
+/// that all run one way, as those of boards and stripes, what is fitted is the noise.
+const TOLD_PX: f64 = 0.04;
 /// A background that has shifted by more than this is not exact \[px\],
 const EXACT_PX: f64 = 0.15;
 /// and is learned anew if it has for so many frames: the camera will not come back.
@@ -312,7 +315,7 @@ impl Background {
         self.moved_frames = 0;
         self.shift_px = None;
         self.bumped_frames = 0;
-        self.light = Light::UNCHANGED;
+        (self.light, self.light_sigma) = (Light::UNCHANGED, 0.0);
         self.changed_share = 0.0;
     }
 
@@ -345,7 +348,8 @@ impl Background {
     }
 
     /// How far the last frame shows the background from where it was learned \[px\], if edges in it
-    /// tell; beyond a pixel it is no more than a sign that it has moved.
+    /// tell; beyond a pixel it is no more than a sign that it has moved. Where they all run one way,
+    /// they tell how far it has moved across them, and along them it is taken to be still.
     #[must_use]
     pub fn shift_px(&self) -> Option<Vector2<f64>> {
         self.shift_px
@@ -702,6 +706,7 @@ impl Background {
         if self.slopes.len() < TELLING_LEAST {
             return;
         }
+        let least = (self.options.noise_grey / TOLD_PX).powi(2);
         let mut shift = Vector2::<f64>::zeros();
         for _ in 0..SHIFT_FITS {
             let (mut information, mut right) = (Matrix2::zeros(), Vector2::zeros());
@@ -711,7 +716,7 @@ impl Background {
                 information += by_px * by_px.transpose() * weight;
                 right -= by_px * (residual * weight);
             }
-            let Some(inverse) = information.try_inverse() else { return };
+            let Some(inverse) = inverse_where_told(&information, least) else { return };
             let moved = shift;
             shift = inverse * right;
             if (shift - moved).norm() < SHIFT_SETTLED_PX {
@@ -872,6 +877,22 @@ fn fit_light(
 /// Gain and offset are told apart where the levels have at least this standard deviation \[grey
 /// levels\].
 const LEVELS_SPREAD: f64 = 20.0;
+
+/// The inverse of an information matrix in those directions of which it holds at least so much, and 0
+/// in the others; `None` if there is no such direction.
+fn inverse_where_told(information: &Matrix2<f64>, least: f64) -> Option<Matrix2<f64>> {
+    let eigen = information.symmetric_eigen();
+    let told = |k: usize| eigen.eigenvalues[k] > least.max(f64::MIN_POSITIVE);
+    match (told(0), told(1)) {
+        (false, false) => None,
+        (true, true) => information.try_inverse(),
+        (first, _) => {
+            let k = usize::from(!first);
+            let direction = eigen.eigenvectors.column(k).into_owned();
+            Some(direction * direction.transpose() / eigen.eigenvalues[k])
+        }
+    }
+}
 
 /// The median of values that may be reordered; 0 of none.
 fn median(values: &mut [f32]) -> f32 {

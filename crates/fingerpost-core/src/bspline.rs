@@ -33,6 +33,10 @@ const MAX_ORDER: usize = 4;
 /// five digits left to tell where in the span it is.
 const MIN_RELATIVE_SPAN: f64 = 1e-10;
 
+/// The most control points of a uniform B-spline: far more than a contour has any use for, and still
+/// knots that fit into memory.
+const MAX_CONTROL_POINTS: usize = 1 << 20;
+
 /// Knot spans lie between these two, so that no second derivative of a basis function overflows.
 const SPAN_RANGE: (f64, f64) = (1e-100, 1e100);
 
@@ -139,7 +143,7 @@ impl BSpline {
     ///
     /// # Errors
     ///
-    /// [`Error::TooFew`] below degree + 1 control points.
+    /// [`Error::TooFew`] below degree + 1 control points, [`Error::OutOfRange`] above 2²⁰.
     ///
     /// ```
     /// # use fingerpost_core::bspline::{BSpline, Degree};
@@ -148,7 +152,7 @@ impl BSpline {
     /// # Ok::<(), fingerpost_core::Error>(())
     /// ```
     pub fn open_uniform(degree: Degree, n: usize) -> Result<Self> {
-        check_count("control points", n, degree.order())?;
+        check_uniform_count(n, degree)?;
         let breaks: Vec<f64> = (0..=n - degree as usize).map(|k| k as f64).collect();
         Self::open_clamped(degree, &breaks)
     }
@@ -174,9 +178,9 @@ impl BSpline {
     ///
     /// # Errors
     ///
-    /// [`Error::TooFew`] below degree + 1 control points.
+    /// [`Error::TooFew`] below degree + 1 control points, [`Error::OutOfRange`] above 2²⁰.
     pub fn closed_uniform(degree: Degree, n: usize) -> Result<Self> {
-        check_count("control points", n, degree.order())?;
+        check_uniform_count(n, degree)?;
         let knots: Vec<f64> = (0..=n).map(|k| k as f64).collect();
         Self::closed(degree, &knots)
     }
@@ -428,8 +432,16 @@ pub struct CurvePoint {
     pub second_derivative: Vector2<f64>,
 }
 
-fn check_count(what: &'static str, given: usize, needed: usize) -> Result<()> {
+pub(crate) fn check_count(what: &'static str, given: usize, needed: usize) -> Result<()> {
     if given < needed { Err(Error::TooFew { what, given, needed }) } else { Ok(()) }
+}
+
+fn check_uniform_count(n: usize, degree: Degree) -> Result<()> {
+    check_count("control points", n, degree.order())?;
+    Error::within("number of control points", n as f64, "at most 1048576", |_| {
+        n <= MAX_CONTROL_POINTS
+    })?;
+    Ok(())
 }
 
 fn check_control_point_count(control_points: &[Point2<f64>], needed: usize) -> Result<()> {

@@ -28,6 +28,10 @@ const MOST_CONTRAST: f64 = 120.0;
 /// Squared separation in standard deviations, by which colour must beat grey: colour is recorded
 /// with less resolution, so it has to be worth it.
 const BETTER_THAN_GREY: f64 = 1.5;
+/// Means of hand and background that are nearer than this tell neither \[standard deviations\]. They
+/// are shown [`LEAST_CONTRAST`] apart, so noise would be magnified 288 times, and the weights of a
+/// mixture, which go as 1 / separation, outgrow their integers below 0.03.
+const LEAST_SEPARATION: f64 = 1.0 / 16.0;
 /// Channels are mixed in fixed point with so many binary places.
 const PLACES: i32 = 12;
 
@@ -175,8 +179,9 @@ impl Discriminant {
         self.mixture = self.fisher();
     }
 
-    /// The mixture in whose image the hand is the brighter side; none if nothing was seen, or the
-    /// grey image shows the hand as well.
+    /// The mixture in whose image the hand is the brighter side; none if nothing was seen, the
+    /// grey image shows the hand as well, or the means of hand and background are nearer than a
+    /// sixteenth of a standard deviation.
     #[must_use]
     pub fn mixture(&self) -> Option<&Mixture> {
         self.mixture.as_ref()
@@ -196,6 +201,7 @@ impl Discriminant {
         let grey_scatter =
             0.5 * (hand.grey_variance() + background.grey_variance()) + LEAST_VARIANCE;
         if separation2.is_nan()
+            || separation2 < LEAST_SEPARATION * LEAST_SEPARATION
             || separation2 <= BETTER_THAN_GREY * grey_apart.powi(2) / grey_scatter
         {
             return None;
@@ -205,10 +211,16 @@ impl Discriminant {
         let gain = contrast / separation2;
         let middle = 0.5 * (hand.mean() + background.mean());
         let unit = f64::from(1 << PLACES);
-        let weights = [0, 1, 2].map(|k| (w[k] * gain * unit).round() as i32);
+        let weights = w.map(|w| (w * gain * unit).round());
         // Half a unit more: shifting rounds down.
-        let offset = ((128.0 - gain * w.dot(&middle)) * unit).round() as i32 + (1 << (PLACES - 1));
-        Some(Mixture { weights, offset })
+        let half = f64::from(1 << (PLACES - 1));
+        let offset = ((128.0 - gain * w.dot(&middle)) * unit).round() + half;
+        // Means taken over into other light may lie beyond a byte, and the sum beyond its integer.
+        let most = f64::from(u8::MAX) * weights.abs().sum() + offset.abs();
+        (most <= f64::from(i32::MAX)).then(|| Mixture {
+            weights: [0, 1, 2].map(|k| weights[k] as i32),
+            offset: offset as i32,
+        })
     }
 }
 
@@ -221,7 +233,7 @@ pub struct DiscriminantImage {
 }
 
 impl DiscriminantImage {
-    /// A new frame: nothing of it is there yet.
+    /// A new frame: nothing of it is there yet. To be called before each; see [`of`](Self::of).
     pub fn clear(&mut self) {
         self.made = None;
     }
@@ -248,6 +260,10 @@ impl DiscriminantImage {
 
     /// The frame with the discriminant in place of its grey image, in a region at least: columns
     /// and rows \[px\], from and to. Outside it, pixels are of any value.
+    ///
+    /// What was made since the last [`clear`](Self::clear) is not made again, so between two of them
+    /// all calls must be given one and the same frame: of another one, the pixels of the first may be
+    /// shown. Call [`clear`](Self::clear) before the first call of each frame.
     ///
     /// # Errors
     /// Never for a frame that was made; a frame without colours is returned as it is.

@@ -417,6 +417,10 @@ pub fn chi_square_quantile(probability: f64, degrees: usize) -> Result<f64> {
     let (mut low, mut high) = (0.0, 2.0 * degrees as f64 + 50.0);
     while high - low > QUANTILE_TOLERANCE * high {
         let middle = 0.5 * (low + high);
+        // The quantiles of the least probabilities are less than the least number.
+        if middle <= low || middle >= high {
+            break;
+        }
         if chi_square_cdf(middle, degrees) < probability { low = middle } else { high = middle }
     }
     Ok(0.5 * (low + high))

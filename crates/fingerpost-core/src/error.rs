@@ -58,17 +58,21 @@ pub enum Error {
         limit: usize,
     },
     /// Rows that would overlap.
-    #[error("the stride is {stride} bytes; a row of {width} grey pixels needs at least {width}")]
+    #[error(
+        "the stride is {stride} bytes; a row of {width} px needs at least {}", .width * .pixel_bytes
+    )]
     StrideTooSmall {
         /// Bytes from one row to the next.
         stride: usize,
         /// Width in px.
         width: usize,
+        /// Bytes of a pixel: 1 of a grey image, 3 of colours.
+        pixel_bytes: usize,
     },
     /// Fewer bytes than the image's shape needs.
     #[error(
         "{given} bytes of pixels for {width} × {height} px with a stride of {stride} bytes; \
-         (height − 1) · stride + width bytes are needed"
+         (height − 1) · stride + {} bytes are needed", .width * .pixel_bytes
     )]
     PixelsMissing {
         /// Bytes given.
@@ -79,6 +83,8 @@ pub enum Error {
         height: usize,
         /// Bytes from one row to the next.
         stride: usize,
+        /// Bytes of a pixel: 1 of a grey image, 3 of colours.
+        pixel_bytes: usize,
     },
     /// A grey image and its colours that are not of one size.
     #[error("the colours are {} × {} px and the grey image {} × {} px; they must be of one size", .colour.0, .colour.1, .gray.0, .gray.1)]

@@ -1,6 +1,6 @@
 //! One captured frame: its grey image, and its colours where the camera has them.
 
-use crate::image::GrayView;
+use crate::image::{GrayView, pixel_data};
 use crate::{Error, Result};
 use nalgebra::{Point2, Vector2, Vector3};
 
@@ -20,8 +20,7 @@ impl<'a> ColourView<'a> {
     /// # Errors
     /// As for [`GrayView::new`], with rows of 3 · `width` bytes.
     pub fn new(data: &'a [u8], width: usize, height: usize, stride: usize) -> Result<Self> {
-        let row = width.saturating_mul(3);
-        GrayView::new(data, row, height, stride)?;
+        pixel_data::<3>(data, width, height, stride)?;
         Ok(Self { data, width, height, stride })
     }
 

@@ -48,20 +48,7 @@ impl<'a> GrayView<'a> {
     /// 1..=[`MAX_SIDE`](Self::MAX_SIDE), [`Error::StrideTooSmall`] if `stride < width`,
     /// [`Error::PixelsMissing`] if `data` is shorter than (height − 1) · stride + width.
     pub fn new(data: &'a [u8], width: usize, height: usize, stride: usize) -> Result<Self> {
-        if width == 0 || height == 0 {
-            return Err(Error::EmptyImage { width, height });
-        }
-        if width.max(height) > Self::MAX_SIDE {
-            return Err(Error::ImageTooLarge { width, height, limit: Self::MAX_SIDE });
-        }
-        if stride < width {
-            return Err(Error::StrideTooSmall { stride, width });
-        }
-        let data = (height - 1)
-            .checked_mul(stride)
-            .and_then(|rows| rows.checked_add(width))
-            .and_then(|needed| data.get(..needed))
-            .ok_or(Error::PixelsMissing { given: data.len(), width, height, stride })?;
+        let data = pixel_data::<1>(data, width, height, stride)?;
         Ok(Self { data, width, height, stride })
     }
 
@@ -184,6 +171,35 @@ impl<'a> GrayView<'a> {
             *pixels.get(below + right)?,
         ])
     }
+}
+
+/// The bytes of an image of pixels of so many bytes each, from the first pixel to the last.
+///
+/// # Errors
+///
+/// Those of [`GrayView::new`], with rows of as many bytes as their pixels have.
+pub(crate) fn pixel_data<const BYTES: usize>(
+    data: &[u8],
+    width: usize,
+    height: usize,
+    stride: usize,
+) -> Result<&[u8]> {
+    if width == 0 || height == 0 {
+        return Err(Error::EmptyImage { width, height });
+    }
+    let limit = GrayView::MAX_SIDE;
+    if width.max(height) > limit {
+        return Err(Error::ImageTooLarge { width, height, limit });
+    }
+    if stride < BYTES * width {
+        return Err(Error::StrideTooSmall { stride, width, pixel_bytes: BYTES });
+    }
+    let (given, pixel_bytes) = (data.len(), BYTES);
+    (height - 1)
+        .checked_mul(stride)
+        .and_then(|rows| rows.checked_add(BYTES * width))
+        .and_then(|needed| data.get(..needed))
+        .ok_or(Error::PixelsMissing { given, width, height, stride, pixel_bytes })
 }
 
 impl fmt::Debug for GrayView<'_> {

@@ -91,6 +91,10 @@ use photometric::{Photometric, PhotometricFit};
 use sketch::Sketch;
 use straightness::Straightness;
 
+/// The longest stretch of a finger that is looked at \[px\]: the pictures that edges are looked for in,
+/// of up to 32767 px a side, have no room for it.
+pub const MAX_STRETCH_PX: f64 = 65_536.0;
+
 /// A stretch of a flank, in px along the axis from its anchor; empty unless `to_px > from_px`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Stretch {
@@ -123,7 +127,8 @@ pub struct Finger {
     /// Growth of the half-width per px towards the tip.
     pub taper: f64,
     /// The stretches to look at, of the right flank (at +90°, in the direction (−sin θ, cos θ))
-    /// and of the left one. What a thumb or another finger covers is left out of them.
+    /// and of the left one, together at most [`MAX_STRETCH_PX`] long. What a thumb or another finger
+    /// covers is left out of them.
     pub flanks: [Stretch; 2],
     /// The middle of the finger's round end, in px along the axis from its anchor; `None` if the
     /// end is not to be seen.
@@ -131,6 +136,18 @@ pub struct Finger {
     /// What is believed of it, if something may cover it in part: then what does not look like the hand
     /// before what has been behind it is left out. `None` if nothing covers it.
     pub belief: Option<Belief>,
+}
+
+impl Finger {
+    /// From where to where along the axis either of its flanks is looked at \[px\]; empty if neither is.
+    pub(crate) fn stretch(&self) -> Stretch {
+        let seen = self.flanks.iter().filter(|s| s.length_px() > 0.0);
+        let nothing = Stretch { from_px: f64::INFINITY, to_px: f64::NEG_INFINITY };
+        seen.fold(nothing, |all, s| Stretch {
+            from_px: all.from_px.min(s.from_px),
+            to_px: all.to_px.max(s.to_px),
+        })
+    }
 }
 
 /// What is believed of a finger that something covers in part: how wide it was when it was seen whole,
@@ -284,8 +301,8 @@ impl Refiner {
     /// depends on the arguments alone.
     ///
     /// # Errors
-    /// When a number of the finger is not finite, its half-width is not positive, or the background
-    /// or the picture that it is behind is not of the frame's size.
+    /// When a number of the finger is not finite, its half-width is not positive, its stretches reach
+    /// over more than [`MAX_STRETCH_PX`], or the background or the picture that it is behind is not of the frame's size.
     pub fn refine(
         &mut self,
         frame: &Frame<'_>,
@@ -318,7 +335,8 @@ impl Refiner {
     /// The arguments are those of [`refine`](Self::refine).
     ///
     /// # Errors
-    /// When a number of the finger is not finite or its half-width is not positive.
+    /// When a number of the finger is not finite, its half-width is not positive, or one of the halves
+    /// is longer than [`MAX_STRETCH_PX`].
     pub fn bend(
         &mut self,
         frame: &Frame<'_>,

@@ -37,14 +37,6 @@ pub enum Polarity {
     Unknown,
 }
 
-impl Polarity {
-    /// The polarity of an edge of the given signed contrast (hand minus background).
-    #[must_use]
-    pub fn of_contrast(contrast_grey: f64) -> Self {
-        if contrast_grey >= 0.0 { Self::Bright } else { Self::Dark }
-    }
-}
-
 /// How edges are looked for.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SearchOptions {

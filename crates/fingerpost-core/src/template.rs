@@ -12,7 +12,7 @@
 //! cubic spline) and round the thumb. The hand itself is left out: it differs from one person to
 //! the next.
 
-use crate::bspline::{BSpline, Degree, Parametrization};
+use crate::bspline::{BSpline, Degree, Parametrization, check_count};
 use crate::contour::{self, ContourSample, HandSide};
 use crate::{Error, Result};
 use nalgebra::{Point2, SVector, Vector2};
@@ -278,6 +278,8 @@ impl Template {
                 Point2::new(d.dot(&e), e.perp(&d))
             })
             .collect();
+        // Before a spline is made of as many control points as somebody asks for.
+        check_count("outline points", outline.len(), control_points)?;
         let spline = BSpline::open_uniform(Degree::Cubic, control_points)?;
         let control_points = spline.fit(&points, Parametrization::ChordLength)?.control_points;
         let (thumb, crotch, proportions) = (Thumb::None, None, None);

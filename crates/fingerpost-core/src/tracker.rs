@@ -34,15 +34,18 @@
 //! is not accepted yields no finger line.
 //!
 //! **Bent.** No straight line is the axis of a bent finger. Of a fit that is accepted by its edges
-//! the two halves of the finger are looked at once more, each for itself ([`crate::refine::Bend`]);
-//! where they differ by more than 20° in the image, the fit is a [`Refusal::Misfit`]. The
-//! hand stays in sight without a line, and has one again in a frame or two that show the finger
-//! straight. A view sees only what of a bend lies across its line of sight. The paper's model is
-//! not looked at so.
+//! the two halves of the finger are looked at once more, each for itself ([`crate::refine::Bend`]).
+//! Where they differ by more than 20° in the image, by two standard deviations more than that or in
+//! the second such frame in a row, the fit is a [`Refusal::Misfit`]: a first frame that is not as sure
+//! keeps its line, for blur and what is behind the finger bend flanks too. The hand stays in sight
+//! without a line until its halves differ by less than 15° and its tip is seen; a frame whose halves do
+//! not tell gives it back as well if it explains nearly all of the contour, and after a single bent
+//! frame if it explains most of it. A view sees only what of a bend lies across its line of sight. The
+//! paper's model is not looked at so.
 //!
-//! **Large.** A hand of the band model whose start pose promises a finger of 26 px across or more
+//! **Large.** A hand of the band model whose start pose promises a finger of 24 px across or more
 //! is followed in a picture that is smaller than the frames by a whole factor, so that its finger is
-//! 13 to 20 px wide there; what is told is told of the frame. Where a frame is sharp and its pixels
+//! 12 to 18 px wide there; what is told is told of the frame. Where a frame is sharp and its pixels
 //! agree with a finger, the line is theirs.
 //!
 //! A frame goes through `acquire` or `follow`; the latter has `choose` try the places where
@@ -85,7 +88,7 @@ use crate::discriminant::DiscriminantImage;
 use crate::dynamics::{Dynamics, Gate, chi_square_quantile};
 use crate::frame::Frame;
 use crate::refine::{RefineOptions, Refiner};
-use crate::search::check_size;
+use crate::search::{MAX_HALF_LENGTH_PX, check_size};
 use crate::shape_space::{AffineMap, BandMeasure, PlacedSample, RibbonVector, ribbon_of};
 use crate::simd::Isa;
 use crate::template::{HALF_LENGTH, Template, TemplateSample};
@@ -183,6 +186,8 @@ const SURPRISE: f64 = 0.9999;
 const FOLLOWED_HALF_WIDTH_PX: f64 = 13.0;
 /// Once votes have led the contour to the hand, its edges are looked for this far \[px\].
 const NEAR_PX: f64 = 10.0;
+/// What is known so well moves for no edge: standard deviation of each component \[px, rad, 1\].
+const PINNED_SIGMA: f64 = 1e-4;
 
 impl ContourTracker {
     /// A tracker whose template waits at `start`.
@@ -400,5 +405,10 @@ impl ContourTracker {
     /// How many times as large as a usual hand this one is seen: it moves so much farther.
     fn largeness(&self) -> f64 {
         (self.hand.acquired[3] / FOLLOWED_HALF_WIDTH_PX).max(1.0)
+    }
+
+    /// How far its edges are looked for from nearby \[px\]; no search line is longer than the longest.
+    fn near_px(&self) -> f64 {
+        (self.largeness() * NEAR_PX).min(MAX_HALF_LENGTH_PX as f64)
     }
 }

@@ -1,5 +1,5 @@
-//! No frame costs an allocation: neither while a hand is tracked, nor while it is away, nor while
-//! the template waits.
+//! Frames that cost no allocation: those of a template that waits, of a hand that is tracked and of one
+//! that is away. The few in which a template moulds itself to a hand and settles may allocate.
 #![allow(clippy::unwrap_used, clippy::expect_used, missing_docs)]
 
 mod common;

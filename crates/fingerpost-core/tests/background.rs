@@ -6,7 +6,7 @@ mod common;
 use common::Noise;
 use fingerpost_core::background::{Background, BackgroundOptions, CELL_PX, ForegroundMap, KeepOut};
 use fingerpost_core::frame::ColourView;
-use fingerpost_core::nalgebra::Point2;
+use fingerpost_core::nalgebra::{Point2, Vector2};
 use fingerpost_core::{Error, Frame, GrayView};
 
 const WIDTH: usize = 96;
@@ -356,6 +356,36 @@ fn a_bump_of_a_part_of_a_pixel_is_noticed_and_learned() {
             see(du, &mut bumped);
         }
         assert!(bumped.is_exact(), "{du}: {:?}", bumped.shift_px());
+    }
+}
+
+#[test]
+fn edges_that_all_run_one_way_tell_no_shift_along_them() {
+    // Stripes, upright and aslant; only across them can a shift be seen.
+    for (per_px, tilt) in [(0.2, 0.0), (0.3, 0.0), (0.25, 0.35)] {
+        let stripes = |du: f64| {
+            move |x: usize, y: usize| {
+                [110.0 + 40.0 * (per_px * (x as f64 + du + tilt * y as f64)).sin(); 3]
+            }
+        };
+        let mut noise = Noise::new(0x6261_7273);
+        let mut background = Background::new(BackgroundOptions::default()).unwrap();
+        let mut see = |du: f64, background: &mut Background| {
+            let shot = Shot::of(stripes(du), 1.0, &mut noise);
+            shot.with(false, |f| background.observe(f, None)).unwrap();
+        };
+        for k in 0..300 {
+            see(0.0, &mut background);
+            if background.is_known() {
+                assert!(background.is_exact(), "{per_px}, frame {k}: {:?}", background.shift_px());
+            }
+        }
+        see(0.5, &mut background);
+        let shift = background.shift_px().unwrap();
+        // The stripes move against the camera, and show of that the part across them.
+        let across = Vector2::new(1.0, tilt) / (1.0 + tilt * tilt);
+        assert!((shift + 0.5 * across).norm() < 0.1, "{per_px}: {shift:?}");
+        assert!(!background.is_exact());
     }
 }
 

@@ -628,6 +628,18 @@ fn knots_that_make_no_curve_are_refused() {
     let points = || too_few("control points", 3, 4);
     assert_eq!(BSpline::open_uniform(Degree::Cubic, 3), Err(points()));
     assert_eq!(BSpline::closed_uniform(Degree::Cubic, 3), Err(points()));
+    // None is made that memory could not hold.
+    let most = 1 << 20;
+    assert_eq!(BSpline::open_uniform(Degree::Quadratic, most).unwrap().control_point_count(), most);
+    for n in [most + 1, usize::MAX - 1, usize::MAX] {
+        let too_many = Err(Error::OutOfRange {
+            what: "number of control points",
+            value: n as f64,
+            right: "at most 1048576",
+        });
+        assert_eq!(BSpline::open_uniform(Degree::Cubic, n), too_many);
+        assert_eq!(BSpline::closed_uniform(Degree::Quadratic, n), too_many);
+    }
 
     assert!(matches!(
         quadratic(&[0.0, 0.0, 0.0, f64::NAN, 1.0, 1.0, 1.0]),

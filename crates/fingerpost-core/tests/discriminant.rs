@@ -73,6 +73,30 @@ fn mean(values: &[f64]) -> f64 {
 const SKIN: [i32; 3] = [90, 110, 160];
 const WOOD: [i32; 3] = [96, 128, 125];
 
+/// Pixels of one level, a part of them one level up in one channel.
+fn a_part_brighter(part: f64) -> Vec<Colour> {
+    let brighter = |x: u32| f64::from(x) < 1000.0 * part;
+    (0..1000).map(|x| [100, 100, if brighter(x) { 101 } else { 100 }]).collect()
+}
+
+#[test]
+fn means_that_are_all_but_equal_tell_nothing() {
+    let background = a_part_brighter(0.0);
+    for part in [0.01, 0.003] {
+        assert!(learned(&a_part_brighter(part), &background).mixture().is_none(), "{part}");
+    }
+    // What is still told is shown without leaving the range of its integers.
+    let hand = a_part_brighter(0.1);
+    let told = learned(&hand, &background);
+    let mixture = told.mixture().unwrap();
+    let [bright, dark] = [&hand, &background].map(|colours| mean(&shown(mixture, colours)));
+    assert!(bright > dark + 10.0, "{bright}, {dark}");
+    // Neither is what other light has made of means beyond all bytes.
+    let mut relit = learned(&a_part_brighter(0.003), &background);
+    relit.relight(30.0);
+    assert!(relit.mixture().is_none());
+}
+
 #[test]
 fn it_is_the_mixture_of_fisher() {
     let spread = [[9, 12, 11], [3, 0, -3], [0, 2, -2]];

@@ -497,6 +497,19 @@ fn a_density_stands_for_accelerations_that_last() {
 }
 
 #[test]
+fn chi_square_quantiles_of_the_least_probabilities_are_found() {
+    for probability in [1e-200, 1e-308, f64::MIN_POSITIVE, 5e-324] {
+        for degrees in [1, 2, 3, 100] {
+            let quantile = chi_square_quantile(probability, degrees).unwrap();
+            assert!((0.0..1.0).contains(&quantile), "{probability}, {degrees}: {quantile}");
+        }
+        // With two degrees of freedom, P(χ² ≤ x) = 1 − e^(−x / 2).
+        let quantile = chi_square_quantile(probability, 2).unwrap();
+        assert!((quantile - 2.0 * probability).abs() <= 1e-9 * probability + 5e-324);
+    }
+}
+
+#[test]
 #[expect(clippy::unreadable_literal, reason = "the table's digits, as they were printed")]
 fn chi_square_quantiles_are_the_tables() {
     // SciPy 1.17, scipy.stats.chi2.ppf.

@@ -2,6 +2,7 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, missing_docs)]
 
 use fingerpost_core::Error;
+use fingerpost_core::frame::ColourView;
 use fingerpost_core::image::GrayView;
 use proptest::prelude::*;
 use proptest::test_runner::{Config, RngSeed};
@@ -166,9 +167,12 @@ fn a_shape_that_the_bytes_do_not_fit_is_refused() {
     let bytes = [0; 11];
     assert_eq!(GrayView::new(&bytes, 0, 3, 4), Err(Error::EmptyImage { width: 0, height: 3 }));
     assert_eq!(GrayView::new(&[], 4, 0, 4), Err(Error::EmptyImage { width: 4, height: 0 }));
-    assert_eq!(GrayView::new(&bytes, 4, 2, 3), Err(Error::StrideTooSmall { stride: 3, width: 4 }));
+    assert_eq!(
+        GrayView::new(&bytes, 4, 2, 3),
+        Err(Error::StrideTooSmall { stride: 3, width: 4, pixel_bytes: 1 })
+    );
     let missing = |width, height, stride| {
-        Err(Error::PixelsMissing { given: bytes.len(), width, height, stride })
+        Err(Error::PixelsMissing { given: bytes.len(), width, height, stride, pixel_bytes: 1 })
     };
     assert!(GrayView::new(&bytes, 3, 3, 4).is_ok());
     assert_eq!(GrayView::new(&bytes, 4, 3, 4), missing(4, 3, 4));
@@ -180,6 +184,29 @@ fn a_shape_that_the_bytes_do_not_fit_is_refused() {
         GrayView::new(&bytes, width, 1, width),
         Err(Error::ImageTooLarge { width, height: 1, limit })
     );
+}
+
+#[test]
+fn colours_are_refused_with_the_width_of_their_image() {
+    let refusal = |bytes: &[u8], width, height, stride| {
+        ColourView::new(bytes, width, height, stride).unwrap_err()
+    };
+    let bytes = [0; 23];
+    assert!(ColourView::new(&bytes[..21], 3, 2, 12).is_ok());
+    assert_eq!(refusal(&bytes, 5, 0, 15), Error::EmptyImage { width: 5, height: 0 });
+    let narrow = refusal(&bytes, 4, 2, 11);
+    assert_eq!(narrow, Error::StrideTooSmall { stride: 11, width: 4, pixel_bytes: 3 });
+    let said = "the stride is 11 bytes; a row of 4 px needs at least 12";
+    assert_eq!(narrow.to_string(), said);
+    let missing = refusal(&bytes, 4, 2, 12);
+    let (given, width, height, stride, pixel_bytes) = (23, 4, 2, 12, 3);
+    assert_eq!(missing, Error::PixelsMissing { given, width, height, stride, pixel_bytes });
+    let said = "23 bytes of pixels for 4 × 2 px with a stride of 12 bytes; \
+                (height − 1) · stride + 12 bytes are needed";
+    assert_eq!(missing.to_string(), said);
+    let (width, limit) = (usize::MAX, GrayView::MAX_SIDE);
+    let large = Error::ImageTooLarge { width, height: 1, limit };
+    assert_eq!(refusal(&bytes, width, 1, width), large);
 }
 
 #[test]

@@ -8,7 +8,8 @@ use common::{BentFinger, Canvas, Noise, Picture, Shape};
 use fingerpost_core::appearance::Appearance;
 use fingerpost_core::nalgebra::{Matrix2, Matrix4, Point2, Vector2, Vector3, Vector4};
 use fingerpost_core::refine::{
-    Belief, Finger, KnownBackground, RefineOptions, Refined, Refiner, Source, Stretch,
+    Belief, Finger, KnownBackground, MAX_STRETCH_PX, RefineOptions, Refined, Refiner, Source,
+    Stretch,
 };
 use fingerpost_core::search::Polarity;
 use fingerpost_core::shape_space::Axis;
@@ -754,6 +755,33 @@ fn numbers_that_are_none_are_refused() {
     let stretch = Stretch { from_px: f64::NAN, to_px: 1.0 };
     let flanks = [stretch, finger.flanks[1]];
     assert!(matches!(refused(Finger { flanks, ..finger }), Error::NotFinite { .. }));
+}
+
+#[test]
+fn a_stretch_that_no_picture_holds_is_refused() {
+    let (_, finger, _) = plain();
+    let picture = Canvas::new(SIZE, SIZE, TABLE).take(0.0, &mut Noise::new(0));
+    let frame = Frame::gray(picture.view());
+    let mut refiner = refiner();
+    let mut look = |flanks: [Stretch; 2]| {
+        let finger = Finger { flanks, ..finger };
+        (
+            refiner.refine(&frame, &finger, Polarity::Unknown, None, None),
+            refiner.bend(&frame, &finger, Polarity::Unknown, None),
+        )
+    };
+    let stretch = |from_px, to_px| Stretch { from_px, to_px };
+    let most = stretch(20.0 - MAX_STRETCH_PX, 20.0);
+    assert!(look([most; 2]).0.is_ok() && look([most; 2]).1.is_ok());
+    // Whichever of the flanks it is, or both together.
+    let [near, far] = [stretch(0.0, 20.0), stretch(-9e4, -8e4)];
+    for flanks in [[stretch(-1e8, 20.0), near], [near, stretch(-66e3, 20.0)], [far, near]] {
+        let refused = look(flanks).0.unwrap_err();
+        let what = "stretch of the finger [px]";
+        assert!(matches!(refused, Error::OutOfRange { what: w, .. } if w == what), "{refused}");
+    }
+    let refused = look([stretch(-1e8, 20.0); 2]).1.unwrap_err();
+    assert!(matches!(refused, Error::OutOfRange { .. }), "{refused}");
 }
 
 #[test]

@@ -392,6 +392,10 @@ fn an_outline_or_axis_without_extent_is_refused() {
         from(&outline[..9], &axis, 10),
         Error::TooFew { what: "outline points", given: 9, needed: 10 }
     );
+    assert_eq!(
+        from(&outline[..10], &axis, usize::MAX),
+        Error::TooFew { what: "outline points", given: 10, needed: usize::MAX }
+    );
     assert_eq!(from(&[], &axis, 4), Error::TooFew { what: "outline points", given: 0, needed: 4 });
     for tip in [axis.knuckle, Point2::new(f64::NAN, 0.0), Point2::new(f64::INFINITY, 0.0)] {
         let none = OutlineAxis { tip, ..axis };

@@ -14,13 +14,14 @@ use fingerpost_core::shape_space::{AffineMap, PlacedSample, Pose};
 use fingerpost_core::simd::Isa;
 use fingerpost_core::template::{HALF_LENGTH, OutlineAxis, Template, Thumb};
 use fingerpost_core::tracker::{
-    AcceptOptions, AcquireOptions, ContourTracker, FingerLine, LineSource, Model, Refusal,
-    SearchedLine, StartPose, Status, Track, TrackOptions, TrackerOptions,
+    AcceptOptions, AcquireOptions, ContourTracker, Diagnostics, FingerLine, LineSource, Model,
+    Refusal, SearchedLine, StartPose, Status, Track, TrackOptions, TrackerOptions,
 };
 use fingerpost_core::{Error, Frame};
 use proptest::prelude::*;
 use proptest::test_runner::{Config, RngSeed};
 use std::f64::consts::{PI, TAU};
+use std::sync::OnceLock;
 
 const WIDTH: usize = 200;
 const HEIGHT: usize = 150;
@@ -858,6 +859,35 @@ fn a_hand_as_large_as_a_large_image_is_no_error() {
     }
 }
 
+/// The picture of a finger so large that the longest search lines are short beside it, and its start.
+fn vast() -> (Picture, StartPose) {
+    let start =
+        StartPose { tip_px: Point2::new(1650.0, 450.0), angle_rad: 0.02, length_px: 1500.0 };
+    let tip_px = start.tip_px + Vector2::new(-3.0, -4.0);
+    let hand = Hand::usual(Thumb::None, tip_px, 0.0, start.length_px);
+    let canvas = Canvas::new(1900, 900, BACKGROUND).paint(&hand, HAND).blur(BLUR_PX);
+    (canvas.take(NOISE, &mut Noise::new(0x7661_7374)), start)
+}
+
+#[test]
+fn a_vast_hand_that_leaves_is_a_status_and_no_error() {
+    let (picture, start) = vast();
+    let empty = Picture { bytes: vec![60; picture.bytes.len()], ..picture.clone() };
+    for model in MODELS {
+        let options = options(model);
+        let track = TrackOptions { lose_after_frames: 2, ..options.track };
+        let options = TrackerOptions { track, ..options };
+        let template = Template::pistol(Thumb::None).unwrap();
+        let mut tracker = ContourTracker::new(template, &start, options).unwrap();
+        let shown = [&picture, &picture, &picture, &empty, &empty, &empty].into_iter().enumerate();
+        let told =
+            shown.map(|(k, picture)| update(&mut tracker, picture, k as f64 * FRAME_S).status);
+        let told: Vec<_> = told.collect();
+        let left = [Status::Tracking, Status::Tracking, Status::Lost, Status::Lost];
+        assert_eq!(told[2..], left, "{model:?}");
+    }
+}
+
 /// Sets one of a tracker's options.
 type Set = fn(&mut TrackerOptions, f64);
 
@@ -1110,13 +1140,24 @@ fn any_options() -> impl Strategy<Value = TrackerOptions> {
     )
 }
 
+/// [`vast`], painted once.
+static VAST: OnceLock<(Picture, StartPose)> = OnceLock::new();
+
 /// Shows the tracker one frame more and checks that its answer can be used.
 fn check_any(tracker: &mut ContourTracker, picture: &Picture, coloured: bool, k: usize) -> Status {
     let Picture { width, height, bytes } = picture;
     let gray = GrayView::new(bytes, *width, *height, *width).unwrap();
-    let colours: Vec<u8> = bytes.iter().flat_map(|&g| [g, 255 - g, g / 3]).collect();
-    let colours = ColourView::new(&colours, *width, *height, 3 * width).unwrap();
-    let frame = if coloured { Frame::coloured(gray, colours).unwrap() } else { Frame::gray(gray) };
+    let colours: Vec<u8> = if coloured {
+        bytes.iter().flat_map(|&g| [g, 255 - g, g / 3]).collect()
+    } else {
+        Vec::new()
+    };
+    let frame = if coloured {
+        let colours = ColourView::new(&colours, *width, *height, 3 * width).unwrap();
+        Frame::coloured(gray, colours).unwrap()
+    } else {
+        Frame::gray(gray)
+    };
     let track = tracker.update(&frame, k as f64 * FRAME_S).unwrap();
     assert!(track.finger_line.is_none() || track.status == Status::Tracking);
     if let Some(FingerLine { axis, covariance, .. }) = track.finger_line {
@@ -1179,6 +1220,39 @@ proptest! {
         for picture in &pictures {
             k += 1;
             check_any(&mut tracker, picture, coloured, k);
+        }
+    }
+}
+
+proptest! {
+    #![proptest_config(config(24))]
+
+    #[test]
+    fn any_bytes_after_a_vast_hand_have_an_answer(
+        pictures in prop::collection::vec((pictures(), 1..60_usize), 1..6),
+        options in any_options(),
+    ) {
+        let (shown, start) = VAST.get_or_init(vast);
+        let usual = TrackerOptions::default();
+        let options = TrackerOptions {
+            // Hands of the other one are followed at the usual size.
+            model: Model::Paper,
+            polarity: Polarity::Bright,
+            samples: usual.samples,
+            max_iterations: usual.max_iterations,
+            acquire: usual.acquire,
+            ..options
+        };
+        let template = Template::pistol(Thumb::None).unwrap();
+        let mut tracker = ContourTracker::new(template, start, options).unwrap();
+        let mut k = 0;
+        while check_any(&mut tracker, shown, false, k) != Status::Tracking {
+            k += 1;
+            prop_assert!(k < 10, "the hand itself is no problem");
+        }
+        for (picture, times) in &pictures {
+            k += 1;
+            check_any(&mut tracker, &magnified(picture, *times), false, k);
         }
     }
 }
@@ -1379,13 +1453,55 @@ fn a_template_does_not_wait_for_a_bent_finger() {
         let finger = pointing().bent(0.42);
         let track = update(&mut tracker, &picture_of(&finger, &mut noise), f64::from(k) * FRAME_S);
         assert!(track.finger_line.is_none(), "frame {k}: {track:?}");
-        refusals.extend(track.diagnostics.refusal);
+        let Diagnostics { refusal, bend_rad, .. } = track.diagnostics;
+        // The bend for which it is refused is told, and no other.
+        assert_eq!(bend_rad.is_some(), refusal == Some(Refusal::Misfit), "frame {k}: {track:?}");
+        assert!(bend_rad.is_none_or(|rad| (rad - 0.42).abs() < 0.06), "{bend_rad:?}");
+        refusals.extend(refusal);
     }
     assert!(refusals.contains(&Refusal::Misfit), "{refusals:?}");
     for k in 10..14 {
         update(&mut tracker, &picture_of(&pointing(), &mut noise), f64::from(k) * FRAME_S);
     }
     assert_eq!(tracker.status(), Status::Tracking);
+}
+
+#[test]
+fn a_frame_that_acquires_a_hand_or_finds_it_again_tells_its_bend() {
+    let mut tracker = tracker(Model::Ribbon, Thumb::None);
+    let mut noise = Noise::new(0x746f_6c64);
+    let finger = pointing().bent(0.1);
+    let mut time_s = 0.0;
+    for _ in 0..2 {
+        let mut track = update(&mut tracker, &picture_of(&finger, &mut noise), time_s);
+        while track.status != Status::Tracking {
+            time_s += FRAME_S;
+            assert!(time_s < 2.0, "{track:?}");
+            track = update(&mut tracker, &picture_of(&finger, &mut noise), time_s);
+        }
+        let told = track.diagnostics;
+        assert!(track.finger_line.is_some(), "{told:?}");
+        assert!(told.bend_rad.is_some_and(|rad| (rad - 0.1).abs() < 0.06), "{told:?}");
+        time_s += FRAME_S;
+        lose(&mut tracker, &mut time_s, &mut noise);
+    }
+}
+
+#[test]
+fn a_hand_that_is_found_again_tells_how_much_of_it_had_to_agree() {
+    // Only what is next to the knuckle looks as it did: the edges of the front count less.
+    let mut tracker = tracker(Model::Ribbon, Thumb::None);
+    let (hand, mut noise) = (held_up(Thumb::None), Noise::new(0x6167_7265));
+    let mut time_s = acquire(&mut tracker, &hand, &mut noise);
+    lose(&mut tracker, &mut time_s, &mut noise);
+    let behind = Hand { tip_px: hand.tip_px - hand.direction() * (0.3 * LENGTH_PX), ..hand };
+    let canvas = Canvas::new(WIDTH, HEIGHT, BACKGROUND).paint(&hand, 220.0).paint(&behind, HAND);
+    let shown = canvas.blur(BLUR_PX).take(NOISE, &mut noise);
+    let track = update(&mut tracker, &shown, time_s);
+    let told = track.diagnostics;
+    assert!(track.finger_line.is_some(), "{track:?}");
+    let usual = tracker.options().acquire.accept.min_inliers;
+    assert!(usual + 0.05 < told.min_agreement && told.min_agreement <= told.agreement, "{told:?}");
 }
 
 #[test]

@@ -1,7 +1,7 @@
 //! `fingerpost._core.Background`.
 
 use crate::arrays::{column, flat_table, point, points, table};
-use crate::errors::{in_use, invalid_input};
+use crate::errors::{in_use, invalid_input, wrong};
 use crate::image::FrameArrays;
 use crate::numbers::real;
 use crate::options::{Overlay, options, overlay_fields};
@@ -21,9 +21,12 @@ overlay_fields!(BackgroundOptions {
 });
 
 /// Two ends of a segment, and the radius around it.
-type Part<'py> = (Bound<'py, PyAny>, Bound<'py, PyAny>, Bound<'py, PyAny>);
-
-fn part((from, to, radius_px): &Part<'_>, what: &str) -> PyResult<KeepOut> {
+fn part(value: &Bound<'_, PyAny>, what: &str) -> PyResult<KeepOut> {
+    let entries: Option<[Bound<'_, PyAny>; 3]> = value.extract().ok();
+    let Some([from, to, radius_px]) = &entries else {
+        let right = "two ends (u, v) of a segment [px] and the radius around it [px]";
+        return Err(wrong(what, value, right));
+    };
     Ok(KeepOut {
         from: point(from, &format!("{what}[0]"))?,
         to: point(to, &format!("{what}[1]"))?,
@@ -50,11 +53,11 @@ impl PyBackground {
         py: Python<'_>,
         image: &Bound<'_, PyAny>,
         colour: Option<&Bound<'_, PyAny>>,
-        keep_out: Option<Part<'_>>,
+        keep_out: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<()> {
         let arrays = FrameArrays::new(image, colour)?;
         let frame = arrays.frame()?;
-        let keep_out = keep_out.map(|part| self::part(&part, "keep_out")).transpose()?;
+        let keep_out = keep_out.map(|value| part(value, "keep_out")).transpose()?;
         let mut this = slf.try_borrow_mut().map_err(|_| in_use("Background"))?;
         let background = &mut this.0;
         py.detach(|| background.observe(&frame, keep_out.as_ref())).map_err(invalid_input)
@@ -83,20 +86,19 @@ impl PyBackground {
         py: Python<'_>,
         image: &Bound<'_, PyAny>,
         colour: Option<&Bound<'_, PyAny>>,
-        keep_out: Option<Part<'_>>,
+        keep_out: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<()> {
         let arrays = FrameArrays::new(image, colour)?;
         let frame = arrays.frame()?;
-        let keep_out = keep_out.map(|part| self::part(&part, "keep_out")).transpose()?;
+        let keep_out = keep_out.map(|value| part(value, "keep_out")).transpose()?;
         let mut this = slf.try_borrow_mut().map_err(|_| in_use("Background"))?;
         let background = &mut this.0;
         py.detach(|| background.learn(&frame, keep_out.as_ref())).map_err(invalid_input)
     }
 
     /// Forgets a part of the image.
-    #[expect(clippy::needless_pass_by_value, reason = "pyo3 extracts tuples by value")]
-    fn forget(slf: &Bound<'_, Self>, part: Part<'_>) -> PyResult<()> {
-        let part = self::part(&part, "part")?;
+    fn forget(slf: &Bound<'_, Self>, part: &Bound<'_, PyAny>) -> PyResult<()> {
+        let part = self::part(part, "part")?;
         let mut this = slf.try_borrow_mut().map_err(|_| in_use("Background"))?;
         this.0.forget(&part).map_err(invalid_input)
     }

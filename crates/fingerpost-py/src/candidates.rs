@@ -1,13 +1,14 @@
 //! `fingerpost._core.HandFinder` and the candidates that it finds.
 
+use crate::arrays::point;
 use crate::background::PyBackground;
 use crate::errors::{in_use, invalid_input};
 use crate::image::FrameArrays;
+use crate::numbers::real;
 use crate::options::{Overlay, options, overlay_fields};
 use crate::tracker::PyStartPose;
 use crate::words::Word;
 use fingerpost_core::candidates::{Candidate, FinderOptions, HandFinder};
-use fingerpost_core::nalgebra::Point2;
 use fingerpost_core::tracker::StartPose;
 use pyo3::prelude::*;
 
@@ -49,14 +50,16 @@ impl PyHandFinder {
     fn likeness(
         py: Python<'_>,
         image: &Bound<'_, PyAny>,
-        tip_px: (f64, f64),
-        angle_rad: f64,
-        half_width_px: f64,
+        tip_px: &Bound<'_, PyAny>,
+        angle_rad: &Bound<'_, PyAny>,
+        half_width_px: &Bound<'_, PyAny>,
         colour: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<Option<f64>> {
         let arrays = FrameArrays::new(image, colour)?;
         let frame = arrays.frame()?;
-        let tip = Point2::new(tip_px.0, tip_px.1);
+        let tip = point(tip_px, "tip_px")?;
+        let angle_rad = real(angle_rad, "angle_rad")?;
+        let half_width_px = real(half_width_px, "half_width_px")?;
         py.detach(|| HandFinder::likeness(&frame, tip, angle_rad, half_width_px))
             .map_err(invalid_input)
     }

@@ -2,7 +2,7 @@
 //!
 //! p runs along the finger from the middle of the stretch in use, q to the right of it, both in px.
 
-use super::{Belief, Finger, Stretch};
+use super::{Belief, Finger, MAX_STRETCH_PX, Stretch};
 use crate::{Error, Result};
 use nalgebra::{Point2, Vector2};
 
@@ -36,7 +36,8 @@ impl Sketch {
     /// The finger in its own frame; `None` if neither flank has a stretch to look at.
     ///
     /// # Errors
-    /// When a number is not finite or the half-width not positive.
+    /// When a number is not finite, the half-width not positive, or the stretch longer than
+    /// [`MAX_STRETCH_PX`]: whatever looks along it takes as long.
     pub fn of(finger: &Finger) -> Result<Option<Self>> {
         let Finger { axis, half_width_px, taper, flanks, round_end_px, belief } = finger;
         Error::finite("axis of the finger [px]", axis.anchor.coords.sum() + axis.tip.coords.sum())?;
@@ -59,13 +60,13 @@ impl Sketch {
                 Error::within("uncertainty of what is believed", sigma, "positive", |s| s > 0.0)?;
             }
         }
-        let seen = flanks.iter().filter(|s| s.length_px() > 0.0);
-        let (from, to) = seen.fold((f64::INFINITY, f64::NEG_INFINITY), |(from, to), s| {
-            (from.min(s.from_px), to.max(s.to_px))
-        });
+        let Stretch { from_px: from, to_px: to } = finger.stretch();
         if to <= from {
             return Ok(None);
         }
+        Error::within("stretch of the finger [px]", to - from, "at most 65536", |length| {
+            length <= MAX_STRETCH_PX
+        })?;
         let (along, middle) = (axis.direction(), 0.5 * (from + to));
         let shift = |s: &Stretch| Stretch { from_px: s.from_px - middle, to_px: s.to_px - middle };
         let sketch = Self {

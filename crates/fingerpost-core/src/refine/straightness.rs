@@ -100,7 +100,7 @@ impl Straightness {
     /// The bend of a finger that is believed to be near `finger`; `None` if a half does not tell.
     ///
     /// # Errors
-    /// When a number of the finger is not finite or its half-width is not positive.
+    /// Those of [`Sketch::of`], of either half.
     pub fn bend(
         &mut self,
         frame: &Frame<'_>,

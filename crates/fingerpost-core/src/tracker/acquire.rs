@@ -7,7 +7,7 @@ use super::found::Found;
 use super::hand::{Look, MOST_COVERED_FRAMES, Remembered};
 use super::looks::{Lead, Shaft};
 use super::mould::{Mould, stands_out};
-use super::options::{AcquireOptions, Model};
+use super::options::{AcceptOptions, AcquireOptions, Model};
 use super::pace::Pace;
 use super::sagitta::Sagitta;
 use super::scene::Scene;
@@ -55,14 +55,18 @@ impl ContourTracker {
         let reach_px = LOST_REACH * self.largeness() * self.options.track.half_length_px;
         let accept = self.options.acquire.accept;
         let Sought { found, likeness, .. } = self.find(frame, shape, reach_px, None)?;
-        if self.known(&accept, None).judge(&found, likeness).is_ok() {
+        let known = self.known(&accept, None);
+        if let (Ok(()), Some(fit)) = (known.judge(&found, likeness), &found.fit) {
+            let min_inliers = known.min_agreement(fit, likeness);
+            let accept = AcceptOptions { min_inliers, ..accept };
             let bend = self.bend(frame, &found)?;
             let posture = self.hand.posture.after(bend.as_ref(), &found);
             if !posture.is_bent() {
                 self.hand.shape = found.shape;
                 self.start(time_s, &found, posture)?;
                 self.hand.is_back = true;
-                return self.tracked(frame, time_s, &found, &accept);
+                let track = self.tracked(frame, time_s, &found, &accept)?;
+                return Ok(track.bent(bend.as_ref()));
             }
         }
         self.hand.kind = settling;
@@ -100,6 +104,7 @@ impl ContourTracker {
             self.hand.kind = self.waiting.kind(&self.options);
         }
         self.hand.measure = self.waiting.measure;
+        let mut misfit_bend = None;
         if settled >= settle_frames {
             let before = self.hand.clone();
             if let Some(acquired) = self.freeze(frame, &found)? {
@@ -108,9 +113,10 @@ impl ContourTracker {
                 if !posture.is_bent() {
                     let accept = self.options.track.accept;
                     self.start(time_s, &acquired, posture)?;
-                    return self.tracked(frame, time_s, &acquired, &accept);
+                    let track = self.tracked(frame, time_s, &acquired, &accept)?;
+                    return Ok(track.bent(bend.as_ref()));
                 }
-                refusal = Some(Refusal::Misfit);
+                (refusal, misfit_bend) = (Some(Refusal::Misfit), bend);
                 self.hand = before;
             } else {
                 self.hand = before;
@@ -121,7 +127,7 @@ impl ContourTracker {
                 (Phase::Lost { last, settled }, Status::Lost)
             });
         self.phase = phase;
-        Ok(track(time_s, status, &found, &accept, refusal))
+        Ok(track(time_s, status, &found, &accept, refusal).bent(misfit_bend.as_ref()))
     }
 
     /// What is found without what is known of the background, or else with it, and why it is no hand.

@@ -6,6 +6,7 @@
 //! for as long as more of its edges agree than not; and a fit that leaves much of one flank unexplained,
 //! or fits it far less exactly than the other, is tried once more from the front.
 
+use super::PINNED_SIGMA;
 use super::convergence::{Attempt, Converged, Convergence, Fit, MIN_HALF_LENGTH_PX, Rest};
 use super::scene::Scene;
 use crate::Result;
@@ -24,8 +25,6 @@ const LEANS: f64 = 2.0;
 const LEANS_PX: f64 = 0.3;
 /// The finger alone, with its width and taper: a shape that only moves and turns cannot lean on a thumb.
 const FINGER_DOF: usize = 5;
-/// So sure that no edge changes it \[px, rad, 1\].
-const PINNED_SIGMA: f64 = 1e-4;
 
 /// What the edges of a flank tell.
 #[derive(Debug, Clone, Copy)]

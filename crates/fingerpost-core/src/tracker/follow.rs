@@ -10,7 +10,7 @@ use super::pace::Pace;
 use super::scene::Scene;
 use super::track::{Track, track};
 use super::verdict::{Known, Motion, Refusal};
-use super::{ContourTracker, NEAR_PX, Phase, Status};
+use super::{ContourTracker, Phase, Status};
 use crate::Result;
 use crate::dynamics::{Dynamics, Innovation, Prediction};
 use nalgebra::{Matrix3, Vector3};
@@ -117,8 +117,7 @@ impl ContourTracker {
                 self.tracked(frame, time_s, &found, &accept)?
             };
             track.diagnostics.innovation = innovation;
-            track.diagnostics.bend_rad = bend.map(|b| b.angle_rad);
-            return Ok(track);
+            return Ok(track.bent(bend.as_ref()));
         }
         let missed = missed + 1;
         let status = if missed >= lose_after_frames {
@@ -138,12 +137,8 @@ impl ContourTracker {
         let Some(dynamics) = self.dynamics else { return Ok(None) };
         Ok(match dynamics.predict(time_s)? {
             Prediction::Expected(expected) => {
-                let window = Window {
-                    expected,
-                    gate: self.gate,
-                    near_px: self.largeness() * NEAR_PX,
-                    own_only: false,
-                };
+                let window =
+                    Window { expected, gate: self.gate, near_px: self.near_px(), own_only: false };
                 Some(Foretold { dynamics, time_s, window })
             }
             Prediction::Lost { .. } => None,

@@ -17,6 +17,7 @@ use super::looks::{Lead, Shaft};
 use super::scene::Scene;
 use super::shape::Shape;
 use crate::Result;
+use crate::search::MAX_HALF_LENGTH_PX;
 use crate::shape_space::{BandMeasure, Pose, RIBBON_DOF, RibbonVector, ShapeSpace};
 use crate::template::{HALF_LENGTH, Limb, Proportions, TemplateSample};
 use nalgebra::{Point2, Vector2};
@@ -132,7 +133,7 @@ impl ContourTracker {
             station(round_end - step * (i % STATIONS) as f64, i < STATIONS)
         });
         let within_px = (ALONG * x[3]).max(ALONG_PX).max(ALONG_SCATTER * scatter_px);
-        let look = Look::edges(near_px(x).max(within_px));
+        let look = Look::edges(near_px(x, within_px));
         let space = self.ribbon::<RIBBON_DOF>(x)?;
         let attempt = self.hand.attempt(&samples, frame, look, self.options.polarity);
         let (mut sums, mut best, mut ends_px) = ([0.0; 2], [0.0; 2], [0.0; 2]);
@@ -157,7 +158,7 @@ impl ContourTracker {
         let from = told_by(x, &self.hand.measure, &measure);
         (self.hand.measure, self.hand.acquired) = (measure, from);
         let held = self.held::<5>(&from, SLACK);
-        let look = Look::edges(near_px(x));
+        let look = Look::edges(near_px(x, MIN_HALF_LENGTH_PX));
         let finger = self.run_ribbon::<5>(frame, &from, Limb::Finger, look, Some(&held))?;
         self.hand.shape = Shape::Ribbon(with_thumb_of(&from, &finger.x));
         Ok(finger.into())
@@ -171,9 +172,10 @@ fn station(along: f64, is_right: bool) -> TemplateSample {
     TemplateSample { position, normal, limb, along, radial: normal }
 }
 
-/// How far the edges of a template of another length are looked for \[px\].
-fn near_px(x: &RibbonVector) -> f64 {
-    (NEAR * x[3]).max(MIN_HALF_LENGTH_PX)
+/// How far the edges of a template of another length are looked for \[px\]: so far at least, and no
+/// farther than the longest search line.
+fn near_px(x: &RibbonVector, least_px: f64) -> f64 {
+    (NEAR * x[3]).max(least_px).clamp(MIN_HALF_LENGTH_PX, MAX_HALF_LENGTH_PX as f64)
 }
 
 /// A hand by a template of another measure: the middle of its round end stays where it is.
@@ -185,4 +187,26 @@ fn told_by(x: &RibbonVector, from: &BandMeasure, to: &BandMeasure) -> RibbonVect
     told[3] += ahead_px * x[4];
     told[5] -= ahead_px;
     told
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{MAX_HALF_LENGTH_PX, MIN_HALF_LENGTH_PX, NEAR, RibbonVector, near_px};
+
+    #[test]
+    fn edges_are_looked_for_no_farther_than_the_longest_search_line() {
+        let hand = |half_width_px: f64| {
+            let mut x = RibbonVector::zeros();
+            x[3] = half_width_px;
+            x
+        };
+        let longest_px = MAX_HALF_LENGTH_PX as f64;
+        assert!((near_px(&hand(1.0), 0.0) - MIN_HALF_LENGTH_PX).abs() < 1e-12);
+        assert!((near_px(&hand(40.0), 3.0) - NEAR * 40.0).abs() < 1e-12);
+        assert!((near_px(&hand(40.0), 90.0) - 90.0).abs() < 1e-12);
+        // A hand that fills the picture, and edges that scatter as far as the options allow.
+        for far in [near_px(&hand(1e3), 0.0), near_px(&hand(10.0), 3e4)] {
+            assert!((far - longest_px).abs() < 1e-12, "{far}");
+        }
+    }
 }

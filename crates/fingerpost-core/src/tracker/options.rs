@@ -142,7 +142,7 @@ impl DynamicsOptions {
 
 /// Options of a [`ContourTracker`](super::ContourTracker), with their defaults. Lengths and speeds of the
 /// band model are in pixels of the picture in which the hand is followed: of the frame, or where its
-/// finger is 26 px across or more, of one that is smaller by a whole factor.
+/// finger is 24 px across or more, of one that is smaller by a whole factor.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TrackerOptions {
     /// What is tracked.

@@ -7,7 +7,7 @@ use super::looks::Lead;
 use super::mould::finger_samples;
 use super::scene::Scene;
 use super::shape::Shape;
-use super::{ContourTracker, NEAR_PX};
+use super::{ContourTracker, PINNED_SIGMA};
 use crate::Result;
 use crate::fit::Prior;
 use crate::refine::Belief;
@@ -32,8 +32,6 @@ const THUMB_SEEN: f64 = 0.4;
 /// Before all samples tell the shear of the paper's template, one in so many is enough to place and turn
 /// it. Bands get a width of their own by theirs, and would miss one frame in thirty of a fast hand.
 const ENOUGH_TO_TURN: usize = 2;
-/// While the thumb is fitted, the finger stays within this of where it is \[px, rad, 1\].
-const PINNED_SIGMA: f64 = 1e-4;
 
 /// How a hand is settled on: from which shape, at which scale, in which window, led by what.
 pub(super) type Path = (Shape, Scale, Option<Window>, Lead);
@@ -47,7 +45,7 @@ impl ContourTracker {
         frame: &Scene<'_>,
         (from, scale, window, lead): Path,
     ) -> Result<Found> {
-        let near_px = window.map_or(self.largeness() * NEAR_PX, |w| w.near_px);
+        let near_px = window.map_or(self.near_px(), |w| w.near_px);
         let own_only = window.is_some_and(|w| w.own_only);
         let look = Look { lead, scale, own_only, ..Look::edges(near_px) };
         let first = match window {
@@ -148,6 +146,7 @@ impl ContourTracker {
         look: Look,
     ) -> Result<Converged<RIBBON_DOF>> {
         let mut held = self.held::<RIBBON_DOF>(&finger.x, 1.0);
+        // While the thumb is fitted, the finger stays where it is.
         for i in 0..5 {
             held.mean[i] = finger.x[i];
             held.information[(i, i)] = PINNED_SIGMA.powi(-2);

@@ -12,7 +12,7 @@ use super::steady::Shown;
 use super::track::{Track, track};
 use super::{ContourTracker, Status};
 use crate::Result;
-use crate::refine::{Bend, Finger, Refined, Source, Stretch};
+use crate::refine::{Bend, Finger, MAX_STRETCH_PX, Refined, Source, Stretch};
 use crate::shape_space::{BandMeasure, Pose, RIBBON_DOF, RibbonVector, ShapeSpace};
 use crate::template::Part;
 
@@ -208,7 +208,10 @@ impl ContourTracker {
         let axis = self.ribbon::<RIBBON_DOF>(x)?.pose(x).axis();
         let belief = self.by_contour(found).and_then(|line| self.belief(&line.covariance));
         let round_end_px = Some(round_end_px);
-        Ok(Some(Finger { axis, half_width_px, taper, flanks, round_end_px, belief }))
+        let finger = Finger { axis, half_width_px, taper, flanks, round_end_px, belief };
+        // A template may be longer than any picture; no line of such a finger is told by its pixels.
+        let is_longest = self.reduction.px() * finger.stretch().length_px() > MAX_STRETCH_PX;
+        Ok((!is_longest).then_some(finger))
     }
 
     /// How the finger of a fit that counts is bent, if its flanks tell; never of the paper's model.

@@ -6,6 +6,7 @@ use super::found::Found;
 use super::line::FingerLine;
 use super::options::AcceptOptions;
 use super::verdict::Refusal;
+use crate::refine::Bend;
 use crate::search::{EdgeMeasurement, SearchLine};
 use crate::shape_space::RIBBON_DOF;
 use nalgebra::{SMatrix, SVector};
@@ -83,6 +84,14 @@ pub struct Track {
     pub finger_line: Option<FingerLine>,
     /// Why.
     pub diagnostics: Diagnostics,
+}
+
+impl Track {
+    /// The same where the flanks have told this of the finger's bend.
+    pub(super) fn bent(mut self, bend: Option<&Bend>) -> Self {
+        self.diagnostics.bend_rad = bend.map(|b| b.angle_rad);
+        self
+    }
 }
 
 /// The story of one frame whose fit was judged by `accept`, but for the finger line.
