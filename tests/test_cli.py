@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from fingerpost.cli.endings import ending_as_interrupted
 from fingerpost.recording import read_points, read_tracks
 from fingerpost.simulate import DevicePose, SimulatedRig, Trajectory, write_recording
 
@@ -149,6 +150,31 @@ def test_ctrl_c_keeps_what_was_written(tmp_path):
     assert demo.returncode == 130
     assert said.splitlines()[-1] == "fingerpost: stopped"
     assert len(read_points(points)) >= 4
+
+
+@pytest.mark.skipif(os.name == "nt", reason="POSIX signals")
+@pytest.mark.parametrize("name", ["SIGTERM", "SIGHUP"])
+def test_a_signal_that_ends_programs_does_what_ctrl_c_does(name):
+    number = getattr(signal, name)
+    before = signal.getsignal(number)
+    with pytest.raises(KeyboardInterrupt), ending_as_interrupted():
+        signal.raise_signal(number)
+    assert signal.getsignal(number) is before
+
+
+@pytest.mark.skipif(os.name == "nt", reason="POSIX shells")
+def test_a_closed_stderr_stops_no_command(rig_file, tmp_path):
+    points = tmp_path / "points.csv"
+    command = 'exec "$0" -m fingerpost run "$1" --max-frames 3 --points "$2" 2>&-'
+    done = subprocess.run(["sh", "-c", command, sys.executable, rig_file, points], check=False)
+    assert done.returncode == 0
+    assert len(read_points(points)) == 3
+
+
+def test_the_experiment_takes_a_lens():
+    done = fingerpost("experiment", "--targets", "2", "--k1", "-0.05")
+    assert done.returncode == 0, done.stderr
+    assert "k1 -0.05" in done.stdout
 
 
 def test_a_robot_is_homed_from_the_command_line():

@@ -107,10 +107,12 @@ def test_values_out_of_range_are_refused(options):
 
 def test_a_port_that_cannot_be_made_is_refused(tmp_path):
     (tmp_path / "folder").mkdir()
-    for link in (tmp_path / "no" / "such", tmp_path / "folder"):
+    (tmp_path / "file").write_text("precious")
+    for link in (tmp_path / "no" / "such", tmp_path / "folder", tmp_path / "file"):
         emulator = make_emulator("acl", link=link)
         with pytest.raises(InvalidInputError, match=f"{link}: no link can be put there"), emulator:
             pass
+    assert (tmp_path / "file").read_text() == "precious"
     with socket.create_server(("127.0.0.1", 0)) as taken:
         emulator = make_emulator("acl", tcp_port=taken.getsockname()[1])
         with pytest.raises(InvalidInputError, match="cannot be served"), emulator:

@@ -7,12 +7,12 @@ import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from types import FrameType
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 import msgspec
 
+from fingerpost.cli.endings import ENDING_SIGNALS, ending_orderly
 from fingerpost.errors import InvalidInputError
 
 if TYPE_CHECKING:
@@ -24,11 +24,6 @@ Options = TypeVar("Options", bound=msgspec.Struct)
 
 LONGEST_HOMING_S = 3600.0
 """Nobody watches an arm home for longer [s]."""
-
-ENDING_SIGNALS = tuple(
-    getattr(signal, name) for name in ("SIGTERM", "SIGHUP", "SIGQUIT") if hasattr(signal, name)
-)
-"""Signals that end a program; an interrupted one exits with 128 and the signal's number."""
 
 
 def homing_seconds(context: click.Context, parameter: click.Parameter, value: float) -> float:
@@ -142,18 +137,3 @@ def guarded(guard: Guard) -> Iterator[None]:
         stopping.append(signal.SIGTSTP)
     with ending_orderly(), guard.signals(*stopping), guard.watching():
         yield
-
-
-@contextmanager
-def ending_orderly() -> Iterator[None]:
-    """Let signals that end the program unwind it, so that terminals and files are left whole."""
-
-    def end(number: int, _frame: FrameType | None) -> None:
-        sys.exit(128 + number)
-
-    before = {number: signal.signal(number, end) for number in ENDING_SIGNALS}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)

@@ -135,9 +135,10 @@ def _options(tracker: str, settings: dict[str, Any]) -> ExperimentOptions:
     def taken(**names: str) -> dict[str, Any]:
         return {field: given.pop(name) for field, name in names.items() if name in given}
 
-    size = dict(zip(("width_px", "height_px"), given.pop("size", ()), strict=False))
+    size: dict[str, Any] = dict(zip(("width_px", "height_px"), given.pop("size", ()), strict=False))
+    lenses: dict[str, Any] = {"k1": (given.pop("k1"),)} if "k1" in given else {}
     nested: dict[str, Any] = {
-        "cameras": Placement(**size, **taken(k1="k1")),
+        "cameras": Placement(**size, **lenses),
         "limits": PoseLimits(**taken(hover_mm="hover", slant_deg="slant", azimuth_deg="azimuth")),
         "background": Background(**taken(clutter="clutter")),
         "lighting": Lighting(

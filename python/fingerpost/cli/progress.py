@@ -24,7 +24,7 @@ def watched(items: Iterable[T], length: int | None, label: str) -> Iterator[T]:
     label
         What is being done.
     """
-    if length is None or not sys.stderr.isatty():
+    if length is None or not _is_watched():
         yield from items
         return
     with click.progressbar(items, length=length, label=label, file=sys.stderr) as bar:
@@ -40,7 +40,7 @@ def telling() -> Iterator[Callable[[str], None]]:
     callable
         Takes the words.
     """
-    if not sys.stderr.isatty():
+    if not _is_watched():
         yield lambda _words: None
         return
     told = False
@@ -73,3 +73,8 @@ def counting(what: str) -> Iterator[Callable[[int, int], None]]:
     """
     with telling() as tell:
         yield lambda done, of: tell(f"{done} of {of} {what}")
+
+
+def _is_watched() -> bool:
+    # Python has no stderr where that was closed before it began.
+    return sys.stderr is not None and sys.stderr.isatty()

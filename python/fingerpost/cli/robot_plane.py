@@ -14,7 +14,6 @@ import click
 
 from fingerpost.cli.arming import (
     arming_options,
-    ending_orderly,
     guarded,
     home,
     laid_over,
@@ -22,6 +21,7 @@ from fingerpost.cli.arming import (
     open_log,
     tell,
 )
+from fingerpost.cli.endings import ending_orderly
 from fingerpost.cli.outputs import keep_apart, rig_files
 from fingerpost.errors import CaptureError, InvalidInputError
 

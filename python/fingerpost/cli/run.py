@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from fingerpost.cli.endings import ending_as_interrupted
 from fingerpost.cli.outputs import keep_apart, rig_files
 from fingerpost.cli.progress import watched
 
@@ -69,7 +70,7 @@ def run(
     keep_apart(written, rig_files(rig_file, rig))
     pointer = Pointer(rig, tracker_options={"model": model})
     statuses: Counter[str] = Counter()
-    with ExitStack() as stack:
+    with ending_as_interrupted(), ExitStack() as stack:
         sources = [stack.enter_context(open_source(view.source)) for view in rig.views]
         takers = _takers(stack, pointer, rig.plane.unit, points, tracks, overlay, as_json)
         counts = [n for n in (max_frames, *(source.frame_count for source in sources)) if n]

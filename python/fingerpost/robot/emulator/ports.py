@@ -134,10 +134,14 @@ class PtyPort(Port):
         Raises
         ------
         InvalidInputError
-            The link cannot be put there.
+            The link cannot be put there, or something else than a link is there.
         """
         if self._master is not None:
             return
+        if self._link is not None and self._link.exists() and not self._link.is_symlink():
+            raise InvalidInputError(
+                f"{self._link}: no link can be put there: something else is; name a new one"
+            )
         if self._link is None:
             self._directory = tempfile.TemporaryDirectory(prefix="fingerpost-")
             self._link = Path(self._directory.name) / "port"
@@ -156,8 +160,9 @@ class PtyPort(Port):
 
     def unplug(self) -> None:
         """Close it, as when a USB adapter is pulled out."""
+        is_plugged = self._master is not None
         self._close_ends()
-        if self._link is not None:
+        if self._link is not None and is_plugged:
             self._link.unlink(missing_ok=True)
 
     def _close_ends(self) -> None:
