@@ -29,7 +29,7 @@ from fingerpost.finding import (
 )
 from fingerpost.finding.first_hand import FirstHand
 from fingerpost.finding.trial import Trial, belief
-from fingerpost.finding.views import are_left_standing
+from fingerpost.finding.views import are_left_standing, views_with_mover
 from fingerpost.pipeline import Pointer
 from fingerpost.pointing import PlaneView, Status
 from fingerpost.rehearsal import described
@@ -510,7 +510,7 @@ def test_a_pair_that_stands_gives_way_to_what_moves_on_in_either_view():
     def is_left(views: list, *pair: int) -> bool:
         chosen = zip(views, pair, strict=True)
         trials = {k: view.search.trials[i] for k, (view, i) in enumerate(chosen)}
-        return are_left_standing(views, trials)
+        return are_left_standing(trials, views_with_mover(views))
 
     both = [view(False, True), view(False, True)]
     assert is_left(both, 0, 0)

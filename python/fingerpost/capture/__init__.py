@@ -8,7 +8,7 @@ the file. A *live* source delivers the newest frame at the moment it is asked, w
 which that frame was grabbed, and drops what the consumer was too slow for.
 """
 
-from fingerpost.capture.opening import open_source, resolve_source, source_relative_to
+from fingerpost.capture.opening import open_source, resolve_source, source_files, source_relative_to
 from fingerpost.capture.source import Frame, Source, SourceKind
 from fingerpost.capture.views import read_views
 
@@ -19,5 +19,6 @@ __all__ = [
     "open_source",
     "read_views",
     "resolve_source",
+    "source_files",
     "source_relative_to",
 ]

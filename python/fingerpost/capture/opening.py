@@ -90,8 +90,7 @@ def open_source(
     except OSError as error:
         raise CaptureError(f"{path}: {error.strerror}") from error
     if glob.has_magic(source):
-        found = glob.glob(source, recursive=True)  # noqa: PTH207 - Path.glob takes no absolute one
-        paths = sorted((p for p in map(Path, found) if not p.is_dir()), key=natural_order)
+        paths = _matching(source)
         if not paths:
             raise CaptureError(f"{source}: no file matches")
         return ImageSequence(paths, fps=fps, name=source)
@@ -108,6 +107,24 @@ def _open_file(path: Path, fps: float) -> Source:
     if cv2.haveImageReader(str(path)):
         return ImageSequence([path] * STILL_FRAMES, fps=fps, name=str(path))
     return VideoFile(path, fps=fps)
+
+
+def _matching(pattern: str) -> list[Path]:
+    found = glob.glob(pattern, recursive=True)  # noqa: PTH207 - Path.glob takes no absolute one
+    return sorted((p for p in map(Path, found) if not p.is_dir()), key=natural_order)
+
+
+def source_files(source: str | int) -> list[Path]:
+    """Return the files that `open_source` would read; none of a camera or a stream.
+
+    A single name is returned whether there is such a file or not.
+    """
+    if isinstance(source, int) or _is_url(source):
+        return []
+    # Path.exists would raise where a name is too long to exist.
+    if glob.has_magic(source) and not os.path.exists(source):  # noqa: PTH110
+        return _matching(source)
+    return [Path(source)]
 
 
 def _is_url(source: str) -> bool:

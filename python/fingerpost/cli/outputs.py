@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import glob
 import os
 from collections.abc import Hashable, Iterable, Iterator, Mapping
 from pathlib import Path
@@ -50,19 +49,12 @@ def keep_apart(outputs: Mapping[str, Path | None], inputs: Iterable[tuple[str, P
 
 def rig_files(rig_file: Path, rig: Rig) -> Iterator[tuple[str, Path]]:
     """Give every file that a rig is read from: its own, and the footage of its views."""
+    from fingerpost.capture import source_files
+
     yield "the rig file", rig_file
     for view in rig.views:
-        for path in _footage(view.source):
+        for path in source_files(view.source):
             yield f'footage of view "{view.name}"', path
-
-
-def _footage(source: str | int) -> list[Path]:
-    """Files that a view's source names, as `fingerpost.capture.open_source` understands it."""
-    if isinstance(source, int) or "://" in source:
-        return []
-    if glob.has_magic(source) and not os.path.exists(source):  # noqa: PTH110 - never raises
-        return [Path(name) for name in glob.glob(source, recursive=True)]  # noqa: PTH207
-    return [Path(source)]
 
 
 def _identity(path: Path) -> Hashable:

@@ -154,8 +154,9 @@ class HandSearch:
         tracker = self._tracker_at(start, half_width_px)
         track = tracker.update(frame.grey(), frame.time_s, frame.colour())
         line = track.finger_line
-        here = line and StartPose(line.tip_px, line.angle_rad, start.length_px)
-        if line is None or here is None or self._is_tried(here, half_width_px):
+        if line is None or self._is_tried(
+            StartPose(line.tip_px, line.angle_rad, start.length_px), half_width_px
+        ):
             self._refused.append(_Refusal(start))
             return True
         if worst is not None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
@@ -36,7 +37,6 @@ FORGET = 0.8
 
 PROVEN_FRAMES = 10
 """A finger that has been foreground for so many frames is followed for good."""
-
 
 MOVER_FRAMES = 6
 MOVER_SCORE = 0.5
@@ -130,8 +130,8 @@ class Trial:
     @property
     def _motion(self) -> float:
         """How far the tip is from where it was seen first [half-widths]."""
-        moved_px = np.hypot(*np.subtract(self.line.tip_px, self.first_line.tip_px))
-        return float(moved_px / self.candidate.half_width_px)
+        moved_px = math.dist(self.line.tip_px, self.first_line.tip_px)
+        return moved_px / self.candidate.half_width_px
 
     @property
     def is_proven(self) -> bool:

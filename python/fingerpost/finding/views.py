@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence, Set
 from itertools import combinations
 from typing import Protocol
 
@@ -103,6 +103,7 @@ def _best_first(scores: Array) -> Iterator[tuple[int, int]]:
 def _believe(views: Sequence[SearchingView], frames: Sequence[Frame | None]) -> None:
     """Let views follow the best pairs of trials that have held long enough."""
     pairs: list[tuple[float, tuple[int, int], dict[int, Trial], bool, bool]] = []
+    with_mover = views_with_mover(views)
     for i, j in combinations(range(len(views)), 2):
         if not (views[i].is_searching or views[j].is_searching):
             continue
@@ -111,7 +112,7 @@ def _believe(views: Sequence[SearchingView], frames: Sequence[Frame | None]) -> 
         for a, b in _best_first(scores):
             both = ((i, tried_i[a]), (j, tried_j[b]))
             trials = {k: trial for k, trial in both if trial is not None}
-            if not trials or are_left_standing(views, trials):
+            if not trials or are_left_standing(trials, with_mover):
                 continue
             stays = all(views[k].search.found is trial for k, trial in trials.items())
             is_backed = any(views[k].is_sure for k in (i, j) if k not in trials)
@@ -140,14 +141,26 @@ def _believe(views: Sequence[SearchingView], frames: Sequence[Frame | None]) -> 
             view.search.believe(believed.get(k))
 
 
-def are_left_standing(views: Sequence[SearchingView], trials: Mapping[int, Trial]) -> bool:
+def views_with_mover(views: Sequence[SearchingView]) -> set[int]:
+    """Return the views in which a finger that is tried moves on."""
+    return {
+        k for k, view in enumerate(views) if any(trial.moves_on for trial in view.search.trials)
+    }
+
+
+def are_left_standing(trials: Mapping[int, Trial], with_mover: Set[int]) -> bool:
     """Tell whether fingers that were there from the start stand while another moves on.
 
     A hand that lies on the table does, as long as the one that points moves.
+
+    Parameters
+    ----------
+    trials
+        A pair's, by view.
+    with_mover
+        The views in which a finger moves on.
     """
-    return all(trial.stands for trial in trials.values()) and any(
-        other.moves_on for k in trials for other in views[k].search.trials
-    )
+    return not with_mover.isdisjoint(trials) and all(trial.stands for trial in trials.values())
 
 
 def _candidates(

@@ -689,7 +689,7 @@ class Guard:
         except RobotError as error:
             self._armed = False
             outcome = str(error)
-        self._note(command, reason, fix=self._fix, outcome=outcome)
+        self._record(command, reason, fix=self._fix, outcome=outcome, is_stop=True)
 
     def _need_armed(self, command: str, fix: Fix | None) -> None:
         self._need_log()
@@ -740,21 +740,9 @@ class Guard:
         pose: Pose | None = None,
         fix: Fix | None = None,
         outcome: str = "sent",
+        is_stop: bool = False,
     ) -> None:
-        """Log a command; what cannot be logged does not pass."""
-        self._note(command, detail, pose=pose, fix=fix, outcome=outcome)
-        self._need_log()
-
-    def _note(
-        self,
-        command: str,
-        detail: str,
-        *,
-        pose: Pose | None = None,
-        fix: Fix | None = None,
-        outcome: str = "sent",
-    ) -> None:
-        """Log something; a failure of the log is kept for `_need_log`."""
+        """Log a command, which does not pass if it cannot be logged; only a stop does."""
         record = CommandRecord(self._clock(), command, detail, pose, fix, outcome)
         self._records.append(record)
         logger.info("%s", record)
@@ -764,6 +752,8 @@ class Guard:
             if self._log_error is None:
                 logger.warning("the log failed: %s", error)
                 self._log_error = error
+        if not is_stop:
+            self._need_log()
 
     def _need_log(self) -> None:
         """Halt and raise if the log has failed since this was last asked."""
