@@ -43,7 +43,8 @@ def test_without_it_a_simulated_robot_goes_there(tmp_path, no_mujoco):
     assert summary.note.startswith("no physics: ")
     assert summary.note.endswith("pip install 'fingerpost[mujoco]'")
     assert summary.line_bytes is None
-    assert summary.problem == "stopped after 60 frames"
+    assert summary.shortened
+    assert summary.problem == ""
     assert summary.fixes > 0
     assert summary.fix_rms_mm < 5.0
     assert_written(tmp_path, 60)
@@ -69,6 +70,15 @@ def test_the_command_says_in_one_line_what_is_missing(tmp_path, no_mujoco):
     assert refused.exit_code == 1
     assert refused.stderr.count("\n") == 1
     assert "pip install 'fingerpost[mujoco]'" in refused.stderr
+
+
+def test_an_errand_that_fails_fails_the_command(tmp_path, monkeypatch):
+    monkeypatch.setattr("fingerpost.closed_loop.course.FIX_S", 0.0)  # he does not wait for a fix
+    demo = ["demo", "--robot", "--output", str(tmp_path)]
+    result = CliRunner().invoke(main, demo)
+    assert result.exit_code == 1
+    assert "failed    the hand was not found" in result.stdout
+    assert "placed" not in result.stdout
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -41,8 +42,10 @@ def demo(
 
     With --robot, an operator points at a block and at a place, corrects by what he sees the robot
     do, and the robot carries the block there: under physics if fingerpost[mujoco] is installed.
+    Exits with 1 if it does not get there.
     """
     summary: DemoSummary | RobotDemoSummary
+    failed = False
     if robot:
         if simulate:
             raise click.UsageError("--robot and --simulate do not go together")
@@ -50,6 +53,7 @@ def demo(
 
         with telling() as tell:
             summary = run_robot_demo(output, seed=seed, max_frames=max_frames, tell=tell)
+        failed = bool(summary.problem)
     else:
         from fingerpost.demo import run_demo
 
@@ -61,3 +65,5 @@ def demo(
             watch=lambda frames, count: watched(frames, count, "tracking"),
         )
     click.echo(json.dumps(summary.as_dict()) if as_json else "\n".join(summary.lines()))
+    if failed:
+        sys.exit(1)

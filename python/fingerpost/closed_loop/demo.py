@@ -75,7 +75,9 @@ class RobotDemoSummary:
     placed_mm
         How far from its place the block lies; None if it was not carried.
     problem
-        Why not; else empty.
+        Why not; empty if it was, or if `shortened`.
+    shortened
+        Whether `max_frames` ended it.
     table_steps
         Steps of the physics in which the arm touched the table; None without physics.
     line_bytes
@@ -96,6 +98,7 @@ class RobotDemoSummary:
     legs: tuple[Leg, ...]
     placed_mm: float | None
     problem: str
+    shortened: bool
     table_steps: int | None
     line_bytes: int | None
     frames: int
@@ -123,6 +126,8 @@ class RobotDemoSummary:
             lines.append(f"placed    {self.placed_mm:.1f} mm from where it should be")
         if self.problem:
             lines.append(f"failed    {self.problem}")
+        if self.shortened:
+            lines.append("stopped   after as many frames as were asked for")
         if self.table_steps is not None:
             touched = f"touched in {self.table_steps} steps" if self.table_steps else "not touched"
             lines.append(f"table     {touched}; {self.line_bytes} bytes from the controller")
@@ -311,13 +316,13 @@ def _play(
 
     loop.on_moment = on_moment
     course = Course(stage.world, loop, operator, looking=True)
-    placed_mm = None
+    placed_mm, shortened = None, False
     try:
         placed_mm = course.carry(block_mm, place_mm)
     except RobotError as error:
         course.problem = f"{type(error).__name__}: {error}"
     except _EnoughError:
-        course.problem = f"stopped after {max_frames} frames"
+        shortened = True
     loop.close()
     film.picture()
     return RobotDemoSummary(
@@ -327,6 +332,7 @@ def _play(
         legs=tuple(course.legs),
         placed_mm=placed_mm,
         problem=course.problem,
+        shortened=shortened,
         table_steps=stage.table_steps(),
         line_bytes=stage.line_bytes(),
         frames=accuracy.moments,

@@ -30,10 +30,10 @@ class CameraPlacement:
 
     distance_mm: float = 1500.0  # mm from what is looked at, 500…5000
     elevation_deg: float = 42.0  # deg above the table, 10…80
-    half_vergence_deg: float = 15.0  # deg, each camera to its side of the x axis, 2…60
+    half_vergence_deg: float = 20.0  # deg, each camera to its side of the x axis, 2…60
     width_px: int = 640  # px, 64…4096
     height_px: int = 480  # px, 64…4096
-    field_mm: float = 590.0  # mm, width of what is seen at the distance looked at, 100…3000
+    field_mm: float = 605.0  # mm, width of what is seen at the distance looked at, 100…3000
 
     def __post_init__(self) -> None:
         checks.number("distance_mm", self.distance_mm, 500, 5000)
