@@ -6,6 +6,7 @@ Each frame carries its number painted as bars, so that what arrives is read from
 import errno
 import http.server
 import logging
+import os
 import struct
 import subprocess
 import sys
@@ -21,7 +22,7 @@ import pytest
 
 from fingerpost.capture import SourceKind, open_source, read_views
 from fingerpost.capture.live import LiveSource
-from fingerpost.capture.opening import STILL_FRAMES
+from fingerpost.capture.opening import STILL_FRAMES, refuse_repeated
 from fingerpost.capture.video import FrameTimes
 from fingerpost.errors import CaptureError, InvalidInputError
 
@@ -173,6 +174,27 @@ def test_a_cut_off_video_gives_what_is_there_and_says_so(tmp_path, caplog):
     assert 20 < len(found) < 50
     assert (
         f"{path}: ends at {len(found) / 25:.3f} s although its header says 2.400 s" in caplog.text
+    )
+
+
+@pytest.mark.parametrize("stretch", [slice(0.4, 0.6), slice(0.495, 0.505)])
+def test_frames_that_an_avi_hides_behind_damage_are_counted_and_told(tmp_path, caplog, stretch):
+    path = write_video(tmp_path / "a.avi", 60, fourcc="MJPG")
+    data = bytearray(path.read_bytes())
+    damage = slice(int(stretch.start * len(data)), int(stretch.stop * len(data)))
+    data[damage] = bytes(damage.stop - damage.start)
+    path.write_bytes(data)
+    with open_source(str(path)) as source:
+        frames = list(source)
+    # What follows the hole moves up in the count, and AVI dates by nothing else.
+    hidden = 59 - frames[-1].index
+    assert 0 < hidden < 60 - len(frames[:20])
+    assert number_in(frames[-1].image) == 59
+    (told,) = [record.getMessage() for record in caplog.records if "ends at" in record.getMessage()]
+    assert told == (
+        f"{path}: ends at {2.4 - hidden / 25:.3f} s although its header says 2.400 s: cut off or "
+        "damaged; as AVI stores no times, frames behind damage are dated up to "
+        f"{hidden / 25:.3f} s early"
     )
 
 
@@ -342,6 +364,95 @@ def test_what_cannot_be_opened_is_named_with_what_would_be_right(tmp_path):
 def test_what_is_no_source_at_all_is_refused(source, options, said):
     with pytest.raises(InvalidInputError, match=said):
         open_source(source, **options)
+
+
+def in_another_process(program: str, *arguments: str | bytes, **environment: str) -> str:
+    """What a program that opens sources prints; OpenCV would take this process down with it."""
+    done = subprocess.run(
+        [
+            sys.executable,
+            "-c",
+            f"from fingerpost.capture import open_source\n{program}",
+            *arguments,
+        ],
+        capture_output=True,
+        check=False,
+        text=True,
+        env={**os.environ, **environment},
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    return done.stdout
+
+
+COUNT = """
+import sys
+with open_source(sys.argv[1]) as source:
+    print(len(list(source)))
+"""
+
+REFUSED = """
+import sys
+from fingerpost.errors import InvalidInputError
+try:
+    open_source({source})
+except InvalidInputError as error:
+    print(ascii(str(error)))
+"""
+
+needs_bytes_for_names = pytest.mark.skipif(
+    sys.platform in ("win32", "darwin"), reason="file names are no bytes here"
+)
+
+
+@needs_bytes_for_names
+@pytest.mark.parametrize("suffix", ["avi", "png"])
+def test_a_name_that_is_not_utf8_is_refused_in_one_line(tmp_path, suffix):
+    named = os.fsencode(tmp_path) + b"/hand\xff." + suffix.encode()
+    write_video(tmp_path / "a.avi", 3, fourcc="MJPG").rename(os.fsdecode(named))
+    told = in_another_process(REFUSED.format(source="sys.argv[1]"), named)
+    assert "source: the path" in told
+    assert f"hand\\\\udcff.{suffix} is not UTF-8, as OpenCV needs it; rename the file" in told
+
+
+@needs_bytes_for_names
+def test_images_of_a_glob_may_be_called_anything(tmp_path):
+    write_images(tmp_path, ["1.png"])
+    (tmp_path / "1.png").rename(os.fsdecode(os.fsencode(tmp_path) + b"/\xff.png"))
+    assert numbers(tmp_path / "*.png") == [0]
+
+
+@needs_bytes_for_names
+def test_a_name_in_utf8_is_opened_under_any_locale(tmp_path):
+    path = write_video(tmp_path / "a.avi", 3, fourcc="MJPG").rename(tmp_path / "né.avi")
+    ascii_alone = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
+    assert in_another_process(COUNT, str(path).encode(), **ascii_alone) == "3\n"
+    # As a rig file may say it, which is UTF-8 under every locale.
+    told = in_another_process(REFUSED.format(source="'n\\xe9.avi'"), **ascii_alone)
+    assert "file names are written in ascii here; a UTF-8 locale is right" in told
+
+
+def test_views_that_read_one_source_are_refused(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    write_images(tmp_path, ["1.png", "2.png", "left.png"])
+    (tmp_path / "link.png").symlink_to("left.png")
+    url = "http://name:secret@127.0.0.1/stream.mjpg"
+    for left, right, named in [
+        ("left.png", "left.png", "left.png"),
+        ("left.png", "./left.png", "left.png"),
+        (str(tmp_path / "left.png"), "link.png", "left.png"),
+        ("?.png", "[2-9].png", "2.png"),
+        (0, 0, "camera 0"),
+        (url, url, "http://***@127.0.0.1/stream.mjpg"),
+    ]:
+        with pytest.raises(InvalidInputError) as raised:
+            refuse_repeated({"left": left, "middle": "other.mp4", "right": right})
+        read = tmp_path / named if named.endswith("png") else named
+        assert str(raised.value) == (
+            f'views "left" and "right" both read {read}; each needs a source of its own'
+        )
+    refuse_repeated({"left": "1.png", "right": "2.png", "above": 0, "below": 1})
+    # Names that stand for sources which nobody opens.
+    refuse_repeated({"left": "none.mp4", "right": "none.mp4", "above": "a\0b", "below": "a\0b"})
 
 
 def test_a_file_that_may_not_be_read_is_named(tmp_path, monkeypatch):

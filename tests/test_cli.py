@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -9,7 +10,9 @@ import time
 from pathlib import Path
 
 import pytest
+from click.testing import CliRunner, Result
 
+from fingerpost.cli import main
 from fingerpost.cli.endings import ending_as_interrupted
 from fingerpost.recording import read_points, read_tracks
 from fingerpost.simulate import DevicePose, SimulatedRig, Trajectory, write_recording
@@ -97,17 +100,134 @@ def test_the_experiment_prints_its_table(tmp_path):
         (["run"], "Missing argument 'RIG.TOML'"),
         (["run", "rig.toml", "--fast"], "No such option"),
         (["run", "rig.toml", "--max-frames", "0"], "0 is not in the range x>=1"),
+        (
+            ["experiment", "--noise", "1e-300"],
+            "noise is 1e-300; it must be 0 or a number from 1e-06",
+        ),
+        (["experiment", "--blur", "1e-320"], "blur_px is 1e-320; it must be 0 or a number from"),
+        (["experiment", "--size", "99999", "480"], "width_px is 99999"),
+        (["experiment", "--guidance", str(10**20)], "is not in the range 0<=x<="),
         (["experiment", "--taper", "3"], "taper is 3.0; it must be a number from 0 to 0.6"),
         (["experiment", "--recording", "rig.toml"], "--recording and --truth go together"),
         (["walk"], "No such command 'walk'"),
         (["robot", "emulate", "puma"], "'puma' is not emulated"),
-        (["robot", "emulate", "acl", "--time-scale", "0"], "a number above 0 is needed"),
+        (["robot", "emulate", "acl", "--time-scale", "0"], "time_scale is 0.0; from 0.001 to"),
         (["robot", "emulate", "acl", "--homing-s", "x"], "'x' is not a valid float"),
         (["robot", "home", "puma://"], "puma"),
     ],
 )
 def test_a_mistake_is_one_line_and_exit_code_2(arguments, line):
     assert line in refused(*arguments)
+
+
+ODD_NUMBERS = ("nan", "inf", "-inf", "-1", "0", "1e300", "1e-300", "1e-320", str(10**20))
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("number", ODD_NUMBERS)
+@pytest.mark.parametrize(
+    "option", ["--length", "--contrast", "--noise", "--blur", "--reference-noise", "--unit-mm"]
+)
+def test_an_odd_number_for_the_advisor_is_refused_by_name_or_works(rig_file, option, number):
+    check_refused_or_works("advise", rig_file, "--size", 640, 480, option, number)
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("number", ["0", "179.9", "180", "-180"])
+def test_a_single_direction_of_pointing_is_judged(rig_file, number):
+    done = check_refused_or_works(
+        "advise", rig_file, "--size", 640, 480, "--azimuth", number, number
+    )
+    assert done.exit_code == 0
+    assert "expected poses in view" in done.stdout
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("number", ["0", "-1", "100001", str(2**31), str(2**63), "9" * 5000])
+def test_an_odd_size_for_the_advisor_is_refused_by_name(rig_file, number):
+    done = check_refused_or_works("advise", rig_file, "--size", 640, number)
+    assert done.exit_code == 2
+
+
+def check_refused_or_works(*arguments: object) -> Result:
+    """Invoke a command that may fail in one line alone, and prints nothing that is no number."""
+    done = CliRunner().invoke(main, [str(argument) for argument in arguments])
+    assert done.exit_code in (0, 2), done.output
+    if done.exit_code == 2:
+        assert done.stdout == ""
+        assert len(done.stderr.splitlines()) == 1
+        assert " is " in done.stderr or "Invalid value for" in done.stderr
+    assert "nan" not in done.stdout
+    assert not re.search(r"\binf\b", done.output.replace("is inf;", "").replace("is -inf;", ""))
+    return done
+
+
+@pytest.mark.parametrize("count", [10**20, 2**63])
+def test_a_run_of_more_frames_than_can_be_counted_goes_to_the_end(rig_file, count):
+    done = CliRunner().invoke(main, ["run", str(rig_file), "--max-frames", str(count)])
+    assert done.exit_code == 0, done.output
+    assert f"frames   {FRAMES}" in done.stdout
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs the device that is always full")
+@pytest.mark.parametrize("unbuffered", ["", "1"])
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["--help"],
+        ["--version"],
+        ["run", "--help"],
+        ["run", "RIG"],
+        ["run", "RIG", "--json"],
+        ["advise", "RIG", "--size", "640", "480"],
+        ["doctor", "RIG"],
+        ["experiment", "--targets", "1", "--size", "320", "240", "--json"],
+        ["demo", "--output", "OUT", "--max-frames", "2"],
+        ["robot", "list"],
+    ],
+    ids=" ".join,
+)
+def test_output_that_nothing_takes_is_one_line(rig_file, tmp_path, arguments, unbuffered):
+    named = {"RIG": str(rig_file), "OUT": str(tmp_path)}
+    command = [sys.executable, "-m", "fingerpost", *(named.get(a, a) for a in arguments)]
+    with open("/dev/full", "w") as full:  # noqa: PTH123
+        done = subprocess.run(
+            command,
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+            env=os.environ | {"PYTHONUNBUFFERED": unbuffered},
+            timeout=120,
+            check=False,
+        )
+    assert done.returncode == 1
+    assert done.stderr == (
+        "fingerpost: standard output: cannot be written: No space left on device\n"
+    )
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "latin-1", "cp1252", "cp437", "utf-8"])
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["advise", "RIG", "--size", "640", "480"],
+        ["doctor", "RIG"],
+        ["experiment", "--targets", "1", "--size", "320", "240"],
+    ],
+    ids=lambda arguments: arguments[0],
+)
+def test_a_terminal_that_lacks_signs_gets_the_others(rig_file, arguments, encoding):
+    command = [str(rig_file) if a == "RIG" else a for a in arguments]
+    done = subprocess.run(
+        [sys.executable, "-m", "fingerpost", *command],
+        capture_output=True,
+        env=os.environ | {"PYTHONIOENCODING": encoding},
+        timeout=120,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == b""
+    assert len(done.stdout.splitlines()) >= 5
 
 
 def test_a_rig_with_a_mistake_names_file_key_and_what_would_be_right(rig_file, tmp_path):

@@ -100,6 +100,13 @@ def test_one_view_and_more_than_four_points_are_a_rig(load):
     assert len(rig.plane.points) == 5
 
 
+SQUARE_TEXT = "[[0, 0], [400, 0], [400, 400], [0, 400]]"
+
+
+def spread(side: str) -> str:
+    return SQUARE_TEXT.replace("400", side)
+
+
 MISTAKES = {
     "unknown key": ('unit = "mm"', 'unit = "mm"\nscale = 2', "plane.scale is not a key"),
     "typing slip": ("angle_deg", "angle_dge", "view[0].start.angle_dge is not a key"),
@@ -124,7 +131,25 @@ MISTAKES = {
     "nan": ("[400, 0]", "[400, nan]", "plane: points[1, 1] is nan"),
     "infinite": ("angle_deg = 43.7", "angle_deg = inf", "view[0].start: angle_deg is inf"),
     "infinite pixel": ("234.2", "-inf", "view[0]: reference_points_px[0, 0] is -inf"),
-    "no length": ("71.1", "0", "view[0].start: length_px is 0.0; above 0 is right"),
+    "no length": ("71.1", "0", "view[0].start: length_px is 0.0; from 0.1 to 100000 is right"),
+    "length beyond all": ("71.1", "1e300", "view[0].start: length_px is 1e+300; from 0.1 to"),
+    "length of nothing": ("71.1", "1e-300", "view[0].start: length_px is 1e-300; from 0.1 to"),
+    "camera beyond all": ("source = 1", "source = 2147483648", "source is 2147483648; needed:"),
+    "digits beyond all": ("71.1", "9" * 5000, "a number has too many digits"),
+    "focal length of nothing": ("fx = 1692", "fx = 1e-300", "view[0].lens: lens fx is 1e-300"),
+    "far principal point": ("319.5", "1e300", "view[0].lens: lens cx is 1e+300"),
+    "wide plane": (SQUARE_TEXT, spread("4e150"), 'view "left": plane.points spread over 5.66e+150'),
+    "wider plane": (
+        SQUARE_TEXT,
+        spread("4e300"),
+        'view "left": plane.points spread over 5.66e+300',
+    ),
+    "tiny plane": (
+        SQUARE_TEXT,
+        spread("4e-150"),
+        'view "left": plane.points spread over 5.66e-150',
+    ),
+    "tinier plane": (SQUARE_TEXT, spread("4e-300"), "plane.points spread over 5.66e-300"),
     "no such thumb": ('thumb = "left"', 'thumb = "up"', 'view[0].start.thumb is "up"; needed:'),
     "no focal length": ("fx = 1692", "fx = 0", "view[0].lens: "),
     "lens folds": ("k1 = -0.1", "k1 = -80", "reference_points_px[0] is where the lens model"),
@@ -220,6 +245,25 @@ def test_a_file_that_cannot_be_written_is_named(tmp_path):
         rig_of(view()).save(tmp_path / "none" / "rig.toml")
 
 
+@pytest.mark.parametrize("name", ["\0", "x" * 5000])
+def test_a_name_that_no_file_can_have_is_refused(tmp_path, name):
+    for use in (Rig.load, Rig.load_cameras, rig_of(view()).save):
+        with pytest.raises(RigError) as raised:
+            use(tmp_path / name)
+        assert str(raised.value).isprintable()
+
+
+@pytest.mark.parametrize("name", [".", ""])
+def test_a_directory_is_no_rig_file(tmp_path, name):
+    with pytest.raises(RigError, match=r"a rig file \(TOML\) is needed"):
+        Rig.load(tmp_path / name)
+
+
+def test_a_source_that_is_no_text_is_not_written(tmp_path):
+    with pytest.raises(RigError, match="a source is no text in UTF-8"):
+        rig_of(view(source="a\udcff.mp4")).save(tmp_path / "rig.toml")
+
+
 def test_a_rig_is_not_written_to_a_directory(tmp_path):
     for place in (tmp_path, Path()):
         with pytest.raises(RigError, match="cannot be written: it is a directory"):
@@ -233,7 +277,7 @@ starts = st.builds(
     Start,
     tip_px=st.tuples(finite, finite),
     angle_deg=finite,
-    length_px=st.floats(min_value=0, exclude_min=True, allow_infinity=False),
+    length_px=st.floats(0.1, 1e5),
     thumb=st.sampled_from(["left", "right", "none"]),
 )
 # Long enough, and bent little enough, for the model to hold at the reference points.
@@ -251,7 +295,7 @@ lenses = st.builds(
 @given(
     unit=text.filter(str.isprintable),
     names=st.lists(text.filter(str.isprintable), min_size=1, max_size=3, unique=True),
-    source=text | st.integers(0, 2**31),
+    source=text | st.integers(0, 2**31 - 1),
     lens=lenses | st.none(),
     start=starts | st.none(),
 )

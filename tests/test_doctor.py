@@ -2,6 +2,7 @@
 
 import json
 import math
+import threading
 from pathlib import Path
 
 import cv2
@@ -10,10 +11,11 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from fingerpost.capture import Frame
+from fingerpost.capture import Frame, open_source
+from fingerpost.capture.live import LiveSource
 from fingerpost.cli import main
 from fingerpost.config import FixedReference, LensParameters, Plane, Rig
-from fingerpost.doctor import Check, Severity, examine
+from fingerpost.doctor import Check, Severity, examine, look
 from fingerpost.doctor.pictures import read_pictures, region_between
 from fingerpost.errors import InvalidInputError
 from fingerpost.rehearsal import described
@@ -356,6 +358,92 @@ def test_lost_frames_and_a_clock_that_stands_are_found(clean):
     assert (Severity.ERROR, Check.TIMING, "left") in found(diagnosis)
 
 
+class CamerasInStep:
+    """Cameras that take a frame each, 30 times a second of a time that the test sets on."""
+
+    def __init__(self):
+        self.ticks, self.ticked = 1, threading.Condition()
+
+    def tick(self):
+        with self.ticked:
+            self.ticks += 1
+            self.ticked.notify_all()
+
+
+class CameraInStep:
+    def __init__(self, cameras, frames):
+        self._cameras, self._frames, self._taken = cameras, frames, 0
+
+    def isOpened(self):  # noqa: N802 - OpenCV's name
+        return True
+
+    def grab(self):
+        with self._cameras.ticked:
+            waits = self._cameras.ticked.wait_for(
+                lambda: self._cameras.ticks > self._taken, timeout=0.01
+            )
+            self._taken = self._cameras.ticks
+            return waits
+
+    def retrieve(self):
+        return True, self._frames[self._taken % len(self._frames)].image
+
+    def release(self):
+        pass
+
+    def time_ns(self):
+        return round(self._taken * 1e9 / 30)
+
+
+class LastView(LiveSource):
+    """The view that is fetched last: then the cameras take their next frames."""
+
+    def __init__(self, *, cameras, **live):
+        self._cameras = cameras
+        super().__init__("last", **live)
+
+    def _next_frame(self):
+        frame = super()._next_frame()
+        self._cameras.tick()
+        return frame
+
+
+def test_live_views_are_read_together_and_not_called_late(clean):
+    rig, frames = clean
+    cameras = CamerasInStep()
+    devices = [CameraInStep(cameras, own) for own in frames]
+    options = [
+        {"timeout_s": 30.0, "clock": device.time_ns, "connect": lambda *_, device=device: device}
+        for device in devices
+    ]
+    first, last = LiveSource("first", **options[0]), LastView(cameras=cameras, **options[1])
+    with first, last:
+        steps = list(look([first, last], 12))
+    assert len(steps) == 12
+    diagnosis = examine(rig, list(zip(*steps, strict=True)))
+    assert [f for f in diagnosis.findings if f.check is Check.TIMING] == []
+    assert [reading.frames_per_s for reading in diagnosis.readings] == pytest.approx([30.0, 30.0])
+
+
+def test_the_rate_of_a_live_view_counts_the_frames_that_nobody_fetched(clean):
+    rig, frames = clean
+    # Read together with a view of half its rate.
+    skipped = [Frame(2 * k, k / 15, frame.image) for k, frame in enumerate(frames[0])]
+    slower = [Frame(k, k / 15, frame.image) for k, frame in enumerate(frames[1])]
+    diagnosis = examine(rig, [skipped, slower])
+    assert any("left 30.0, right 15.0" in finding.what for finding in diagnosis.findings)
+
+
+def test_recordings_are_each_read_from_their_start(tmp_path):
+    for name, count in (("a", 2), ("b", 5)):
+        (tmp_path / name).mkdir()
+        for k in range(count):
+            cv2.imwrite(str(tmp_path / name / f"{k}.png"), np.zeros((4, 4), np.uint8))
+    sources = [open_source(str(tmp_path / name / "*.png")) for name in "ab"]
+    indices = [[frame and frame.index for frame in step] for step in look(sources, 4)]
+    assert indices == [[0, 0], [1, 1], [None, 2], [None, 3]]
+
+
 # --- the boundary ----------------------------------------------------------------------------
 
 
@@ -389,6 +477,16 @@ def test_the_command_says_what_is_wrong_and_exits_with_1(tmp_path):
     assert told["serious"]
     assert told["readings"][0]["frames"] == 2
     assert {"severity", "check", "view", "what", "right"} == set(told["findings"][0])
+
+
+def test_views_of_one_source_are_refused_in_one_line(tmp_path, clean):
+    rig, _ = clean
+    (tmp_path / "both.mp4").touch()
+    both = str(tmp_path / "both.mp4")
+    with_view(with_view(rig, 0, source=both), 1, source=both).save(tmp_path / "rig.toml")
+    done = CliRunner().invoke(main, ["doctor", str(tmp_path / "rig.toml")])
+    assert done.exit_code == 2
+    assert 'views "left" and "right" both read' in done.output
 
 
 def test_a_missing_source_is_one_line(tmp_path, clean):

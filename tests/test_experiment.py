@@ -437,8 +437,19 @@ def result_of(trials):
         [*drawn_trials(2), Trial(9, np.zeros(2), Status.OK, "", np.full(2, 900.0), np.eye(2))],
         [Trial(0, np.zeros(2), Status.OK, "", np.full(2, 900.0), np.eye(2))],
         [Trial(0, np.zeros(2), Status.OK, "", np.ones(2), np.zeros((2, 2)))],
+        [
+            Trial(
+                0,
+                np.ones(2),
+                Status.OK,
+                "",
+                np.ones(2),
+                np.eye(2),
+                confidence_ellipse(np.ones(2), np.eye(2)),
+            )
+        ],
     ],
-    ids=["no point", "points", "a gross error", "nothing but a gross error", "exact"],
+    ids=["no point", "points", "a gross error", "nothing but a gross error", "exact", "no error"],
 )
 def odd_result(request):
     return result_of(request.param)
@@ -459,6 +470,7 @@ def test_settings_are_fit_for_json(small):
 
 def test_every_result_can_be_drawn_and_laid_out(odd_result, tmp_path):
     assert all(line.isprintable() and len(line) < 120 for line in odd_result.table())
+    assert "nan" not in "\n".join(odd_result.table())
     odd_result.draw(tmp_path / "figure.png")
     picture = cv2.imread(str(tmp_path / "figure.png"))
     assert picture is not None
@@ -553,6 +565,7 @@ def test_frames_without_a_truth_are_skipped(footage, tmp_path):
         (["frame,x,y", "0,1,"], "line 2: y is ''"),
         (["frame,x,y", "0,1"], "line 2: y is None"),
         (["frame,x,y", "-1,1,2"], "line 2: frame is '-1'"),
+        (["frame,time_s,x,y", "0,nan,1,2"], "line 2: time_s is 'nan'"),
         (["frame,x,y", "0,,"], "no row has x and y"),
         ([""], "column frame is missing"),
         (["frame,x,y", "77,1,2"], "no frame of the recording"),
@@ -561,6 +574,31 @@ def test_frames_without_a_truth_are_skipped(footage, tmp_path):
 def test_a_truth_that_cannot_be_used_is_refused(footage, tmp_path, rows, message):
     with pytest.raises(InvalidInputError, match=message):
         run_recording(*with_rows(footage, tmp_path, rows))
+
+
+@pytest.fixture(scope="module")
+def video(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("video")
+    pose = DevicePose.pointing_at((180, 220), hover_mm=100, azimuth_deg=30)
+    rig = SimulatedRig(Placement(width_px=320, height_px=240))
+    rig_file = write_recording(folder, rig, pose, frames=6, rng=SEED, picture_format="mp4")
+    return rig_file, folder / "truth.csv"
+
+
+def test_a_truth_of_a_video_may_round_its_times_or_have_none(video, tmp_path):
+    assert run_recording(*video).summary.targets == 6
+    rows = ["frame,time_s,x,y", "3,0.1,180,220", "4,0.133,180,220", "5,,180,220"]
+    assert run_recording(*with_rows(video, tmp_path, rows)).summary.targets == 3
+    assert run_recording(*with_rows(video, tmp_path, ["frame,x,y", "5,1,2"])).summary.targets == 1
+
+
+@pytest.mark.parametrize("time_s", ["0.0", "0.133333", "1e9", "-0.1"])
+def test_a_truth_with_a_frame_at_another_time_is_refused(video, tmp_path, time_s):
+    rows = ["frame,time_s,x,y", "2,0.066667,180,220", f"3,{time_s},180,220"]
+    with pytest.raises(
+        InvalidInputError, match=r"truth\.csv: line 3: time_s of frame 3 is .* 0\.1 s"
+    ):
+        run_recording(*with_rows(video, tmp_path, rows))
 
 
 def test_a_truth_that_is_missing_is_refused(footage, tmp_path):

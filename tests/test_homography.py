@@ -252,7 +252,7 @@ coordinate = st.integers(0, 3).map(float) | st.builds(
 quadrilaterals = st.lists(st.tuples(coordinate, coordinate), min_size=4, max_size=6)
 
 
-@settings(max_examples=400, deadline=None, derandomize=True)
+@settings(max_examples=400, derandomize=True)
 @given(quadrilaterals, st.integers(0, 2**32 - 1))
 def test_near_degenerate_points_are_refused_or_fitted(plane, seed):
     warp = random_warp(np.random.default_rng(seed), extent=4.0)

@@ -51,7 +51,7 @@ def test_undistortion_is_opencvs(lens):
     assert np.allclose(lens.undistort(shown), expected[:, 0], rtol=0, atol=1e-7)
 
 
-@settings(max_examples=300, deadline=None, derandomize=True)
+@settings(max_examples=300, derandomize=True)
 @given(
     st.floats(-0.6, 0.6),
     st.floats(-0.3, 0.3),

@@ -18,7 +18,7 @@ from fingerpost.lines import (
     normalised,
 )
 
-reproducible = settings(max_examples=200, deadline=None, derandomize=True)
+reproducible = settings(max_examples=200, derandomize=True)
 
 # Coordinates of an image, and some that only look like one.
 coordinate = st.floats(-1e4, 1e4)

@@ -2,8 +2,10 @@
 
 import json
 import os
+import re
 from pathlib import Path
 
+import cv2
 import pytest
 from click.testing import CliRunner, Result
 
@@ -11,7 +13,7 @@ from fingerpost.cli import main
 from fingerpost.cli.outputs import keep_apart
 from fingerpost.cli.progress import counting
 from fingerpost.errors import InvalidInputError
-from fingerpost.recording import check_picture, part_of
+from fingerpost.recording import check_picture, read_tracks
 from fingerpost.simulate import DevicePose, Placement, SimulatedRig, Trajectory, write_recording
 
 FRAMES = 6
@@ -101,14 +103,57 @@ def test_a_video_that_is_refused_costs_no_table(videos, tmp_path):
     assert table.read_text() == "of the last run"
 
 
-def test_a_video_does_not_grow_over_footage(videos, tmp_path):
+@pytest.mark.parametrize(
+    "refusing", [("--tracks", "missing/t.csv"), ("--overlay", "missing/o.mp4"), ("--tracks", ".")]
+)
+def test_a_run_that_is_refused_costs_no_table_and_leaves_none(videos, tmp_path, refusing):
+    (tmp_path / "keep.csv").write_text("of the last run")
+    before = contents(tmp_path)
+    option, name = refusing
+    for table in ("keep.csv", "new.csv"):
+        refused("run", videos, "--points", tmp_path / table, option, tmp_path / name)
+        assert contents(tmp_path) == before
+
+
+def test_a_first_frame_that_is_refused_costs_no_table(videos, tmp_path):
+    table = tmp_path / "keep.csv"
+    table.write_text("of the last run")
+    measured_in_larger_images = re.sub(r"(\d+\.\d{6})", r"\1e1", videos.read_text())
+    videos.write_text(measured_in_larger_images)
+    assert "reference points lie outside" in refused(
+        "run", videos, "--points", table, "--overlay", tmp_path / "o.mp4"
+    )
+    assert table.read_text() == "of the last run"
+    assert not list(tmp_path.glob("o*.mp4"))
+
+
+@pytest.mark.skipif(not Path("/proc/self").is_dir(), reason="needs a folder nobody can write into")
+def test_a_video_in_a_folder_that_cannot_be_written_into_costs_no_table(videos, tmp_path):
+    table = tmp_path / "keep.csv"
+    table.write_text("of the last run")
+    line = refused("run", videos, "--points", table, "--overlay", "/proc/overlay.mp4")
+    assert "/proc/overlay.mp4: cannot be written" in line
+    assert table.read_text() == "of the last run"
+
+
+def test_a_video_grows_over_no_file_that_is_there(videos, tmp_path):
     text = videos.read_text().replace("left.mp4", "left.part.mp4")
     videos.write_text(text)
-    (videos.parent / "left.mp4").rename(videos.parent / "left.part.mp4")
-    before = contents(tmp_path)
-    line = refused("run", videos, "--overlay", videos.parent / "left.mp4")
-    assert str(videos.parent / "left.part.mp4") in line
-    assert contents(tmp_path) == before
+    footage = (videos.parent / "left.mp4").rename(videos.parent / "left.part.mp4")
+    before = footage.read_bytes()
+    done = invoked("run", videos, "--overlay", videos.parent / "left.mp4", "--max-frames", 2)
+    assert done.exit_code == 0, done.output
+    assert footage.read_bytes() == before
+    names = sorted(path.name for path in videos.parent.glob("*.mp4"))
+    assert names == ["left.mp4", "left.part.mp4", "right.mp4"]
+
+
+def test_a_table_with_the_name_of_a_part_stays_apart_from_the_video(videos, tmp_path):
+    table, video = tmp_path / "o.part.mp4", tmp_path / "o.mp4"
+    done = invoked("run", videos, "--tracks", table, "--overlay", video, "--max-frames", 2)
+    assert done.exit_code == 0, done.output
+    assert len(read_tracks(table)) == 4
+    assert cv2.VideoCapture(str(video)).get(cv2.CAP_PROP_FRAME_COUNT) == 2
 
 
 def test_the_experiment_does_not_draw_over_what_it_reads(pictures):
@@ -140,7 +185,6 @@ def test_the_advice_is_not_drawn_over_what_it_reads(pictures):
         ("--points", "same.csv", "--tracks", "same.csv"),
         ("--points", "same.csv", "--tracks", "there/../same.csv"),
         ("--points", "o.mp4", "--overlay", "o.mp4"),
-        ("--tracks", "o.part.mp4", "--overlay", "o.mp4"),
     ],
 )
 def test_no_two_outputs_are_one_file(videos, tmp_path, monkeypatch, options):
@@ -280,11 +324,3 @@ def test_counting_shows_one_line_where_a_person_watches(monkeypatch, capsys):
 def test_counting_is_silent_where_nobody_watches_or_nothing_is_done(monkeypatch, capsys):
     assert told(monkeypatch, capsys, watched=False, counts=2) == ""
     assert told(monkeypatch, capsys, watched=True, counts=0) == ""
-
-
-@pytest.mark.parametrize("name", ["o.mp4", "a.b/o.x.avi"])
-def test_the_part_of_a_video_keeps_its_folder_and_suffix(name):
-    path = Path(name)
-    part = part_of(path)
-    assert part.parent == path.parent
-    assert part.name == f"{path.stem}.part{path.suffix}"

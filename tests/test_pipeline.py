@@ -5,6 +5,7 @@ import dataclasses
 import gc
 import tracemalloc
 from collections.abc import Callable
+from itertools import islice
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -12,10 +13,12 @@ import cv2
 import msgspec
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from numpy.typing import NDArray
 
 import fingerpost as fp
-from fingerpost.capture import Frame, Source, SourceKind, read_views
+from fingerpost.capture import Frame, Source, SourceKind, open_source, read_views
+from fingerpost.cli import main
 from fingerpost.config import Rig
 from fingerpost.errors import InvalidInputError
 from fingerpost.homography import estimate_image_from_plane, transfer_to_image
@@ -436,6 +439,118 @@ def test_a_rig_that_cannot_point_is_refused(recording):
         Pointer(Rig(plane=rig.plane, views=rig.views[:1]))
     with pytest.raises(InvalidInputError, match="modell"):
         Pointer(rig, tracker_options={"modell": "paper"})
+
+
+def said_by_run(rig: Rig, folder: Path, *options: str) -> tuple[int, str]:
+    """Exit code of `fingerpost run`, and the one line that it says about an error."""
+    rig.save(folder / "rig.toml")
+    done = CliRunner().invoke(main, ["run", str(folder / "rig.toml"), *options])
+    (line,) = done.stderr.splitlines()
+    return done.exit_code, line
+
+
+def with_view(rig: Rig, index: int, **changes: object) -> Rig:
+    views = list(rig.views)
+    views[index] = msgspec.structs.replace(views[index], **changes)
+    return msgspec.structs.replace(rig, views=tuple(views))
+
+
+def stretched(rig: Rig, factor: float) -> Rig:
+    """The rig as it would have been measured in larger images."""
+    for k, view in enumerate(rig.views):
+        points_px = factor * np.array(view.reference_points_px)
+        rig = with_view(rig, k, reference_points_px=tuple(map(tuple, points_px.tolist())))
+    return rig
+
+
+def test_a_rig_that_was_measured_in_larger_images_is_refused_at_the_first_frame(
+    recording, tmp_path
+):
+    rig = Rig.load(recording)
+    code, line = said_by_run(stretched(rig, 2.0), tmp_path)
+    assert code == 2
+    assert 'view "left": ' in line
+    assert "reference points lie outside the image of 640 × 480 px" in line
+    with pytest.raises(InvalidInputError, match="outside the image of 640 × 480 px"):
+        next(fp.track(stretched(rig, 2.0)))
+
+
+def test_a_hand_that_waits_outside_one_view_is_looked_for(recording):
+    rig = Rig.load(recording)
+    start = msgspec.structs.replace(rig.views[1].start, tip_px=(700.0, 100.0))
+    statuses = [fix.status for fix in fp.track(with_view(rig, 1, start=start))]
+    assert Status.OK in statuses
+
+
+def test_points_that_lie_just_outside_are_nothing_wrong(recording):
+    rig = Rig.load(recording)
+    plane_points = [*rig.plane.points[:2], (400.0, 900.0), (0.0, 900.0)]
+    beyond = with_references(rig, plane_points)
+    assert any(v < 0 for view in beyond.views for _, v in view.reference_points_px)
+    assert len(list(fp.track(beyond, max_frames=2))) == 2
+
+
+def test_views_that_wind_the_points_differently_are_refused_and_alike_are_not(recording, tmp_path):
+    rig = Rig.load(recording)
+
+    def wound_back(rig: Rig, index: int) -> Rig:
+        points_px = rig.views[index].reference_points_px
+        return with_view(rig, index, reference_points_px=points_px[:1] + points_px[:0:-1])
+
+    code, line = said_by_run(wound_back(rig, 1), tmp_path)
+    assert code == 2
+    assert "the views see the plane from different sides" in line
+    assert "in the order of plane.points" in line
+    # A plane whose axes turn the other way round, for all views alike.
+    mirrored = wound_back(wound_back(rig, 0), 1)
+    assert len(Pointer(mirrored).views) == 2
+
+
+def test_views_of_one_source_are_refused(recording, tmp_path):
+    rig = Rig.load(recording)
+    code, line = said_by_run(with_view(rig, 1, source=rig.views[0].source), tmp_path)
+    assert code == 2
+    assert 'views "left" and "right" both read' in line
+
+
+def test_an_image_of_another_size_ends_the_run_and_what_was_told_stays(recording, tmp_path):
+    rig = Rig.load(recording)
+    for k, view in enumerate(rig.views):
+        (tmp_path / view.name).mkdir()
+        with open_source(view.source) as source:
+            for frame in islice(source, 6):
+                image = frame.image
+                if (k, frame.index) == (1, 4):
+                    image = np.ascontiguousarray(image[::2, ::2])
+                cv2.imwrite(str(tmp_path / view.name / f"{frame.index}.png"), image)
+        rig = with_view(rig, k, source=str(tmp_path / view.name / "*.png"))
+    points = tmp_path / "points.csv"
+    code, line = said_by_run(rig, tmp_path, "--points", str(points))
+    assert code == 1
+    assert line == (
+        f"fingerpost: {tmp_path / 'right' / '4.png'}: 320 x 240 pixels, the first frame has "
+        "640 x 480; all frames of a view must have one size"
+    )
+    assert [row.split(",")[0] for row in points.read_text().splitlines()[1:]] == [
+        "0",
+        "1",
+        "2",
+        "3",
+    ]
+
+
+def test_frames_that_change_their_size_are_refused_however_they_come():
+    motion, rig = pointing_path(), SimulatedRig()
+    pointer = Pointer(as_configured(rig, motion))
+    images = rig.render(motion, time_s=0.0, rng=SEED).images
+    list(pointer.update([Frame(0, 0.0, image) for image in images]))
+    small = np.ascontiguousarray(images[1][:240])
+    with pytest.raises(InvalidInputError) as raised:
+        list(pointer.update([Frame(1, 0.1, images[0]), Frame(1, 0.1, small)]))
+    assert str(raised.value) == (
+        'view "right": frame 1 has 640 × 240 px, the first one has 640 × 480; '
+        "all must have one size"
+    )
 
 
 def test_colour_images_are_tracked_as_well():

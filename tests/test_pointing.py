@@ -867,7 +867,7 @@ def test_bad_reference_covariances_are_refused(covariances):
 pixels = st.floats(-1e3, 2e3)
 
 
-@settings(max_examples=400, deadline=None, derandomize=True)
+@settings(max_examples=400, derandomize=True)
 @given(
     st.lists(
         st.tuples(pixels, pixels, st.floats(-4, 4), st.floats(0.1, 200), st.floats(-12, 4)),

@@ -156,13 +156,63 @@ os.kill(os.getpid(), signal.SIGKILL)
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs the device that is always full")
 def test_a_full_disk_is_an_error():
-    with pytest.raises(FingerpostError, match="/dev/full: cannot be written: No space left"):
-        write_points("/dev/full")
+    with (
+        pytest.raises(FingerpostError, match="/dev/full: cannot be written: No space left"),
+        write_points("/dev/full"),
+    ):
+        pass
+
+
+def test_an_older_table_is_kept_until_the_first_row(tmp_path):
+    path = tmp_path / "p.csv"
+    path.write_text("of the last run, which was much longer than what comes now" * 10)
+    before = path.read_bytes()
+    with write_points(path) as table:
+        assert path.read_bytes() == before
+        table.write(POINT)
+        assert read_points(path) == [POINT]
+    assert read_points(path) == [POINT]
+
+
+def test_an_older_table_is_kept_where_the_work_fails_before_the_first_row(tmp_path):
+    path = tmp_path / "p.csv"
+    path.write_text("of the last run")
+    with pytest.raises(InvalidInputError, match="refused"), write_points(path):
+        raise InvalidInputError("refused")
+    assert path.read_text() == "of the last run"
+
+
+def test_a_table_without_rows_has_a_header(tmp_path):
+    path = tmp_path / "p.csv"
+    path.write_text("of the last run")
+    with write_points(path):
+        pass
+    assert path.read_text() == f"{POINTS_HEADER}\n"
+
+
+def test_a_new_table_that_never_begins_is_no_file(tmp_path):
+    write_points(tmp_path / "p.csv").close()
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs named pipes")
+def test_a_table_goes_into_a_pipe(tmp_path):
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    program = "import sys; sys.stdout.write(open(sys.argv[1]).read())"
+    with subprocess.Popen(
+        [sys.executable, "-c", program, str(pipe)], stdout=subprocess.PIPE, text=True
+    ) as reader:
+        with write_points(pipe) as table:
+            table.write(POINT)
+        assert reader.communicate(timeout=60)[0].splitlines()[0] == POINTS_HEADER
 
 
 def test_a_table_that_cannot_be_created_or_read_is_named(tmp_path):
     with pytest.raises(InvalidInputError, match=r"none/p\.csv: cannot be written: No such file"):
         write_points(tmp_path / "none" / "p.csv")
+    with pytest.raises(InvalidInputError, match="cannot be written: embedded null byte"):
+        write_points("p\0.csv")
     with pytest.raises(InvalidInputError, match=r"none\.csv: No such file"):
         read_tracks(tmp_path / "none.csv")
     (tmp_path / "p.csv").write_bytes(b"\xff\xfe\x00")
@@ -374,6 +424,83 @@ def test_a_size_that_the_encoder_refuses_is_named(tmp_path):
     ):
         video.write(np.zeros((20, 20000), np.uint8))
     assert not (tmp_path / "o.mp4").exists()
+
+
+def test_a_part_that_is_there_already_is_not_touched(tmp_path):
+    for name in ("o.part.mp4", "o.part2.mp4"):
+        (tmp_path / name).write_text("mine")
+    (tmp_path / "o.part3.mp4").symlink_to(tmp_path / "nowhere")
+    with VideoWriter(tmp_path / "o.mp4", fps=25) as video:
+        assert video.part == tmp_path / "o.part4.mp4"
+        video.write(np.zeros((48, 64), np.uint8))
+    assert (tmp_path / "o.part.mp4").read_text() == (tmp_path / "o.part2.mp4").read_text() == "mine"
+    assert not (tmp_path / "nowhere").exists()
+    assert not video.part.exists()
+    assert len(frames_of(tmp_path / "o.mp4")) == 1
+
+
+def test_two_videos_of_one_name_share_no_part(tmp_path):
+    path = tmp_path / "o.mp4"
+    with VideoWriter(path, fps=25) as one, VideoWriter(path, fps=25) as other:
+        for level in (0, 200):
+            one.write(np.full((48, 64), level, np.uint8))
+        other.write(np.zeros((48, 64), np.uint8))
+    assert len(frames_of(path)) == 2  # the one that was completed last
+    assert list(tmp_path.iterdir()) == [path]
+
+
+# OpenCV ends the process where a name is no UTF-8, so each of these has one of its own.
+_NAMED = """
+import os, sys
+import numpy as np
+from pathlib import Path
+from fingerpost.errors import InvalidInputError
+from fingerpost.recording import VideoWriter, check_picture
+from fingerpost.simulate import DevicePose, SimulatedRig, Trajectory, write_recording
+folder, kind, name = Path(sys.argv[1]), sys.argv[2], os.fsdecode(bytes.fromhex(sys.argv[3]))
+try:
+    if kind == "video":
+        with VideoWriter(folder / f"{name}.mp4", fps=25) as video:
+            video.write(np.zeros((48, 64), np.uint8))
+    elif kind == "picture":
+        check_picture(folder / f"x.{name}")
+    else:
+        pose = DevicePose.pointing_at((200.0, 200.0), azimuth_deg=20.0, slant_deg=50.0,
+                                      hover_mm=120.0)
+        motion = Trajectory.hold(pose, 1.0)
+        write_recording(folder / name, SimulatedRig(), motion, frames=1, picture_format="mp4")
+except InvalidInputError as error:
+    print(ascii(str(error)))
+"""
+
+
+def named(folder: Path, kind: str, name: bytes, **environment: str) -> str:
+    done = subprocess.run(
+        [sys.executable, "-c", _NAMED, str(folder), kind, name.hex()],
+        env=os.environ | environment,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+_IN_ASCII = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="file names are bytes")
+@pytest.mark.parametrize("kind", ["video", "picture", "recording"])
+@pytest.mark.parametrize("environment", [{}, _IN_ASCII])
+def test_a_name_that_is_no_utf8_is_refused(tmp_path, kind, environment):
+    assert "is not UTF-8" in named(tmp_path, kind, b"a\xffb", **environment)
+    assert not [path for path in tmp_path.rglob("*") if path.suffix == ".mp4"]
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="locales of POSIX")
+def test_a_video_has_the_name_it_was_given_in_any_locale(tmp_path):
+    assert named(tmp_path, "video", "ö".encode(), **_IN_ASCII) == ""
+    assert [os.fsencode(path.name) for path in tmp_path.iterdir()] == ["ö.mp4".encode()]
 
 
 def test_a_video_without_frames_is_no_file(tmp_path):

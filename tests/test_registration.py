@@ -180,7 +180,7 @@ def test_another_place_is_not_this_one():
     assert registration.unlike_levels(taken(table()[::-1, ::-1], 2)) > 10
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(st.lists(st.floats(-1e3, 1e3), min_size=8, max_size=8))
 def test_any_guess_gives_a_motion_or_none(entries):
     registration = PlaneRegistration(taken(table(), 1), REFERENCES_PX)

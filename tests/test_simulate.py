@@ -265,7 +265,7 @@ coordinates = st.one_of(st.floats(-4, 9), st.integers(-4, 9).map(float))
     st.lists(st.tuples(coordinates, coordinates), min_size=3, max_size=3),
     st.lists(st.tuples(coordinates, coordinates), min_size=3, max_size=3),
 )
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=80)
 def test_coverage_is_the_area_in_every_cell(
     one: list[tuple[float, float]], other: list[tuple[float, float]]
 ) -> None:
@@ -1109,6 +1109,9 @@ def test_recording_of_an_entering_hand(tmp_path: Path) -> None:
         (lambda: Trajectory(np.array([0.0, 0.0]), np.zeros((2, 6))), "ascending"),
         (lambda: Trajectory.hold(POSE, 0), "duration_s is 0"),
         (lambda: StartError(scale=0), "scale is 0"),
+        (lambda: Sensor(noise=1e-300), "noise is 1e-300; it must be 0 or"),
+        (lambda: Sensor(blur_px=1e-320), "blur_px is 1e-320; it must be 0 or"),
+        (lambda: Sensor(noise=math.nan), "noise is nan"),
     ],
 )
 def test_bad_options_are_refused_by_name(make, message: str) -> None:

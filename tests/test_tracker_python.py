@@ -345,7 +345,7 @@ SOUND: dict[str, Callable[[Track], bool]] = {
 }
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(
     st.integers(0, 2**32 - 1),
     st.sampled_from([(1, 1), (1, 300), (300, 1), (2, 2), (7, 9), (120, 160), (240, 320)]),

@@ -6,6 +6,8 @@ place and what would be right.
 """
 
 import math
+import os
+from pathlib import Path
 from types import EllipsisType
 
 import numpy as np
@@ -127,6 +129,40 @@ def in_range(value: float, name: str, low: float, high: float = np.inf) -> float
     if not low <= value <= high:
         raise InvalidInputError(f"{name} is {value}; from {low:g} to {high:g} is right")
     return float(value)
+
+
+def opencv_path(path: Path, name: str) -> str:
+    """Give `path` as the string that OpenCV must get to reach that file.
+
+    OpenCV hands the UTF-8 of a string to the system, whatever Python's own encoding of file names
+    is, and ends the whole process where a string has none.
+
+    Parameters
+    ----------
+    path
+        A file to be read or written.
+    name
+        What the caller calls the path; opens the message of every error.
+
+    Returns
+    -------
+    str
+        Its UTF-8 is the file's name as the system knows it. Under a locale whose file names are
+        not UTF-8 it may differ from ``str(path)``: hand it to OpenCV and to nothing else.
+
+    Raises
+    ------
+    InvalidInputError
+        The path is not UTF-8, or the locale's encoding cannot write it.
+    """
+    try:
+        return os.fsencode(path).decode("utf-8")
+    except UnicodeError as error:
+        shown = str(path).encode("utf-8", errors="backslashreplace").decode("utf-8")
+        raise InvalidInputError(
+            f"{name}: the path {shown} is not UTF-8, as OpenCV needs it; rename the file or its "
+            "folder, or use a UTF-8 locale"
+        ) from error
 
 
 def _fits(found: tuple[int, ...], shape: tuple[int | str | EllipsisType, ...]) -> bool:

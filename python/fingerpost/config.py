@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import difflib
 import json
+import os
 import re
 import tomllib
 from collections import Counter
@@ -21,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fingerpost.capture import resolve_source, source_relative_to
-from fingerpost.checks import finite_array
+from fingerpost.checks import finite_array, in_range
 from fingerpost.errors import InvalidInputError, RigError
 from fingerpost.homography import MIN_REFERENCE_POINTS, estimate_image_from_plane
 from fingerpost.lens import Lens
@@ -57,6 +58,12 @@ _RIGHT = {
 _UNIT_SQUARE = [[0, 0], [1, 0], [1, 1], [0, 1]]
 
 _MAX_SHOWN = 60
+
+# Beyond these no camera is, and the squares of numbers come to where floats end.
+_LARGEST_CAMERA = 2**31 - 1
+_LENGTHS_PX = (0.1, 1e5)
+_FOCAL_LENGTHS_PX = (1.0, 1e9)
+_VARIANCES_PX2 = (1e-12, 1e12)
 
 
 class _Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
@@ -100,9 +107,9 @@ class LensParameters(_Table, kw_only=True, frozen=True):
     Attributes
     ----------
     fx, fy
-        Focal lengths in px, > 0.
+        Focal lengths in px, 1 to 1e9.
     cx, cy
-        Principal point in px.
+        Principal point in px, at most 1e9 from the first pixel.
     k1, k2
         Radial distortion, without unit.
     """
@@ -115,6 +122,11 @@ class LensParameters(_Table, kw_only=True, frozen=True):
     k2: float = 0.0
 
     def __post_init__(self) -> None:
+        shortest, longest = _FOCAL_LENGTHS_PX
+        for name in ("fx", "fy"):
+            in_range(getattr(self, name), f"lens {name}", shortest, longest)
+        for name in ("cx", "cy"):
+            in_range(getattr(self, name), f"lens {name}", -longest, longest)
         self.lens()
 
     def lens(self) -> Lens:
@@ -132,7 +144,7 @@ class Start(_Table, kw_only=True, frozen=True):
     angle_deg
         Direction of pointing in the image, in degrees: 0 is +u (right), 90 is +v (down).
     length_px
-        Visible length of the index finger, in px, > 0.
+        Visible length of the index finger, in px, 0.1 to 1e5.
     thumb
         Side of the thumb, seen along the pointing direction; "none" for a finger alone.
     """
@@ -145,9 +157,7 @@ class Start(_Table, kw_only=True, frozen=True):
     def __post_init__(self) -> None:
         finite_array(self.tip_px, "tip_px", (2,))
         finite_array(self.angle_deg, "angle_deg", ())
-        finite_array(self.length_px, "length_px", ())
-        if self.length_px <= 0:
-            raise InvalidInputError(f"length_px is {self.length_px}; above 0 is right")
+        in_range(self.length_px, "length_px", *_LENGTHS_PX)
 
 
 class View(_Table, kw_only=True, frozen=True):
@@ -163,8 +173,8 @@ class View(_Table, kw_only=True, frozen=True):
         The reference points (u, v) in this view's image, in px: one per point of the plane, in
         its order. They may lie outside the image.
     reference_covariances_px2
-        Covariance (uu, uv, vv) of each reference point in px²; None where nobody has told, and
-        whoever uses the rig has to assume one.
+        Covariance (uu, uv, vv) of each reference point in px², uu and vv from 1e-12 to 1e12; None
+        where nobody has told, and whoever uses the rig has to assume one.
     reference
         How the reference points are followed.
     lens_parameters
@@ -183,7 +193,9 @@ class View(_Table, kw_only=True, frozen=True):
 
     def __post_init__(self) -> None:
         _refuse_unprintable(self.name, "name")
-        if self.source == "" or (isinstance(self.source, int) and self.source < 0):
+        if self.source == "" or (
+            isinstance(self.source, int) and not 0 <= self.source <= _LARGEST_CAMERA
+        ):
             raise InvalidInputError(
                 f"source is {_shown(self.source)}; needed: {_RIGHT['view.source']}"
             )
@@ -199,11 +211,14 @@ class View(_Table, kw_only=True, frozen=True):
                 f"{len(self.reference_points_px)} reference points is needed"
             )
         uu, uv, vv = finite_array(covariances_px2, name, ("N", 3)).T
-        wrong = np.flatnonzero(~((uu > 0) & (vv > 0) & (uu * vv > uv * uv)))
+        least, most = _VARIANCES_PX2
+        with np.errstate(over="ignore"):  # what overflows is out of range
+            known = (np.minimum(uu, vv) >= least) & (np.maximum(uu, vv) <= most)
+            wrong = np.flatnonzero(~(known & (uu * vv > uv * uv)))
         if len(wrong):
             raise InvalidInputError(
                 f"{name}[{wrong[0]}] is {_shown(covariances_px2[wrong[0]])}; "
-                "[uu, uv, vv] with uu > 0, vv > 0 and uu · vv > uv² is right"
+                f"[uu, uv, vv] with uu and vv from {least:g} to {most:g} and uu · vv > uv² is right"
             )
 
     def reference_covariances(self, otherwise_sigma_px: float) -> NDArray[np.float64]:
@@ -307,6 +322,11 @@ class Rig(_Table, kw_only=True, frozen=True):
         for view in self.views:
             self._refuse_undetermined(view)
 
+    @property
+    def sources(self) -> dict[str, str | int]:
+        """What `fingerpost.capture.open_views` opens, by the view's name, in the views' order."""
+        return {view.name: view.source for view in self.views}
+
     def _refuse_undetermined(self, view: View) -> None:
         points_px = finite_array(view.reference_points_px, "reference_points_px", ("N", 2))
         if len(points_px) != len(self.plane.points):
@@ -389,12 +409,13 @@ class Rig(_Table, kw_only=True, frozen=True):
             The file cannot be written.
         """
         path = Path(path)
+        _refuse_null(path)
         views = (
             msgspec.structs.replace(view, source=source_relative_to(view.source, path.parent))
             for view in self.views
         )
         text = msgspec.structs.replace(self, views=tuple(views)).dumps()
-        if not path.name or path.is_dir():
+        if not path.name or os.path.isdir(path):  # noqa: PTH112 - a name may be too long to exist
             raise RigError(f"{path}: cannot be written: it is a directory, not a file")
         part = path.with_name(f"{path.name}.part")
         try:
@@ -402,6 +423,8 @@ class Rig(_Table, kw_only=True, frozen=True):
             part.replace(path)  # at no moment is the old rig gone and the new one not there
         except OSError as error:
             raise RigError(f"{path}: cannot be written: {error.strerror}") from error
+        except UnicodeEncodeError as error:
+            raise RigError(f"{path}: cannot be written: a source is no text in UTF-8") from error
 
     def dumps(self) -> str:
         """Return the rig as TOML, with its sources as they are."""
@@ -430,16 +453,26 @@ _TABLES: dict[str, type[_Table]] = {
 
 def _tables(path: Path) -> dict[str, Any]:
     """Read a TOML file."""
+    _refuse_null(path)
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
+        text = path.read_text(encoding="utf-8-sig")
     except OSError as error:
         raise RigError(f"{path}: {error.strerror}; a rig file (TOML) is needed") from error
     except UnicodeDecodeError as error:
         raise RigError(f"{path}: not a text file in UTF-8 ({error.reason})") from error
+    try:
+        return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise RigError(f"{path}: not valid TOML: {error}") from error
+    except ValueError as error:  # Python reads no integer of thousands of digits
+        raise RigError(f"{path}: not a rig file: a number has too many digits") from error
     except RecursionError as error:
         raise RigError(f"{path}: not a rig file: nested too deeply") from error
+
+
+def _refuse_null(path: Path) -> None:
+    if "\0" in str(path):
+        raise RigError(f"{str(path)!r}: no file can have this name; a rig file is needed")
 
 
 def _undistorted(points_px: NDArray[np.float64], lens: Lens) -> NDArray[np.float64]:

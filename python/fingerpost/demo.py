@@ -19,7 +19,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from fingerpost.capture import Frame, open_source, read_views
+from fingerpost.capture import Frame, open_views, read_views
 from fingerpost.config import Rig
 from fingerpost.errors import InvalidInputError
 from fingerpost.pipeline import DEFAULT_REFERENCE_SIGMA_PX, Pointer, Step, steps
@@ -212,7 +212,7 @@ class _Footage:
 def _clip(stack: ExitStack) -> _Footage:
     """Open the packaged clip until the stack unwinds."""
     rig = Rig.load(_CLIP / "rig.toml")
-    sources = [stack.enter_context(open_source(view.source)) for view in rig.views]
+    sources = stack.enter_context(open_views(rig.sources))
     table = np.loadtxt(_CLIP / "truth.csv", delimiter=",", skiprows=1)
     return _Footage(
         name="the built-in clip",

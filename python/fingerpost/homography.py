@@ -26,6 +26,10 @@ MIN_REFERENCE_POINTS = 4
 # that is poor but not degenerate shows itself by its covariance.
 DEGENERATE_SHARE = 1e-6
 
+# Sets whose diameter lies outside these bounds are refused, whatever their unit: fourth powers of
+# lengths must stay far from where floats end.
+SPREADS = (1e-30, 1e30)
+
 # A homography that misses its own reference points by more than this share of their spread (both
 # root mean squares) belongs to other points: noise and lenses stay below a few per cent, two
 # points in the wrong order exceed it.
@@ -61,7 +65,8 @@ def estimate_image_from_plane(
     Raises
     ------
     DegenerateReferencePointsError
-        Repeated points, all points but one on a line (three of four; on the plane or in the
+        Points that spread over less or more than `SPREADS` tells, repeated points, all points but
+        one on a line (three of four; on the plane or in the
         image), points seen on both sides of the horizon, points that no homography fits: the
         latter two mean that image points are not in the order of the plane points.
     InvalidInputError
@@ -345,8 +350,15 @@ def _facing(T: NDArray[np.float64], X: NDArray[np.float64]) -> NDArray[np.float6
 
 
 def _refuse_degenerate(points: NDArray[np.float64], name: str) -> None:
-    """Raise if points coincide, or if all of them but one at most lie on a line."""
-    between = np.hypot(*(points[:, None] - points[None]).transpose(2, 0, 1))
+    """Raise if points spread out of bounds, coincide, or all but one at most lie on a line."""
+    with np.errstate(over="ignore"):  # what overflows is out of bounds
+        between = np.hypot(*(points[:, None] - points[None]).transpose(2, 0, 1))
+    least, most = SPREADS
+    spread = float(between.max())
+    if not (spread == 0.0 or least <= spread <= most):
+        raise DegenerateReferencePointsError(
+            f"{name} spread over {spread:.3g}; from {least:g} to {most:g} is right"
+        )
     nearest = DEGENERATE_SHARE * between.max()
     first, second = np.nonzero(np.triu(between <= nearest, k=1))
     if len(first):

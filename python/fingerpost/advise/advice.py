@@ -12,12 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fingerpost.advise.camera import (
-    USABLE_FOCAL_SIGMA,
-    PlaneCamera,
-    recover_camera,
-    sides_agree,
-)
+from fingerpost.advise.camera import USABLE_FOCAL_SIGMA, PlaneCamera, recover_camera
 from fingerpost.advise.forecast import (
     Doubt,
     Figures,
@@ -33,6 +28,7 @@ from fingerpost.config import Rig
 from fingerpost.errors import InvalidInputError
 from fingerpost.experiment.table import number
 from fingerpost.homography import transfer_jacobian_by_entries
+from fingerpost.pipeline import different_sides
 from fingerpost.pointing import PlaneView
 
 Array = NDArray[np.float64]
@@ -295,8 +291,7 @@ def advise(
         workspace, options.poses, unit_mm, cells, options.sectors, _POSES_EACH
     )
     forecast = predict(poses, cameras, plane_points, options, unit_mm)
-    low, high = options.poses.azimuth_deg
-    wanted = (poses.azimuth_deg >= low) & (poses.azimuth_deg <= high)
+    wanted = _is_expected(poses.azimuth_deg, options)
     middles = np.arange(options.sectors) * 360.0 / options.sectors
     middles = (middles + 180.0) % 360.0 - 180.0
     expected = forecast.figures(wanted)
@@ -319,14 +314,24 @@ def advise(
         ),
         cell_size=cells[1],
         directions=tuple(
-            Direction(float(azimuth), bool(low <= azimuth <= high), forecast.figures(sector == k))
-            for k, azimuth in enumerate(middles)
+            Direction(float(azimuth), bool(expects), forecast.figures(sector == k))
+            for k, (azimuth, expects) in enumerate(
+                zip(middles, _is_expected(middles, options), strict=True)
+            )
         ),
         moves=tuple(moves),
         recommended=moves[0] if worthwhile else None,
         workspace=workspace,
         plane_points=plane_points,
     )
+
+
+def _is_expected(azimuth_deg: Array, options: AdviceOptions) -> NDArray[np.bool_]:
+    """Whether directions of pointing lie in the range of expected ones; one sector always does."""
+    low, high = options.poses.azimuth_deg
+    half_deg = max((high - low) / 2.0, 180.0 / options.sectors)
+    off_deg = np.abs((azimuth_deg - (low + high) / 2.0 + 180.0) % 360.0 - 180.0)
+    return np.asarray(off_deg <= half_deg)
 
 
 def _given_views(rig: Rig, options: AdviceOptions) -> list[PlaneView]:
@@ -354,7 +359,8 @@ def _recovered(
         )
         for plane_view, view, size in zip(given, rig.views, sizes_px, strict=True)
     ]
-    sides_agree(cameras, [view.name for view in rig.views])
+    if (wrong := different_sides(rig, given)) is not None:
+        raise InvalidInputError(f"{wrong.what}; {wrong.right}")
     for view, camera in zip(rig.views, cameras, strict=True):
         if camera.misfit > LARGEST_MISFIT:
             raise InvalidInputError(

@@ -28,7 +28,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fingerpost.checks import finite_array, in_range
-from fingerpost.errors import InvalidInputError
 from fingerpost.homography import normalising_similarity
 from fingerpost.lens import Lens
 from fingerpost.pointing import PlaneView
@@ -45,6 +44,9 @@ of the longer side."""
 
 USABLE_FOCAL_SIGMA = 0.2
 """Above this relative standard deviation a view does not tell its own focal length."""
+
+LARGEST_PX = 100_000
+"""Longest side of an image."""
 
 _MAX_ITERATIONS = 200
 _CONVERGED_STEP = 1e-10
@@ -161,7 +163,7 @@ def recover_camera(
     image_points_px : (N, 2)
         Where its image shows them, in the order of ``plane_view.plane_points``, lens included.
     size_px
-        Width and height of the image.
+        Width and height of the image, up to `LARGEST_PX`.
     sigma_px
         Standard deviation of each image point in u and in v [px], > 0.
 
@@ -172,10 +174,10 @@ def recover_camera(
     Raises
     ------
     InvalidInputError
-        A size below 1, points and view that do not belong together, or no camera that sees the
+        A size out of range, points and view that do not belong together, or no camera that sees the
         plane like this: coordinates that are far from true to scale.
     """
-    width, height = (in_range(side, "size_px", 1.0) for side in size_px)
+    width, height = (in_range(side, "size_px", 1.0, LARGEST_PX) for side in size_px)
     sigma = in_range(sigma_px, "sigma_px", np.finfo(np.float64).tiny)
     given = finite_array(image_points_px, "image_points_px", plane_view.plane_points.shape)
     lens = plane_view.lens
@@ -368,26 +370,6 @@ class _Problem:
             if np.abs(step[-6:-3]).max() < _CONVERGED_STEP and np.abs(step).max() < 1e-8:
                 return state
         return state
-
-
-def sides_agree(cameras: list[PlaneCamera], names: list[str]) -> None:
-    """Refuse views that see the plane from different sides.
-
-    Raises
-    ------
-    InvalidInputError
-        The reference points of some view run the other way round: they are not in the order of
-        the plane's points, or the image is mirrored.
-    """
-    if len({camera.mirrored for camera in cameras}) > 1:
-        ways = ", ".join(
-            f"{name} {'clockwise' if camera.mirrored else 'anticlockwise'}"
-            for name, camera in zip(names, cameras, strict=True)
-        )
-        raise InvalidInputError(
-            f"the views see the plane from different sides (X to Y turns: {ways}); the reference "
-            "points of one are not in the order of plane.points, or its image is mirrored"
-        )
 
 
 def _cross_matrix(vectors: Array) -> Array:

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fingerpost.advise.camera import PlaneCamera
-from fingerpost.advise.options import AdviceOptions
+from fingerpost.advise.options import LEAST, AdviceOptions
 from fingerpost.advise.poses import Poses
 from fingerpost.experiment.bound import axis_covariance, edge_information
 from fingerpost.pointing import FingerLine, PlaneView, Status, indicated_point
@@ -261,9 +261,11 @@ def without(options: AdviceOptions, part: str) -> AdviceOptions:
     nearly = 1e-6
     match part:
         case "references":
-            return replace(options, reference_sigma_px=nearly * options.reference_sigma_px)
+            return replace(
+                options, reference_sigma_px=max(nearly * options.reference_sigma_px, LEAST)
+            )
         case "noise":
-            return replace(options, noise=nearly * options.noise)
+            return replace(options, noise=max(nearly * options.noise, LEAST))
         case _:
             pointing = replace(options.pointing, bias_offset_px=0.0, bias_angle_rad=0.0)
             return replace(options, pointing=pointing)

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 
-import numpy as np
-
 from fingerpost.checks import in_range
 from fingerpost.errors import InvalidInputError
 from fingerpost.pipeline import DEFAULT_REFERENCE_SIGMA_PX
@@ -15,6 +13,9 @@ from fingerpost.simulate import PoseLimits
 UNITS_MM = {"µm": 1e-3, "mm": 1.0, "cm": 10.0, "dm": 100.0, "m": 1000.0, "in": 25.4, "inch": 25.4}
 """Names of plane units whose length is known [mm]."""
 
+LEAST = 1e-6
+"""Noise and errors of reference points as good as none [grey levels, px]; their squares are still
+far from where floats end."""
 
 STRICT = replace(UNSEEN_HAND, max_sigma=0.05)
 """Cameras should stand better than the least with which a hand can be followed."""
@@ -29,32 +30,32 @@ class AdviceOptions:
     end-on, and the border that it keeps from the edge of an image."""
 
     length_mm: float = 80.0
-    """Straight, visible part of the index finger [mm], > 0."""
+    """Straight, visible part of the index finger [mm], 1 to 1000."""
 
     diameter_mm: float = 16.0
-    """Its thickness [mm], > 0, below `length_mm`."""
+    """Its thickness [mm], 0.1 to 1000, below `length_mm`."""
 
     contrast: float = 80.0
-    """Finger against background [grey levels], > 0."""
+    """Finger against background [grey levels], 0.1 to 255."""
 
     noise: float = 2.0
-    """Standard deviation of the image noise [grey levels], > 0."""
+    """Standard deviation of the image noise [grey levels], `LEAST` to 255."""
 
     blur_px: float = 1.0
-    """Standard deviation of the point spread function [px], ≥ 0."""
+    """Standard deviation of the point spread function [px], 0 to 100."""
 
     efficiency: float = 0.6
-    """Least possible variance of a finger line's angle over the tracker's, above 0 and at most 1.
+    """Least possible variance of a finger line's angle over the tracker's, 0.001 to 1.
     `fingerpost experiment` measures it: "angle variance, bound / meas."."""
 
     reference_sigma_px: float = DEFAULT_REFERENCE_SIGMA_PX
-    """Standard deviation of each reference point in u and in v [px], > 0."""
+    """Standard deviation of each reference point in u and in v [px], `LEAST` to 1000."""
 
     pointing: PointingOptions = STRICT
     """When a point counts as one, and the allowance for what is no noise."""
 
     unit_mm: float | None = None
-    """Length of a plane unit [mm], > 0; None: what the unit's name says."""
+    """Length of a plane unit [mm], 1e-6 to 1e6; None: what the unit's name says."""
 
     cells: int = 7
     """Cells of the map along the longer side of the workspace, 2 to 50."""
@@ -66,22 +67,29 @@ class AdviceOptions:
     """Poses by which moves of the cameras are compared, 10 to 100,000."""
 
     def __post_init__(self) -> None:
-        tiny = float(np.finfo(np.float64).tiny)
-        for name in ("length_mm", "diameter_mm", "contrast", "noise", "reference_sigma_px"):
-            in_range(getattr(self, name), name, tiny)
-        in_range(self.blur_px, "blur_px", 0.0)
-        in_range(self.efficiency, "efficiency", tiny, 1.0)
+        for name, low, high in (
+            ("length_mm", 1.0, 1000.0),
+            ("diameter_mm", 0.1, 1000.0),
+            ("contrast", 0.1, 255.0),
+            ("noise", LEAST, 255.0),
+            ("blur_px", 0.0, 100.0),
+            ("efficiency", 1e-3, 1.0),
+            ("reference_sigma_px", LEAST, 1000.0),
+        ):
+            in_range(getattr(self, name), name, low, high)
         if self.diameter_mm >= self.length_mm:
             raise InvalidInputError(
                 f"diameter_mm is {self.diameter_mm:g} with length_mm {self.length_mm:g}; a finger "
                 "is longer than wide"
             )
         if self.unit_mm is not None:
-            in_range(self.unit_mm, "unit_mm", tiny)
-        for name, low, high in (("cells", 2, 50), ("sectors", 8, 360), ("samples", 10, 100_000)):
+            in_range(self.unit_mm, "unit_mm", 1e-6, 1e6)
+        for name, least, most in (("cells", 2, 50), ("sectors", 8, 360), ("samples", 10, 100_000)):
             value = getattr(self, name)
-            if not isinstance(value, int) or not low <= value <= high:
-                raise InvalidInputError(f"{name} is {value!r}; a whole number from {low} to {high}")
+            if not isinstance(value, int) or not least <= value <= most:
+                raise InvalidInputError(
+                    f"{name} is {value!r}; a whole number from {least} to {most}"
+                )
 
     def unit_length_mm(self, unit: str) -> float:
         """Length of a plane unit [mm].

@@ -8,7 +8,13 @@ the file. A *live* source delivers the newest frame at the moment it is asked, w
 which that frame was grabbed, and drops what the consumer was too slow for.
 """
 
-from fingerpost.capture.opening import open_source, resolve_source, source_files, source_relative_to
+from fingerpost.capture.opening import (
+    open_source,
+    open_views,
+    resolve_source,
+    source_files,
+    source_relative_to,
+)
 from fingerpost.capture.source import Frame, Source, SourceKind
 from fingerpost.capture.views import read_views
 
@@ -17,6 +23,7 @@ __all__ = [
     "Source",
     "SourceKind",
     "open_source",
+    "open_views",
     "read_views",
     "resolve_source",
     "source_files",

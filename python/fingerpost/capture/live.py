@@ -13,11 +13,13 @@ import re
 import threading
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
 
 from fingerpost.capture.source import Frame, Source, SourceKind
+from fingerpost.checks import opencv_path
 from fingerpost.errors import CaptureError
 
 _log = logging.getLogger(__name__)
@@ -53,7 +55,8 @@ def connect(source: str | int, timeout_s: float) -> Device:
     import cv2
 
     if isinstance(source, int) or "://" not in source:
-        camera = cv2.VideoCapture(source)
+        device = source if isinstance(source, int) else opencv_path(Path(source), "device")
+        camera = cv2.VideoCapture(device)
         # Two cameras that send raw pixels exceed one USB bus; most can send JPEG instead.
         camera.set(cv2.CAP_PROP_FOURCC, cv2.VideoWriter.fourcc(*"MJPG"))
         return camera

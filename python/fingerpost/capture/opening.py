@@ -5,14 +5,17 @@ from __future__ import annotations
 import glob
 import math
 import os
+import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 from fingerpost.capture.images import ImageSequence, natural_order
-from fingerpost.capture.live import LiveSource
+from fingerpost.capture.live import LiveSource, masked
 from fingerpost.capture.source import Source
 from fingerpost.capture.video import VideoFile
+from fingerpost.checks import opencv_path
 from fingerpost.errors import CaptureError, InvalidInputError
 
 DEFAULT_FPS = 25.0
@@ -58,7 +61,8 @@ def open_source(
     CaptureError
         The source does not exist, cannot be opened, or holds no frame.
     InvalidInputError
-        An argument is not of the kind described above.
+        An argument is not of the kind described above, or a file that OpenCV has to open by its
+        name has one that is not UTF-8, or that this locale cannot write.
     """
     for name, value in (("fps", fps), ("timeout_s", timeout_s)):
         if not (math.isfinite(value) and value > 0):
@@ -76,6 +80,13 @@ def open_source(
             raise InvalidInputError(f"{source}: give the file's path instead of a file: URL")
         return LiveSource(source, timeout_s=timeout_s, clock=clock)
 
+    try:
+        os.fsencode(source)
+    except UnicodeEncodeError as error:
+        encoding = sys.getfilesystemencoding()
+        raise InvalidInputError(
+            f"{source}: file names are written in {encoding} here; a UTF-8 locale is right"
+        ) from error
     path = Path(source)
     try:
         if path.is_char_device():
@@ -104,7 +115,7 @@ def _open_file(path: Path, fps: float) -> Source:
     with path.open("rb") as file:
         if not file.read(1):
             raise CaptureError(f"{path}: the file is empty; a video or an image is needed")
-    if cv2.haveImageReader(str(path)):
+    if cv2.haveImageReader(opencv_path(path, "source")):
         return ImageSequence([path] * STILL_FRAMES, fps=fps, name=str(path))
     return VideoFile(path, fps=fps)
 
@@ -125,6 +136,60 @@ def source_files(source: str | int) -> list[Path]:
     if glob.has_magic(source) and not os.path.exists(source):  # noqa: PTH110
         return _matching(source)
     return [Path(source)]
+
+
+@contextmanager
+def open_views(sources: Mapping[str, str | int]) -> Iterator[list[Source]]:
+    """Open the source of every view, and close them all in the end.
+
+    Parameters
+    ----------
+    sources
+        What `open_source` opens, by the view's name.
+
+    Yields
+    ------
+    list of Source
+        In the order of `sources`.
+
+    Raises
+    ------
+    CaptureError
+        As `open_source`.
+    InvalidInputError
+        As `open_source`, or two views read one camera, stream or file.
+    """
+    refuse_repeated(sources)
+    with ExitStack() as stack:
+        yield [stack.enter_context(open_source(source)) for source in sources.values()]
+
+
+def refuse_repeated(sources: Mapping[str, str | int]) -> None:
+    """Refuse views of which two read one camera, stream or existing file, by whatever names.
+
+    Parameters
+    ----------
+    sources
+        What `open_source` would open, by the view's name.
+
+    Raises
+    ------
+    InvalidInputError
+        Two views share a source, or a file of it; both are named.
+    """
+    taken: dict[str | int, str] = {}
+    for view, source in sources.items():
+        files = source_files(source)
+        # What does not exist is refused by whoever opens it; path.exists would raise where no file
+        # can have such a name.
+        existing = [os.path.realpath(path) for path in files if os.path.exists(path)]  # noqa: PTH110
+        for read in existing if files else [source]:
+            other = taken.setdefault(read, view)
+            if other != view:
+                raise InvalidInputError(
+                    f'views "{other}" and "{view}" both read {masked(read)}; each needs a source '
+                    "of its own"
+                )
 
 
 def _is_url(source: str) -> bool:

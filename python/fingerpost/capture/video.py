@@ -4,6 +4,15 @@ Every frame comes in order with the presentation time stored in the file (`CAP_P
 which OpenCV's FFmpeg backend fills per frame, also at a variable rate). A stretch that cannot be
 decoded is stepped over and reported through `logging`; OpenCV alone would end the video there.
 A video stored rotated is turned as its header says, as every player shows it.
+
+What OpenCV does not tell, nobody behind it can know:
+
+- Where single bytes are wrong, the decoder mends the picture by guess from what is around it or
+  before it, and says nothing. Such frames are believed.
+- AVI stores no times: a frame's time is its place in the count. Where damage hides frames from the
+  reader, all later ones are dated too early by as many intervals, and no frame shows it. That some
+  are missing is seen at the end alone, and reported there. MP4 and Matroska date every frame.
+- Frames of another size than the first one's, as behind the seam of two videos, come scaled to it.
 """
 
 from __future__ import annotations
@@ -15,6 +24,7 @@ from pathlib import Path
 import numpy as np
 
 from fingerpost.capture.source import Frame, Source, SourceKind
+from fingerpost.checks import opencv_path
 from fingerpost.errors import CaptureError
 
 _log = logging.getLogger(__name__)
@@ -27,6 +37,10 @@ _MAX_FAILED_GRABS = 10_000
 # Containers round times to as much as 1 ms (Matroska, WebM), which a step of two such times
 # can show twice.
 _TIME_ROUNDING_S = 2e-3
+# How much shorter than its header says an undamaged recording may be: headers round, and sound may
+# run on a little longer. Frames that are dated by their count are counted.
+_SHORT_INTERVALS = 2.0
+_SHORT_INTERVALS_IF_COUNTED = 0.5
 
 
 class FrameTimes:
@@ -103,7 +117,7 @@ class VideoFile(Source):
         super().__init__(str(path))
         import cv2
 
-        self._capture = cv2.VideoCapture(str(path))
+        self._capture = cv2.VideoCapture(opencv_path(path, "source"))
         self._capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, 1)
         stated_fps = self._capture.get(cv2.CAP_PROP_FPS)
         if _PLAUSIBLE_FPS[0] <= stated_fps <= _PLAUSIBLE_FPS[1]:
@@ -114,6 +128,7 @@ class VideoFile(Source):
         self._times = FrameTimes(self._interval_s, self.name)
         self._end_s = 0.0
         self._end_index = 0
+        self._dates_by_count = _is_avi(path)
         self._first = self._read()
         if self._first is None:
             self.close()
@@ -148,16 +163,27 @@ class VideoFile(Source):
 
     def _report_early_end(self) -> None:
         """Warn if the recording is shorter than its header says; a variable rate proves nothing."""
-        promised_s = (self.frame_count or 0) * self._interval_s
-        if self._times.constant_rate and self._end_s < promised_s - 2 * self._interval_s:
-            _log.warning(
-                "%s: ends at %.3f s although its header says %.3f s: cut off or damaged",
-                self.name,
-                self._end_s,
-                promised_s,
-            )
+        short_s = (self.frame_count or 0) * self._interval_s - self._end_s
+        slack = _SHORT_INTERVALS_IF_COUNTED if self._dates_by_count else _SHORT_INTERVALS
+        if not self._times.constant_rate or short_s <= slack * self._interval_s:
+            return
+        _log.warning(
+            "%s: ends at %.3f s although its header says %.3f s: cut off or damaged%s",
+            self.name,
+            self._end_s,
+            self._end_s + short_s,
+            f"; as AVI stores no times, frames behind damage are dated up to {short_s:.3f} s early"
+            if self._dates_by_count
+            else "",
+        )
 
     def close(self) -> None:
         """Close the file: no more frames will come."""
         self._first = None
         self._capture.release()
+
+
+def _is_avi(path: Path) -> bool:
+    with path.open("rb") as file:
+        head = file.read(12)
+    return head[:4] == b"RIFF" and head[8:] == b"AVI "

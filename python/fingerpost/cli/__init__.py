@@ -7,9 +7,11 @@ by Ctrl-C.
 
 from __future__ import annotations
 
+import io
 import logging
 import os
 import sys
+import traceback
 from typing import Any, NoReturn
 
 import click
@@ -31,6 +33,7 @@ class _Commands(click.Group):
     """Turns errors of ours into one line and an exit code; a traceback would be a bug's."""
 
     def main(self, *args: Any, **kwargs: Any) -> Any:
+        _show_what_can_be_shown()
         try:
             return super().main(*args, **{**kwargs, "standalone_mode": False})
         except click.exceptions.Abort:
@@ -47,6 +50,24 @@ class _Commands(click.Group):
             _stop(str(error), BAD_INPUT)
         except FingerpostError as error:
             _stop(str(error), FAILED)
+        except OSError as error:
+            if not _is_of_output(error):
+                raise
+            # What is still held back goes nowhere: Python would try once more, and complain.
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            _stop(f"standard output: cannot be written: {error.strerror}", FAILED)
+
+
+def _show_what_can_be_shown() -> None:
+    """Have standard output replace what its encoding lacks, as standard error does anyway."""
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="replace")
+
+
+def _is_of_output(error: OSError) -> bool:
+    """Whether an error is of what prints for all commands; the error itself names no stream."""
+    *_, (frame, _) = traceback.walk_tb(error.__traceback__)
+    return frame.f_code is click.echo.__code__
 
 
 def _stop(message: str, code: int) -> NoReturn:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from itertools import islice
+from contextlib import ExitStack
 from pathlib import Path
 
 import click
@@ -30,16 +30,19 @@ def doctor(rig_file: Path, frames: int | None, as_json: bool) -> None:
     where and what would be right. Exits with 0 if nothing serious is found, with 1 if something
     prevents tracking (marked "error").
     """
-    from fingerpost.capture import open_source
+    from fingerpost.capture import Frame, open_views
     from fingerpost.config import Rig
-    from fingerpost.doctor import DEFAULT_FRAMES, examine
+    from fingerpost.doctor import DEFAULT_FRAMES, examine, look
 
     rig = Rig.load(rig_file)
     count = DEFAULT_FRAMES if frames is None else frames
-    seen = []
-    for view in watched(rig.views, len(rig.views), "looking"):
-        with open_source(view.source) as source:
-            seen.append(list(islice(source, count)))
+    seen: list[list[Frame]] = [[] for _ in rig.views]
+    with ExitStack() as stack:
+        sources = stack.enter_context(open_views(rig.sources))
+        for together in watched(look(sources, count), count, "looking"):
+            for own, frame in zip(seen, together, strict=True):
+                if frame is not None:
+                    own.append(frame)
     diagnosis = examine(rig, seen)
     click.echo(json.dumps(diagnosis.as_dict()) if as_json else "\n".join(diagnosis.table()))
     if diagnosis.serious:

@@ -45,7 +45,12 @@ _IN = click.Path(path_type=Path)
 @click.option("--lens", type=click.Choice(["known", "ignored"]), help="Whether it is corrected.")
 @click.option("--recording", metavar="RIG.TOML", type=_IN, help="Measure on footage instead.")
 @click.option("--truth", metavar="T.CSV", type=_IN, help="Its truth: frame,time_s,x,y.")
-@click.option("--guidance", metavar="N", type=click.IntRange(min=0), help="Section 3.4, N times.")
+@click.option(
+    "--guidance",
+    metavar="N",
+    type=click.IntRange(0, 1_000_000),
+    help="Section 3.4, N times.",
+)
 @click.option("--draw", metavar="E.PNG", type=_IN, help="Draw scatter, ellipses and coverage.")
 @click.option("--json", "as_json", is_flag=True, help="Print the table as JSON.")
 def experiment(

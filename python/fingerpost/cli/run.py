@@ -8,7 +8,6 @@ import time
 from collections import Counter, deque
 from collections.abc import Callable
 from contextlib import ExitStack
-from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -23,6 +22,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from fingerpost.pipeline import Pointer, Step
+    from fingerpost.recording import TableWriter, TrackRow
 
 _OVERLAY_FPS = 25.0
 _OVERLAY_TRAIL = 40  # points that the plan shows behind the newest one
@@ -58,23 +58,20 @@ def run(
     RIG.TOML names the views (video files, globs of images, camera numbers or URLs), the plane and
     where the hand is first seen. Ctrl-C ends a run; what was written stays.
     """
-    from fingerpost.capture import open_source, read_views
+    from fingerpost.capture import open_views, read_views
     from fingerpost.config import Rig
-    from fingerpost.pipeline import Pointer, steps
-    from fingerpost.recording import part_of
+    from fingerpost.pipeline import Pointer, at_most, steps
 
     rig = Rig.load(rig_file)
     written = {"--points": points, "--tracks": tracks, "--overlay": overlay}
-    if overlay:  # grows under a name of its own, which may hold something else
-        written["--overlay (until complete)"] = part_of(overlay)
     keep_apart(written, rig_files(rig_file, rig))
     pointer = Pointer(rig, tracker_options={"model": model})
     statuses: Counter[str] = Counter()
     with ending_as_interrupted(), ExitStack() as stack:
-        sources = [stack.enter_context(open_source(view.source)) for view in rig.views]
+        sources = stack.enter_context(open_views(rig.sources))
         takers = _takers(stack, pointer, rig.plane.unit, points, tracks, overlay, as_json)
         counts = [n for n in (max_frames, *(source.frame_count for source in sources)) if n]
-        frames = islice(read_views(sources), max_frames)
+        frames = at_most(read_views(sources), max_frames)
         started_s = time.perf_counter()
         for step in steps(pointer, watched(frames, min(counts, default=None), "tracking")):
             statuses[step.fix.status.value] += 1
@@ -94,38 +91,27 @@ def _takers(
     as_json: bool,
 ) -> list[Callable[[Step], None]]:
     """Everything that takes the steps as they come: tables, video, standard output."""
+    from fingerpost.recording import write_points, write_tracks
+
     takers: list[Callable[[Step], None]] = []
-    # First what may yet be refused: an opened table has lost what was in it.
+    if points:
+        point_table = stack.enter_context(write_points(points))
+        takers.append(lambda step: point_table.write(step.point_row()))
+    if tracks:
+        track_table = stack.enter_context(write_tracks(tracks))
+        takers.append(lambda step: _write_tracks(track_table, step))
     if overlay:
         takers.append(_overlay_video(stack, overlay, pointer, unit))
-    if points:
-        takers.append(_point_table(stack, points))
-    if tracks:
-        takers.append(_track_table(stack, tracks))
     if as_json:
         takers.append(lambda step: click.echo(json.dumps(dataclasses.asdict(step.point_row()))))
     return takers
 
 
-def _point_table(stack: ExitStack, path: Path) -> Callable[[Step], None]:
-    from fingerpost.recording import write_points
-
-    table = stack.enter_context(write_points(path))
-    return lambda step: table.write(step.point_row())
-
-
-def _track_table(stack: ExitStack, path: Path) -> Callable[[Step], None]:
-    from fingerpost.recording import write_tracks
-
-    table = stack.enter_context(write_tracks(path))
-
-    def take(step: Step) -> None:
-        for observation in step.observations:
-            row = observation.track_row()
-            if row is not None:
-                table.write(row)
-
-    return take
+def _write_tracks(table: TableWriter[TrackRow], step: Step) -> None:
+    for observation in step.observations:
+        row = observation.track_row()
+        if row is not None:
+            table.write(row)
 
 
 def _overlay_video(

@@ -9,7 +9,7 @@ come from, beside what they limit: `pictures` (exposure, noise, focus), `hand` (
 `references`, and `examine` (lens, rates, times).
 """
 
-from fingerpost.doctor.examine import DEFAULT_FRAMES, examine
+from fingerpost.doctor.examine import DEFAULT_FRAMES, examine, look
 from fingerpost.doctor.findings import Check, Diagnosis, Finding, Severity, ViewReadings
 
 __all__ = [
@@ -20,4 +20,5 @@ __all__ = [
     "Severity",
     "ViewReadings",
     "examine",
+    "look",
 ]

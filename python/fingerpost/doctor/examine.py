@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from itertools import islice, zip_longest
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fingerpost.capture import Frame
+from fingerpost.capture import Frame, Source, SourceKind, read_views
 from fingerpost.config import Rig, View
 from fingerpost.doctor.findings import Check, Diagnosis, Finding, Severity, ViewReadings
 from fingerpost.doctor.hand import HandReadings, judge_hand, read_hand
@@ -37,6 +38,36 @@ FOCAL_SHARES = (0.3, 8.0)
 
 _ORDER = {Severity.ERROR: 0, Severity.WARNING: 1}
 _STILL_FRAMES = 9
+
+
+def look(sources: Sequence[Source], count: int) -> Iterator[tuple[Frame | None, ...]]:
+    """Read what `examine` looks at.
+
+    Live views are read together, as the main loop reads them, for their times to be compared.
+    Recorded ones are each read from their start: whether their times meet is for `examine` to say.
+
+    Parameters
+    ----------
+    sources
+        One open source per view.
+    count
+        How many frames of each, above 0.
+
+    Yields
+    ------
+    tuple of Frame or None
+        One entry per source; None where a recording has ended.
+
+    Raises
+    ------
+    CaptureError
+        A source fails while it is read.
+    InvalidInputError
+        Recorded and live sources are mixed.
+    """
+    if all(source.kind is SourceKind.RECORDED for source in sources):
+        return zip_longest(*(islice(source, count) for source in sources))
+    return islice(read_views(sources), count)
 
 
 def examine(rig: Rig, frames: Sequence[Sequence[Frame]]) -> Diagnosis:
@@ -100,7 +131,9 @@ def _examine_view(view: View, frames: Sequence[Frame]) -> tuple[ViewReadings, li
         findings += judge_hand(view.name, hand, view.start, (width, height), len(frames))
     findings += _judge_lens(view, (width, height))
     findings += _judge_times(view.name, frames)
+    # Over the frames that came, fetched or not: a live view gives no more than the slowest.
     steps = np.diff([frame.time_s for frame in frames])
+    steps /= np.maximum(1, np.diff([frame.index for frame in frames]))
     positive = steps[steps > 0.0]
     reading = ViewReadings(
         view=view.name,

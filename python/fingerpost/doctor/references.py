@@ -1,7 +1,8 @@
 """What may be wrong with reference points.
 
-- *mirrored*: the homographies of all views keep or reverse the sense of rotation alike
-  (``det`` of `image_from_plane`'s derivative), for all cameras stand on one side of the plane;
+- *outside*: most of them lie outside the image (`fingerpost.pipeline.points_outside`);
+- *mirrored*: the homographies of all views keep or reverse the sense of rotation alike, for all
+  cameras stand on one side of the plane (`fingerpost.pipeline.different_sides`);
 - *order*: carried onto the plane, the views show one and the same table. Where another order of
   one view's four points makes them agree much better, it is that one's order. A table that looks
   alike from four sides does not tell;
@@ -23,8 +24,7 @@ from numpy.typing import NDArray
 from fingerpost.advise import reference_weakness
 from fingerpost.config import Rig, View
 from fingerpost.doctor.findings import Check, Finding, Severity
-from fingerpost.homography import transfer_jacobian_by_point
-from fingerpost.pipeline import DEFAULT_REFERENCE_SIGMA_PX
+from fingerpost.pipeline import DEFAULT_REFERENCE_SIGMA_PX, different_sides, points_outside
 from fingerpost.pointing import PlaneView
 
 Array = NDArray[np.float64]
@@ -75,7 +75,9 @@ def judge_views(
     """
     for view, plane_view, still in zip(rig.views, plane_views, stills, strict=True):
         points_px = np.array(view.reference_points_px)
-        yield from _judge_place(view.name, points_px, still)
+        height, width = still.shape
+        if (wrong := points_outside(view, (width, height))) is not None:
+            yield Finding(Severity.ERROR, Check.REFERENCES, view.name, *wrong)
         yield from _judge_strength(view.name, plane_view)
         if len(points_px) > 4:
             yield from _judge_consistency(view.name, plane_view, points_px)
@@ -86,38 +88,11 @@ def judge_together(
     rig: Rig, plane_views: Sequence[PlaneView], stills: Sequence[Grey]
 ) -> Iterator[Finding]:
     """Say what is wrong between the views."""
-    signs = [_turns(view) for view in plane_views]
-    if len(set(signs)) > 1:
-        ways = ", ".join(
-            f"{view.name} {'clockwise' if sign > 0 else 'anticlockwise'}"
-            for view, sign in zip(rig.views, signs, strict=True)
-        )
-        yield Finding(
-            Severity.ERROR,
-            Check.REFERENCES,
-            "",
-            f"the views see the plane from different sides: from X to Y it turns {ways}",
-            "reference_points_px must be in the order of plane.points, and no image mirrored",
-        )
+    if (wrong := different_sides(rig, plane_views)) is not None:
+        yield Finding(Severity.ERROR, Check.REFERENCES, "", *wrong)
         return
     if len(rig.plane.points) == 4:
         yield from _judge_order(rig, plane_views, stills)
-
-
-def _judge_place(name: str, points_px: Array, still: Grey) -> Iterator[Finding]:
-    height, width = still.shape
-    inside = ((points_px >= -0.5) & (points_px <= np.array([width, height]) - 0.5)).all(axis=1)
-    if inside.sum() * 2 >= len(points_px):
-        return
-    severity = Severity.WARNING if inside.any() else Severity.ERROR
-    yield Finding(
-        severity,
-        Check.REFERENCES,
-        name,
-        f"{len(points_px) - int(inside.sum())} of {len(points_px)} reference points lie outside "
-        f"the image of {width} × {height} px",
-        "were they measured in images of another size? the workspace should be in view",
-    )
 
 
 def _judge_strength(name: str, plane_view: PlaneView) -> Iterator[Finding]:
@@ -198,13 +173,6 @@ def _corner_beside(still: Grey, point: Array) -> Array | None:
     if not CORNER_PX[0] < distances[nearest] <= CORNER_PX[1]:
         return None
     return np.asarray(corners[nearest])
-
-
-def _turns(plane_view: PlaneView) -> float:
-    """Sense of rotation of the plane's axes in the image: 1 or −1."""
-    centroid = plane_view.plane_points.mean(axis=0)
-    jacobian = transfer_jacobian_by_point(plane_view.image_from_plane, centroid)
-    return float(np.sign(np.linalg.det(jacobian)))
 
 
 def _judge_order(

@@ -5,13 +5,12 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from fingerpost._core import ContourTracker, StartPose, Template
 from fingerpost.capture import Frame
 from fingerpost.config import LensParameters, Rig
 from fingerpost.experiment.bound import LineBound, edge_information, line_bound, point_bound
 from fingerpost.experiment.options import ExperimentOptions
 from fingerpost.experiment.trial import LineTrial, Trial, line_error, trial_of
-from fingerpost.pipeline import Observation, Pointer, steps
+from fingerpost.pipeline import Observation, Pointer, check_tracker_options, steps
 from fingerpost.pointing import FingerLine, PlaneView, Status
 from fingerpost.rehearsal import described
 from fingerpost.simulate import (
@@ -57,8 +56,7 @@ class Bench:
             lighting=options.lighting,
             sensor=options.sensor,
         )
-        # Refuses the tracker's options here, not in the middle of the work.
-        ContourTracker(Template.pistol("none"), StartPose((0.0, 0.0), 0.0, 50.0), options.tracker)
+        check_tracker_options(options.tracker)  # here, not in the middle of the work
         self._sampler = PoseSampler(self._rig, options.limits)
         told = options.lens == "known"
         self._lenses = [_lens(camera) if told else None for camera in self._rig.cameras]

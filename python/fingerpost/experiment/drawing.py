@@ -234,9 +234,10 @@ def _figures(summary: Summary, unit: str, plane_size: float) -> list[str]:
         return lines
     bound = summary.bound
     least = "" if bound is None else f"; Cramér–Rao bound {number(bound.rms)}"
+    if points.nees is not None:  # not all errors are gross
+        share = 100 * points.rms / plane_size
+        lines.append(f"RMS {number(points.rms)} {unit} = {share:.3f} % of the plane{least}")
     lines += [
-        f"RMS {number(points.rms)} {unit} = {100 * points.rms / plane_size:.3f} % of the plane"
-        f"{least}",
         f"median {number(points.median)}, 95th percentile {number(points.percentile_95)} {unit}",
         "ellipses of "
         + ", ".join(f"{100 * c.nominal:g}" for c in points.coverages)

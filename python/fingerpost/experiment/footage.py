@@ -5,19 +5,31 @@ import math
 from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fingerpost.capture import open_source, read_views
+from fingerpost.capture import open_views, read_views
+from fingerpost.capture.video import VideoFile
 from fingerpost.config import Rig
 from fingerpost.errors import InvalidInputError
 from fingerpost.experiment.result import ExperimentResult
 from fingerpost.experiment.trial import trial_of
-from fingerpost.pipeline import Pointer, steps
+from fingerpost.pipeline import Pointer, Step, steps
 
 _COLUMNS = ("frame", "x", "y")
+
+# Times of one frame differ by less: tables round to hundredths. Half a frame at 50 per second.
+_ROUNDING_S = 0.01
+
+
+class _TrueRow(NamedTuple):
+    """What a truth tells of a frame, and where: the point, and perhaps the time."""
+
+    place: str
+    time_s: float | None
+    point: NDArray[np.float64]
 
 
 def run_recording(
@@ -35,8 +47,9 @@ def run_recording(
         The rig file (`fingerpost.config.Rig`).
     truth_path
         CSV with the columns ``frame`` (index in the source of the first view), ``x`` and ``y``
-        (plane units) and perhaps others. Frames without a row, and rows without x and y, are
-        skipped.
+        (plane units) and perhaps ``time_s`` (from the start of the recording) and others. Frames
+        without a row, and rows without x and y, are skipped. Where the first view is a video,
+        whose frames have times, a row's time must be its frame's.
     progress
         Called with the number of rows met and of all.
     **options
@@ -53,20 +66,22 @@ def run_recording(
     RigError, CaptureError
         A rig file or a source that cannot be used.
     InvalidInputError
-        A truth that cannot be read or belongs to no frame of the recording, or options that cannot
-        be used.
+        A truth that cannot be read, belongs to no frame of the recording or has a frame at another
+        time, or options that cannot be used.
     """
     rig = Rig.load(rig_path)
     truth = _read_truth(Path(truth_path))
     pointer = Pointer(rig, **options)
     trials = []
     with ExitStack() as stack:
-        sources = [stack.enter_context(open_source(view.source)) for view in rig.views]
+        sources = stack.enter_context(open_views(rig.sources))
         for step in steps(pointer, read_views(sources)):
             if step.index not in truth:
                 continue
-            target = truth[step.index]
-            trials.append(trial_of(step, pointer.plane_views, index=step.index, target=target))
+            row = truth[step.index]
+            if isinstance(sources[0], VideoFile):
+                _refuse_other_time(row, step)
+            trials.append(trial_of(step, pointer.plane_views, index=step.index, target=row.point))
             if progress is not None:
                 progress(len(trials), len(truth))
     if not trials:
@@ -84,9 +99,18 @@ def run_recording(
     )
 
 
-def _read_truth(path: Path) -> dict[int, NDArray[np.float64]]:
+def _refuse_other_time(row: _TrueRow, step: Step) -> None:
+    """Refuse a truth of other footage, or one that counts frames otherwise."""
+    if row.time_s is not None and abs(row.time_s - step.fix.time_s) > _ROUNDING_S:
+        raise InvalidInputError(
+            f"{row.place}: time_s of frame {step.index} is {row.time_s:g}, but the recording shows "
+            f"it at {step.fix.time_s:.6g} s; a truth of this recording is needed"
+        )
+
+
+def _read_truth(path: Path) -> dict[int, _TrueRow]:
     """Read the indicated point of every frame that has one."""
-    truth: dict[int, NDArray[np.float64]] = {}
+    truth: dict[int, _TrueRow] = {}
     try:
         with path.open(encoding="utf-8-sig", newline="") as file:
             rows = csv.DictReader(file)
@@ -99,8 +123,10 @@ def _read_truth(path: Path) -> dict[int, NDArray[np.float64]]:
                 if frame in truth:
                     raise InvalidInputError(f"{place}: frame {frame} has a row already")
                 if row["x"] or row["y"]:
-                    x, y = (_coordinate(row[name], name, place) for name in ("x", "y"))
-                    truth[frame] = np.array([x, y])
+                    x, y = (_number(row[name], name, place) for name in ("x", "y"))
+                    told = row.get("time_s")
+                    time_s = _number(told, "time_s", place) if told else None
+                    truth[frame] = _TrueRow(place, time_s, np.array([x, y]))
     except OSError as error:
         raise InvalidInputError(f"{path}: {error.strerror}; a truth (CSV) is needed") from error
     except (UnicodeDecodeError, csv.Error) as error:
@@ -116,7 +142,7 @@ def _frame(cell: str | None, place: str) -> int:
     return int(cell)
 
 
-def _coordinate(cell: str | None, name: str, place: str) -> float:
+def _number(cell: str | None, name: str, place: str) -> float:
     try:
         value = float(cell or "")
     except ValueError:

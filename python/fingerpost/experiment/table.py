@@ -85,6 +85,8 @@ class _Table:
             yield _row("  variance, bound / measured *", f"{bound.efficiency:12.3f}")
 
     def _error(self, label: str, error: float) -> str:
+        if math.isnan(error):  # of no points: all errors are gross
+            return _row(f"  {label}", f"{'–':>12}{'–':>10}")
         share = 100.0 * error / self._plane_size
         return _row(f"  {label}", f"{share:12.4f}{number(error):>10}")
 
@@ -104,11 +106,13 @@ class _Table:
             return
         yield _row("  the recipe of 1994, 2 σ", f"{100 * recipe.held:10.1f} %")
         yield _row("    mean area", f"{number(recipe.area):>12} {area}")
+        theirs = f"1994: {number(recipe.area_at_95)} {area}"
+        # Points without any error are held by ellipses of no size.
+        if points.ellipse_area_at_95 > 0.0:
+            ratio = number(recipe.area_at_95 / points.ellipse_area_at_95)
+            theirs = f"{theirs}, {ratio} times as large"
         yield _row(
-            "  areas when both hold 95 %",
-            f"{number(points.ellipse_area_at_95):>12} {area}",
-            f"1994: {number(recipe.area_at_95)} {area}, "
-            f"{number(recipe.area_at_95 / points.ellipse_area_at_95)} times as large",
+            "  areas when both hold 95 %", f"{number(points.ellipse_area_at_95):>12} {area}", theirs
         )
 
     def _nees(self, points: PointFigures) -> Iterator[str]:

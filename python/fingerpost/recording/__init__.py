@@ -10,7 +10,7 @@ from fingerpost.recording.tables import (
     write_points,
     write_tracks,
 )
-from fingerpost.recording.video import VideoWriter, part_of
+from fingerpost.recording.video import VideoWriter
 
 __all__ = [
     "PointRow",
@@ -18,7 +18,6 @@ __all__ = [
     "TrackRow",
     "VideoWriter",
     "check_picture",
-    "part_of",
     "read_points",
     "read_tracks",
     "write_picture",

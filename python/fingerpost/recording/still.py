@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from fingerpost.checks import opencv_path
 from fingerpost.errors import InvalidInputError
 
 
@@ -17,8 +18,8 @@ def check_picture(path: Path) -> None:
     Raises
     ------
     InvalidInputError
-        A name whose ending OpenCV does not know, a folder that does not exist, or a name that is
-        a folder's.
+        A name whose ending OpenCV does not know or cannot be told, a folder that does not exist, or
+        a name that is a folder's.
     """
     _encoded(path, np.zeros((2, 2, 3), np.uint8))
     # Path.is_dir would raise where a name is too long to exist.
@@ -43,7 +44,8 @@ def write_picture(path: Path, image: NDArray[np.uint8]) -> None:
     Raises
     ------
     InvalidInputError
-        A name whose ending OpenCV does not know, or a file that cannot be written.
+        A name whose ending OpenCV does not know or cannot be told, or a file that cannot be
+        written.
     """
     data = _encoded(path, image)
     try:
@@ -58,8 +60,9 @@ def _encoded(path: Path, image: NDArray[np.uint8]) -> bytes:
     """Return the content of an image file; the name's ending says of which kind."""
     import cv2
 
+    ending = opencv_path(Path(path.suffix), "picture")
     try:
-        encoded, data = cv2.imencode(path.suffix, image)
+        encoded, data = cv2.imencode(ending, image)
     except cv2.error:
         encoded = False
     if not encoded:

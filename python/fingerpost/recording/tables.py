@@ -12,13 +12,15 @@ import csv
 import dataclasses
 import io
 import math
+import os
 import re
+import stat
 from collections.abc import Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any, ClassVar, Generic, Self, TypeVar, get_args, get_type_hints
 
-from fingerpost.errors import FingerpostError, InvalidInputError, RecordingError
+from fingerpost.errors import InvalidInputError, RecordingError
 
 _WHOLE = re.compile(r"\d+", re.ASCII)
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
@@ -132,23 +134,24 @@ class TableWriter(Generic[Row]):
     """A table on disk that grows by one row at a time; best used in a `with` statement.
 
     Each row is handed to the operating system before `write` returns, so that neither Ctrl-C nor
-    a crash loses it.
+    a crash loses it. An older file of that name is kept until the first row, or until a `with`
+    statement ends well without any: whatever a program may yet refuse costs nobody a table.
     """
 
     def __init__(self, path: str | Path, row_type: type[Row]) -> None:
         self.path = Path(path)
         self._columns = _columns(row_type)
+        self._has_begun = False
         try:
-            self._file = self.path.open("wb", buffering=0)
-        except OSError as error:
+            try:
+                self._file, self._is_new = self.path.open("xb", buffering=0), True
+            except FileExistsError:
+                self._file, self._is_new = self.path.open("ab", buffering=0), False
+        except (OSError, ValueError) as error:  # ValueError: a name that no file can have
+            reason = error.strerror if isinstance(error, OSError) else error
             raise InvalidInputError(
-                f"{path}: cannot be written: {error.strerror}; name a file in an existing folder"
+                f"{path}: cannot be written: {reason}; name a file in an existing folder"
             ) from error
-        try:
-            self._write(self._columns)
-        except FingerpostError:
-            self.close()
-            raise
 
     def write(self, row: Row) -> None:
         """Append a row.
@@ -158,7 +161,17 @@ class TableWriter(Generic[Row]):
         RecordingError
             The file cannot be written any more, for instance because the disk is full.
         """
+        self._begin()
         self._write([_cell(getattr(row, column)) for column in self._columns])
+
+    def _begin(self) -> None:
+        """Empty the file and write the header, unless that is done."""
+        if self._has_begun:
+            return
+        self._has_begun = True
+        if stat.S_ISREG(os.fstat(self._file.fileno()).st_mode):  # a pipe has nothing to lose
+            self._file.truncate(0)
+        self._write(self._columns)
 
     def _write(self, cells: Sequence[str]) -> None:
         line = io.StringIO()
@@ -172,8 +185,11 @@ class TableWriter(Generic[Row]):
             raise RecordingError(f"{self.path}: cannot be written: the disk is full")
 
     def close(self) -> None:
-        """Close the file; closing twice does nothing."""
+        """Close the file; closing twice does nothing. A new one that never began is removed."""
+        was_open = not self._file.closed
         self._file.close()
+        if was_open and self._is_new and not self._has_begun:
+            self.path.unlink(missing_ok=True)
 
     def __enter__(self) -> Self:
         return self
@@ -184,11 +200,15 @@ class TableWriter(Generic[Row]):
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        self.close()
+        try:
+            if kind is None:
+                self._begin()
+        finally:
+            self.close()
 
 
 def write_points(path: str | Path) -> TableWriter[PointRow]:
-    """Start a `points.csv`, over any file of that name; its header is there at once.
+    """Open a `points.csv`; it replaces a file of that name (see `TableWriter` for when).
 
     Raises
     ------
@@ -199,7 +219,7 @@ def write_points(path: str | Path) -> TableWriter[PointRow]:
 
 
 def write_tracks(path: str | Path) -> TableWriter[TrackRow]:
-    """Start a `tracks.csv`, over any file of that name; its header is there at once.
+    """Open a `tracks.csv`; it replaces a file of that name (see `TableWriter` for when).
 
     Raises
     ------

@@ -2,8 +2,9 @@
 
 The codec follows from the file's suffix: MPEG-4 for `.mp4` and `.mkv`, motion JPEG for `.avi`.
 Frames go to `name.part.suffix`, which takes its final name when it is closed: a file under the
-final name is always whole. A run that is killed leaves the part behind: `.avi` and `.mkv` can be
-played up to their last seconds, while an `.mp4` cannot, because its index comes at the end.
+final name is always whole. Where there is such a file already it is somebody's, and the part is
+called `name.part2.suffix` and so on. A run that is killed leaves the part behind: `.avi` and `.mkv`
+can be played up to their last seconds, while an `.mp4` cannot, because its index comes at the end.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from typing import TYPE_CHECKING, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from fingerpost.checks import opencv_path
 from fingerpost.errors import InvalidInputError, RecordingError
 from fingerpost.recording.interrupts import uninterrupted
 
@@ -24,13 +26,8 @@ if TYPE_CHECKING:
 _CODECS = {".mp4": "mp4v", ".mkv": "mp4v", ".avi": "MJPG"}
 
 
-def part_of(path: Path) -> Path:
-    """Return the file that holds a video's frames until it is complete."""
-    return path.with_name(f"{path.stem}.part{path.suffix}") if path.name else path
-
-
 class VideoWriter:
-    """A video of constant frame rate, opened at the size of its first frame.
+    """A video of constant frame rate, opened at the size of its first frame; use it by `with`.
 
     Parameters
     ----------
@@ -43,7 +40,15 @@ class VideoWriter:
     Raises
     ------
     InvalidInputError
-        The suffix is another, the folder does not exist, or `fps` is not above 0.
+        The suffix is another, the folder does not exist or cannot be written into, OpenCV cannot
+        be told the file's name, or `fps` is not above 0.
+
+    Attributes
+    ----------
+    path
+        The file.
+    part
+        The file that holds the frames until the video is complete; it is there, empty, at once.
     """
 
     def __init__(self, path: str | Path, *, fps: float) -> None:
@@ -56,11 +61,32 @@ class VideoWriter:
             raise InvalidInputError(f"{path}: is a folder; the name of a video is needed")
         if not 0 < fps < float("inf"):
             raise InvalidInputError(f"fps = {fps}: must be a finite number above 0")
-        self._part = part_of(self.path)
+        opencv_path(self.path, "video")  # refused before there is a part
+        self.part = self._reserved()
         self._fps = fps
         self._writer: cv2.VideoWriter | None = None
         self._size = (0, 0)
         self._count = 0
+        self._is_closed = False
+
+    def _reserved(self) -> Path:
+        """Make a file next to the video's that was not there before, and is nobody else's."""
+        number = 1
+        while True:
+            tag = "part" if number == 1 else f"part{number}"
+            part = self.path.with_name(f"{self.path.stem}.{tag}{self.path.suffix}")
+            try:
+                part.open("xb").close()
+            except FileExistsError:
+                number += 1
+            except (OSError, ValueError) as error:  # ValueError: a name that no file can have
+                reason = error.strerror if isinstance(error, OSError) else error
+                raise InvalidInputError(
+                    f"{self.path}: cannot be written: {reason}; "
+                    "name a file in a folder that may be written into"
+                ) from error
+            else:
+                return part
 
     def write(self, image: NDArray[np.uint8]) -> None:
         """Append a frame.
@@ -107,11 +133,12 @@ class VideoWriter:
 
         even = size[0] + size[0] % 2, size[1] + size[1] % 2
         codec = _CODECS[self.path.suffix.lower()]
-        writer = cv2.VideoWriter(str(self._part), cv2.VideoWriter.fourcc(*codec), self._fps, even)
+        part = opencv_path(self.part, "video")
+        writer = cv2.VideoWriter(part, cv2.VideoWriter.fourcc(*codec), self._fps, even)
         if not writer.isOpened():
             raise RecordingError(
                 f"{self.path}: the encoder {codec} does not open for {size[0]} x {size[1]} pixels "
-                f"at {self._fps:g} frames a second; is the folder writable?"
+                f"at {self._fps:g} frames a second"
             )
         return writer
 
@@ -123,20 +150,24 @@ class VideoWriter:
         RecordingError
             Frames are missing in the file: most often, the disk is full.
         """
+        if self._is_closed:
+            return
+        self._is_closed = True
         if self._writer is None:
+            self.part.unlink(missing_ok=True)
             return
         import cv2
 
         self._writer.release()
         self._writer = None
-        written = cv2.VideoCapture(str(self._part))
+        written = cv2.VideoCapture(opencv_path(self.part, "video"))
         count = written.get(cv2.CAP_PROP_FRAME_COUNT)
         written.release()
         if count != self._count:
             raise RecordingError(
-                f"{self._part}: not all of {self._count} frames could be written; is the disk full?"
+                f"{self.part}: not all of {self._count} frames could be written; is the disk full?"
             )
-        self._part.replace(self.path)
+        self.part.replace(self.path)
 
     def __enter__(self) -> Self:
         return self

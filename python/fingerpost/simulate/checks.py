@@ -26,6 +26,17 @@ def number(name: str, value: object, low: float, high: float) -> float:
     raise InvalidInputError(f"{name} is {value!r}; it must be a number from {low:g} to {high:g}")
 
 
+def number_or_zero(name: str, value: object, low: float, high: float) -> float:
+    """Return 0 or a finite real number that lies in [low, high], with 0 < low."""
+    if isinstance(value, numbers.Real) and not isinstance(value, bool):
+        real = float(value)
+        if real == 0 or low <= real <= high:
+            return real
+    raise InvalidInputError(
+        f"{name} is {value!r}; it must be 0 or a number from {low:g} to {high:g}"
+    )
+
+
 def whole(name: str, value: object, low: int, high: int) -> int:
     """Return a whole number that lies in [low, high]."""
     if isinstance(value, numbers.Integral) and not isinstance(value, bool):

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from fingerpost.checks import opencv_path
 from fingerpost.errors import CaptureError, InvalidInputError
 from fingerpost.simulate import checks
 from fingerpost.simulate.camera import Camera
@@ -73,7 +74,8 @@ def write_recording(
     Raises
     ------
     InvalidInputError
-        A value out of range, or a start at a time when a view does not show the finger.
+        A value out of range, a start at a time when a view does not show the finger, or a video in
+        a folder whose name OpenCV cannot be told.
     OSError
         A file cannot be written; `CaptureError` for a video.
     """
@@ -136,7 +138,8 @@ class _VideoWriter:
 
     def __init__(self, path: Path, camera: Camera, fps: float) -> None:
         size = (camera.width_px, camera.height_px)
-        self._video = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), fps, size)
+        name = opencv_path(path, "video")
+        self._video = cv2.VideoWriter(name, cv2.VideoWriter.fourcc(*"mp4v"), fps, size)
         if not self._video.isOpened():
             raise CaptureError(f"{path}: OpenCV cannot write this video; choose png or jpg")
 

@@ -89,12 +89,16 @@ class Lighting:
             raise InvalidInputError(f"change is {self.change!r}; it must be a LightChange or None")
 
 
+# Less blur or noise than this shows in no picture, and its square is far from where floats end.
+_LEAST = 1e-6
+
+
 @dataclass(frozen=True)
 class Sensor:
     """What turns light into grey levels: square pixels, Gaussian blur, white noise, 8 bit."""
 
-    blur_px: float = 1.0  # px, sigma of the Gaussian point spread function, 0…5
-    noise: float = 2.0  # grey levels, sigma of white Gaussian noise, 0…60
+    blur_px: float = 1.0  # px, sigma of the Gaussian point spread function, 0 or 1e-6…5
+    noise: float = 2.0  # grey levels, sigma of white Gaussian noise, 0 or 1e-6…60
     exposure_s: float = 0.0  # s, how long the shutter is open, 0…0.2; frame times are mid-exposure
     channels: Literal["grey", "bgr"] = "grey"
     # Cells per sigma of the blur on which edges are laid out, 1…6: 3 puts every edge right to
@@ -102,8 +106,8 @@ class Sensor:
     cells_per_sigma: int = 3
 
     def __post_init__(self) -> None:
-        checks.number("blur_px", self.blur_px, 0, 5)
-        checks.number("noise", self.noise, 0, 60)
+        checks.number_or_zero("blur_px", self.blur_px, _LEAST, 5)
+        checks.number_or_zero("noise", self.noise, _LEAST, 60)
         checks.number("exposure_s", self.exposure_s, 0, 0.2)
         checks.choice("channels", self.channels, ("grey", "bgr"))
         checks.whole("cells_per_sigma", self.cells_per_sigma, 1, 6)
