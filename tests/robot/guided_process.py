@@ -106,9 +106,9 @@ def write_rig(folder: Path, recording: Path, sources=None, **changes) -> Path:
 class EmulatedArm:
     """A Scorbot's controller on a pseudo-terminal, and what it really does."""
 
-    def __init__(self, time_scale=TIME_SCALE) -> None:
+    def __init__(self, time_scale=TIME_SCALE, *, homing_s=0.5) -> None:
         self.clock = ArmTime(time_scale)
-        self.controller = AclController(AclStyle(homing_s=0.5))
+        self.controller = AclController(AclStyle(homing_s=homing_s))
         self.emulator = Emulator(self.controller, PtyPort(), clock=self.clock)
 
     def __enter__(self):

@@ -91,7 +91,7 @@ def test_good_places_are_kept_all_but_once_in_a_thousand():
     assert alarms <= 2
 
 
-@settings(deadline=None, max_examples=25)
+@settings(max_examples=25)
 @given(
     st.sets(st.integers(0, 8), min_size=1, max_size=2),
     st.integers(0, 1),

@@ -1,6 +1,8 @@
 """`fingerpost robot follow` as a user meets it, on a film and an emulated Scorbot; refusals."""
 
 import json
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -134,15 +136,66 @@ def test_a_log_is_not_written_over_the_rig(rig, command):
         (("pick", "--select", "key"), "terminal"),
         (("follow", "--speed", "-1"), "speed_m_s"),
         (("follow", "--tolerance", "0"), "tolerance_m"),
-        (("follow", "--max-age", "inf"), "max_fix_age_s"),
-        (("follow", "--operator-timeout", "inf"), "operator_timeout_s"),
+        (("follow", "--max-age", "inf"), "--max-age"),
+        (("follow", "--operator-timeout", "inf"), "--operator-timeout"),
         (("pick", "--homing-timeout", "nan"), "--homing-timeout"),
         (("pick", "--grip-height", "x"), "grip-height"),
+        *((("follow", "--above", value), "'--above': above_m") for value in ("nan", "-1", "1e300")),
+        (("follow", "--speed", "1e308"), "'--speed': max_speed_m_s"),
+        (("follow", "--stride", "inf"), "'--stride': stride_s"),
+        (("follow", "--tolerance", "inf"), "'--tolerance': tolerance_m"),
+        (("follow", "--max-age", "61"), "--max-age"),
+        (("follow", "--operator-timeout", "61"), "--operator-timeout"),
+        (("follow", "--min-cutoff", "1e-300"), "'--min-cutoff': min_cutoff_hz"),
+        (("follow", "--slope", "inf"), "'--slope': slope_hz_m"),
+        (("follow", "--max-frames", 10**20), "--max-frames"),
+        *(
+            (("pick", option, value), f"'{option}': {field}")
+            for option, field in (
+                ("--travel", "travel_m"),
+                ("--grip-height", "grip_m"),
+                ("--release-height", "release_m"),
+                ("--grip-width", "grip"),
+            )
+            for value in ("nan", "-1", "1e300", 10**20)
+        ),
+        (("pick", "--travel", "0.01"), "'--travel': travel_m is 0.01; at least grip_m"),
+        (
+            ("pick", "--travel", "0.05", "--grip-height", "0.06"),
+            "travel_m is 0.05; at least grip_m",
+        ),
+        (("pick", "--travel", "5"), "travel_m is 5, outside the safe region; 0.229 m"),
+        *((("pick", "--dwell", value), "'--dwell': dwell_s") for value in ("nan", "inf", "0")),
+        *((("pick", "--radius", value), "'--radius': radius_m") for value in ("nan", "1e300")),
     ],
 )
 def test_options_that_cannot_be_used(rig, options, words):
     command, *rest = options
-    assert words in refused(command, rig, "--arm", *rest)
+    # Refused before the arm is connected: this one is not there.
+    assert words in refused(command, rig, "--url", "acl:///dev/nothing", "--arm", *rest)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("pick", "--grip-width", "0.5"), "gripper: 0.5 m"),
+        (("follow", "--speed", "0.002"), "this arm's least speed is 0.01 m/s"),
+    ],
+)
+def test_what_an_arm_cannot_do_is_refused_before_homing(rig, options, words):
+    command, *rest = options
+    with EmulatedArm() as arm:
+        assert words in refused(command, rig, "--url", arm.url, "--arm", *rest)
+        assert not arm.controller.servos
+
+
+def test_options_may_be_right_only_together(rig):
+    with Guided(
+        *("pick", rig, "--url", "acl:///dev/nothing", "--arm"),
+        *("--travel", "0.013", "--grip-height", "0.012", "--release-height", "0.012"),
+    ) as guided:
+        assert guided.end() == 1
+    assert "/dev/nothing cannot be opened" in guided.said()
 
 
 def test_a_robot_that_is_not_there_is_an_error_in_one_line(rig):
@@ -150,3 +203,26 @@ def test_a_robot_that_is_not_there_is_an_error_in_one_line(rig):
         assert guided.end() == 1
     assert len(guided.said().splitlines()) == 1
     assert "/dev/nothing" in guided.said()
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ("follow --arm", "/dev/nothing cannot be opened"),  # works without keys, as far as it can
+        ("follow", "give --arm"),
+        ("follow --attendance key", "needs a terminal"),
+        ("pick --arm --select key", "need a terminal"),
+        ("pick --arm --step", "need a terminal"),
+    ],
+)
+def test_standard_input_may_be_closed(rig, options, words):
+    command, *rest = options.split()
+    line = [sys.executable, "-m", "fingerpost", "robot", command, rig, *rest]
+    ended = subprocess.run(
+        ["bash", "-c", 'exec "$@" <&-', "bash", *map(str, line), "--url", "acl:///dev/nothing"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    (said,) = ended.stderr.splitlines()
+    assert words in said

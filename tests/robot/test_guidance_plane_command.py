@@ -164,8 +164,8 @@ def test_a_log_that_fails_with_the_last_stop_loses_no_plane(tmp_path, monkeypatc
 
     rig = SimpleNamespace(save=lambda path: path.write_text("the plane"))
     found = SimpleNamespace(lines=lambda: ["9 of 9 places"], rig=lambda *_: rig)
-    view = contextlib.nullcontext(SimpleNamespace(kind=SourceKind.LIVE))
-    monkeypatch.setattr("fingerpost.capture.open_source", lambda _: view)
+    views = contextlib.nullcontext([SimpleNamespace(kind=SourceKind.LIVE)] * 2)
+    monkeypatch.setattr("fingerpost.capture.open_views", lambda _: views)
     monkeypatch.setattr("fingerpost.capture.read_views", iter)
     monkeypatch.setattr("fingerpost.guidance.define_plane", lambda *_, **__: found)
     monkeypatch.setattr("fingerpost.cli.robot_plane.open_log", lambda *_: log)
@@ -216,8 +216,19 @@ def refused(*arguments):
         (("--finder", "contour"), "--gripper left"),
         (("--finder", "pixels"), "--pixels"),
         (("--finder", "contour", "--gripper", "top", "1", "1", "90", "50"), "--gripper left"),
-        *((("--operator-timeout", value), "operator_timeout_s") for value in UNUSABLE_S),
+        *((("--operator-timeout", value), "--operator-timeout") for value in UNUSABLE_S),
         *((("--homing-timeout", value), "--homing-timeout") for value in UNUSABLE_S),
+        *((("--offset", "0", "0", value), "'--offset': offset_m") for value in ("nan", "1e300")),
+        *((("--lift", value), "'--lift': lift_m") for value in ("nan", "-1", "1e308")),
+        (("--speed", "inf"), "'--speed': speed_m_s"),
+        (("--max-sigma", "nan"), "'--max-sigma': max_sigma_m"),
+        (("--points", 10**20), "'--points': points"),
+        *((("--sigma", value), "sigma_px") for value in ("nan", "inf", "1e-300")),
+        (("--tip", "1e308", "0"), "tip is"),
+        (("--height", "5"), "--height 5: the places would have the gripper at Z = 5.0000 m"),
+        (("--height", "nan"), "height_m"),
+        (("--lift", "2"), "the way over them would have the gripper"),
+        (("--region", "0.3,0 0.4,0 0.4,1e308"), "reach too far"),
         (("-o", "/"), "-o / cannot be written: it is a folder"),
         (("-o", "/dev/null"), "it is no file"),
         (("-o", "/nonexistent/plane.toml"), "No such file or directory; name a file"),

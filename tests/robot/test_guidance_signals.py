@@ -6,7 +6,7 @@ The command runs as a process of its own; nothing of it is known here but its by
 import signal
 
 import pytest
-from guided_process import STOPPED_S, Travelling, write_rig
+from guided_process import STOPPED_S, EmulatedArm, Guided, Travelling, write_rig
 
 
 @pytest.fixture
@@ -30,6 +30,33 @@ def test_a_signal_stops_the_arm(rig, tmp_path, number, code):
         assert run.guided.end() == code
         assert run.reasons()[0] == f"signal {number.name}"
         assert "fixes" in run.guided.out  # what was done is reported all the same
+
+
+@pytest.mark.parametrize(
+    ("number", "code"),
+    [
+        (signal.SIGINT, 130),
+        (signal.SIGTERM, 128 + signal.SIGTERM),
+        (signal.SIGHUP, 128 + signal.SIGHUP),
+    ],
+)
+def test_a_signal_stops_an_arm_that_homes(number, code):
+    with EmulatedArm(1.0, homing_s=30.0) as arm, Guided("home", arm.url) as guided:
+        guided.until(arm.is_moving)
+        aborts = arm.controller.aborts
+        guided.signal(number)
+        arm.assert_stopped(aborts, STOPPED_S)
+        assert guided.end() == code
+
+
+def test_suspending_a_process_stops_an_arm_that_homes():
+    with EmulatedArm(1.0, homing_s=30.0) as arm, Guided("home", arm.url) as guided:
+        guided.until(arm.is_moving)
+        aborts = arm.controller.aborts
+        guided.signal(signal.SIGTSTP)
+        arm.assert_stopped(aborts, STOPPED_S)
+        guided.signal(signal.SIGCONT)
+        assert guided.end() == 1
 
 
 def test_suspending_the_process_stops_the_arm_first(rig, tmp_path):

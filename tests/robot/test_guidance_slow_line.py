@@ -25,10 +25,12 @@ from fingerpost.robot import (
     Guard,
     GuardOptions,
     PickPlaceOptions,
+    RobotFaultError,
     RobotPlane,
     SafeRegion,
 )
 from fingerpost.robot.emulator.acl import AclController, AclStyle
+from fingerpost.robot.emulator.faults import Fault
 from fingerpost.robot.guard import WATCH_S
 from fingerpost.robot.scorbot import ScorbotOptions
 
@@ -264,6 +266,37 @@ def test_the_stop_key_stops_it_at_once():
         stopper.join()
         assert not guard.armed
         takes(rig, session, lambda: not rig.is_moving())
+
+
+@pytest.mark.parametrize(
+    ("stop", "why"),
+    [
+        (lambda _guard, session: session.press("x"), "stopped by key"),
+        (lambda guard, _session: guard.hold("fix is lost"), "fix is lost"),
+    ],
+)
+def test_a_stop_that_fails_is_not_told_as_one_that_stopped_the_arm(stop, why):
+    with hidden_hand() as (rig, guard, session, said):
+        rig.emulator.inject(Fault.UNPLUG)
+        stop(guard, session)
+        assert not guard.armed
+        session.take(step(fix_at(None, rig.clock(), status=Status.LOST)))
+        (line,) = [line for line in said if line.startswith("stopped: ")]
+        assert f"stopped: {why}; the stop failed, so the arm may still move" in line
+
+
+def test_a_fault_after_the_last_frame_is_raised_all_the_same():
+    def end_with_a_fault():
+        with hidden_hand() as (rig, _, session, _said):
+            rig.emulator.inject(Fault.IMPACT)
+            session.take(step(fix_at([60, 350], rig.clock())))
+            end_s = time.monotonic() + 5.0
+            while not session._worker.idle:
+                assert time.monotonic() < end_s
+                time.sleep(0.005)
+
+    with pytest.raises(RobotFaultError, match="IMPACT"):
+        end_with_a_fault()
 
 
 def test_a_session_selects_when_the_arm_stands_where_the_hand_points():

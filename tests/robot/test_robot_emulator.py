@@ -98,7 +98,16 @@ def test_faults_come_at_random():
 
 
 @pytest.mark.parametrize(
-    "options", [{"homing_s": 0.0}, {"time_scale": -1.0}, {"tcp_port": 65536}, {"tcp_port": -5}]
+    "options",
+    [
+        {"homing_s": 0.0},
+        {"homing_s": np.inf},
+        {"time_scale": -1.0},
+        {"time_scale": 1e308},
+        {"seed": -1},
+        {"tcp_port": 65536},
+        {"tcp_port": -5},
+    ],
 )
 def test_values_out_of_range_are_refused(options):
     with pytest.raises(InvalidInputError):
@@ -127,6 +136,11 @@ def test_a_port_that_cannot_be_made_is_refused(tmp_path):
         (["emulate", "acl", "--tcp-port", "-5"], "-5"),
         (["emulate", "acl", "--link", "/nonexistent/x"], "/nonexistent/x"),
         (["home", "sim://", "--timeout", "nan"], "nan"),
+        (["emulate", "acl", "--seed", "-1"], "seed is -1"),
+        (["emulate", "acl", "--time-scale", "1e308"], "time_scale"),
+        (["emulate", "marlin", "--homing-s", "1e308"], "homing_s"),
+        (["emulate", "acl", "--faults-per-s", "1e-300"], "faults_per_s"),
+        (["emulate", "acl", "--faults-per-s", "inf"], "faults_per_s"),
     ],
 )
 def test_what_the_commands_cannot_use_is_told_in_one_line(arguments, words):
@@ -149,6 +163,30 @@ def test_the_command_prints_the_port_and_serves_until_it_is_interrupted():
         assert ask(address, b"SPEED 20\r") == b"Done.\r\n>"
         process.send_signal(signal.SIGINT)
         assert process.wait(5.0) == 130
+
+
+@pytest.mark.parametrize(
+    ("redirection", "said"),
+    [("<&-", []), (r"< <(printf '\xff\nimpact\n'; sleep 60)", ["\ufffd", "impact"])],
+)
+def test_it_serves_with_standard_input_closed_or_full_of_noise(tmp_path, redirection, said):
+    command = f"exec {sys.executable} -m fingerpost robot emulate acl {redirection}"
+    with subprocess.Popen(
+        ["bash", "-c", command], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        address = process.stdout.readline().strip()
+        for words in said:
+            assert words in process.stdout.readline()
+        assert b"SPEED 20" in ask(address, b"SPEED 20\r")
+        process.send_signal(signal.SIGINT)
+        assert process.wait(5.0) == 130
+        assert "Traceback" not in process.stderr.read()
+
+
+def test_marlin_survives_a_line_without_a_command():
+    with make_emulator("marlin") as emulator:
+        for _ in range(2):
+            assert b"No Checksum" in ask(emulator.address, b"N1 *94\n")
 
 
 def test_without_a_thread_it_answers_when_it_is_served():

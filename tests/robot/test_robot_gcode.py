@@ -31,6 +31,7 @@ from fingerpost.robot.errors import (
 )
 from fingerpost.robot.gcode import (
     DOBOT,
+    LEAST_SPEED_M_S,
     MARLIN,
     MAX_SPEED_M_S,
     UARM,
@@ -116,6 +117,23 @@ def test_it_goes_where_it_is_sent_and_says_where_it_is(name):
             assert not rig.is_moving()
             np.testing.assert_allclose(rig.true_m(), goal.position_m, atol=1e-5)
             assert rig.robot.pose().distance_m(goal) < 1e-5
+
+
+def test_a_command_that_the_controller_does_not_know_is_none_that_it_has_done(monkeypatch):
+    monkeypatch.setitem(ARMS, "another", (DOBOT, lambda: MarlinController(homing_s=1.0)))
+    with gcode_rig("another", home=False) as rig:
+        with pytest.raises(CommandRefusedError, match=r"M1112: .* no such command"):
+            rig.robot.home()
+        assert not rig.robot.status().homed
+        assert not rig.is_moving()
+
+
+def test_an_arm_is_never_sent_a_feed_rate_of_nothing(name):
+    with gcode_rig(name) as rig:
+        moves = rig.controller.moves
+        with pytest.raises(InvalidInputError, match="least speed"):
+            rig.robot.move_to(GOAL, speed_m_s=1e-6)
+        assert rig.controller.moves == moves
 
 
 def test_moves_can_be_queued(name):
@@ -251,7 +269,7 @@ def test_a_uarm_has():
 )
 def test_every_limit_that_is_given_holds_over_a_uarms_own(options, changes):
     limits = open_robot(f"uarm:///dev/null?{options}").limits
-    assert limits == replace(UARM.limits, **changes)
+    assert limits == replace(UARM.limits, min_speed_m_s=LEAST_SPEED_M_S, **changes)
 
 
 @pytest.mark.parametrize(("given", "missing"), [("lower_m", "upper_m"), ("upper_m", "lower_m")])

@@ -2,6 +2,7 @@
 
 import itertools
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from test_robot_guard import CENTRE, PLANE, REGION, fix_at, guard_rig
 from fingerpost.errors import InvalidInputError
 from fingerpost.pointing import Status
 from fingerpost.robot.errors import (
+    GripperError,
     NotArmedError,
     NotArrivedError,
     NotReadyError,
@@ -30,6 +32,8 @@ from fingerpost.robot.follow import (
 )
 from fingerpost.robot.guard import Presence
 from fingerpost.robot.pick_place import STEPS, PickPlace, PickPlaceOptions, Step
+from fingerpost.robot.protocol import GripperKind
+from fingerpost.robot.simulated import SIMULATED_LIMITS
 from fingerpost.robot.smoothing import OneEuroFilter
 
 STEP_S = 1 / 30
@@ -188,7 +192,7 @@ def test_an_arm_that_does_not_go_is_halted(monkeypatch):
 
 def test_pointing_out_of_the_region_leads_to_its_rim():
     with guard_rig() as rig:
-        follower = Follower(rig.guard, FollowOptions(above_m=-1.0))
+        follower = Follower(rig.guard, FollowOptions(above_m=0.0))
         follow(rig, follower, [5000.0, 200.0], 6.0)
         point, above_m = rig.guard.where()
         np.testing.assert_allclose(point, [299.0, 200.0], atol=3.1)
@@ -279,6 +283,15 @@ def test_a_hand_that_is_lost_begins_anew():
         dwell(rig, selector, [100.0, 100.0], 0.1, status=Status.LOST)
         assert selector.progress == 0.0
         assert dwell(rig, selector, [100.0, 100.0], 0.9) == []
+
+
+def test_a_hand_that_nobody_has_seen_stay_begins_anew():
+    with guard_rig(max_fix_age_s=0.3) as rig:
+        selector = DwellSelector(rig.guard, dwell_s=1.0, radius_m=0.01)
+        dwell(rig, selector, [100.0, 100.0], 0.5)
+        rig.clock.sleep(5.0)  # no frames: nobody knows where the hand was
+        assert dwell(rig, selector, [100.0, 100.0], 0.9) == []
+        assert len(dwell(rig, selector, [100.0, 100.0], 0.2)) == 1
 
 
 @pytest.mark.parametrize(
@@ -461,8 +474,20 @@ def test_a_place_outside_the_region_is_refused_not_moved():
         outside = Selection(np.array([310.0, 50.0]), outside.fix)
         with pytest.raises(InvalidInputError, match=r"place at \(310, 50\)"):
             PickPlace(rig.guard, inside, outside)
-        with pytest.raises(InvalidInputError, match=r"pick at .* 0\.005 m above"):
+        with pytest.raises(
+            InvalidInputError, match=r"grip_m is 0\.005, outside the safe region; 0\.011 m"
+        ):
             PickPlace(rig.guard, inside, inside, PickPlaceOptions(grip_m=0.005))
+
+
+def test_a_gripper_that_cannot_hold_the_block_is_told_before_the_arm_goes_there():
+    with guard_rig() as rig:
+        inside = Selection(np.array(CENTRE), rig.fix(CENTRE))
+        with pytest.raises(InvalidInputError, match=r"gripper: 0\.5 m; a width from 0 to 0\.08"):
+            PickPlace(rig.guard, inside, inside, PickPlaceOptions(grip=0.5))
+        rig.robot._limits = replace(SIMULATED_LIMITS, gripper=GripperKind.NONE)
+        with pytest.raises(GripperError, match="no gripper"):
+            PickPlace(rig.guard, inside, inside)
 
 
 def test_one_step_at_a_time():

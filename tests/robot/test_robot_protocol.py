@@ -1,8 +1,10 @@
 """What all robots share: poses, limits, orientations, readings, motion, and robots by name."""
 
 import math
+from dataclasses import replace
 from importlib.metadata import EntryPoint
 
+import msgspec
 import numpy as np
 import pytest
 from hypothesis import assume, given
@@ -12,7 +14,15 @@ from scipy.integrate import cumulative_trapezoid
 from scipy.spatial.transform import Rotation
 
 from fingerpost.errors import InvalidInputError
-from fingerpost.robot import open_robot, registry, robot_names
+from fingerpost.guidance import PlaneOptions
+from fingerpost.robot import (
+    FollowOptions,
+    GuardOptions,
+    PickPlaceOptions,
+    open_robot,
+    registry,
+    robot_names,
+)
 from fingerpost.robot.arm import ArrivalRule
 from fingerpost.robot.emulator import make_emulator
 from fingerpost.robot.errors import (
@@ -35,9 +45,9 @@ from fingerpost.robot.orientation import (
 )
 from fingerpost.robot.protocol import Angle, GripperKind, Limits, Pose, Robot, RobotState
 from fingerpost.robot.readings import ReadingFilter
-from fingerpost.robot.scorbot import Scorbot
+from fingerpost.robot.scorbot import Scorbot, ScorbotOptions
 from fingerpost.robot.serial_line import Flow
-from fingerpost.robot.simulated import HOME, SimulatedRobot
+from fingerpost.robot.simulated import HOME, SIMULATED_LIMITS, SimulatedRobot
 
 ROUNDING_RAD = 1e-6
 """Near half turns and the vertical, an angle is known to the root of the rounding only."""
@@ -297,8 +307,31 @@ def test_options_by_name_win():
         ("acl:///dev/ttyUSB0?flow=maybe", "Invalid enum value 'maybe'"),
         ("acl:///dev/ttyUSB0?lower_m=1,2", "length 3"),
         ("acl:///dev/ttyUSB0?baud", "name=value"),
-        ("acl://", "empty"),
-        ("ur://", "ur://host"),
+        ("acl://", r"^acl://: the address is empty; acl:///dev/ttyUSB0"),
+        ("acl", r"^acl://: the address is empty"),
+        ("acl+socket://host", r"^acl\+socket://host: the port is missing; acl\+socket://host:4001"),
+        (
+            "acl+socket://:4001",
+            r"^acl\+socket://:4001: the host is missing; acl\+socket://host:4001",
+        ),
+        ("acl+socket://host:99999", r"^acl\+socket://host:99999: '99999' is no port"),
+        ("acl+socket://host:0", "'0' is no port"),
+        ("acl+socket://host:x", "'x' is no port"),
+        ("acl+socket://[::1]", "port is missing"),
+        ("acl+socket://host:1/x", "after the port, but /x"),
+        (
+            "acl+sockt://host:1",
+            r"^acl\+sockt://host:1: 'sockt' is no kind.*acl\+socket://host:4001",
+        ),
+        ("marlin+rfc2217://host", r"^marlin\+rfc2217://host: .*; marlin\+rfc2217://host:4001"),
+        ("acl://host:4001", r"^acl://host:4001: a server.*; acl\+socket://host:4001 is right"),
+        ("scorbat+socket://host:1", r"^'scorbat\+socket://host:1': there is no robot 'scorbat'"),
+        ("my_arm://x", "no robot 'my_arm'; .* acl:///dev/ttyUSB0"),
+        ("ur://host/x", "^ur://host/x: a host alone"),
+        ("acl:///dev/ttyUSB0?reply_s=inf", "reply_s"),
+        ("acl:///dev/ttyUSB0?lower_m=inf,0,0", "lower_m"),
+        ("sim://?homing_s=1e308", "homing_s"),
+        ("ur://", "ur://10.0.0.5"),
         ("sim://somewhere", "takes no address"),
     ],
 )
@@ -357,7 +390,7 @@ def test_an_arrival_needs_two_readings():
 def test_what_is_not_emulated_is_refused():
     with pytest.raises(InvalidInputError, match="acl, dobot, marlin, uarm"):
         make_emulator("puma")
-    with pytest.raises(InvalidInputError, match="time scale"):
+    with pytest.raises(InvalidInputError, match="time_scale"):
         make_emulator("acl", time_scale=0.0)
 
 
@@ -365,3 +398,77 @@ def test_every_error_is_one_of_the_packages():
     kinds = RobotError.__subclasses__()
     assert kinds
     assert all(kind.__doc__ for kind in kinds)
+
+
+@pytest.mark.parametrize("address", ["socket://host", "socket://host:99999", "spoy://host:1", ""])
+def test_a_drivers_address_is_checked_without_a_url_too(address):
+    with pytest.raises(InvalidInputError, match=r"is right"):
+        Scorbot(address)
+
+
+# Options that a program makes.
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, -1.0, 1e308, 10**400, "a", True])
+@pytest.mark.parametrize(
+    ("kind", "name"),
+    [
+        *((GuardOptions, name) for name in GuardOptions.__struct_fields__),
+        *((FollowOptions, name) for name in FollowOptions.__struct_fields__),
+        *((PlaneOptions, name) for name in PlaneOptions.__struct_fields__),
+        (PickPlaceOptions, "travel_m"),
+        (PickPlaceOptions, "grip_m"),
+        (PickPlaceOptions, "grip"),
+        (ScorbotOptions, "reply_s"),
+    ],
+)
+def test_options_are_checked_whoever_makes_them(kind, name, value):
+    with pytest.raises(InvalidInputError, match=f"^{name} is .* right$"):
+        kind(**{name: value})
+    with pytest.raises(InvalidInputError):
+        msgspec.structs.replace(kind(), **{name: value})
+
+
+@pytest.mark.parametrize("place", range(3))
+def test_options_are_checked_in_every_component(place):
+    offset_m = [0.0, 0.0, 0.0]
+    offset_m[place] = math.nan
+    with pytest.raises(InvalidInputError, match=r"^offset_m is .* each a finite number from -1"):
+        PlaneOptions(offset_m=tuple(offset_m))
+
+
+def test_options_take_every_kind_of_number():
+    assert GuardOptions(tolerance_m=np.float64(0.01), max_speed_m_s=1).max_speed_m_s == 1
+    assert PlaneOptions(points=np.int64(6)).points == 6
+    assert FollowOptions(above_m=-0.0).above_m == 0.0
+    assert PickPlaceOptions(grip=0.02).grip == 0.02
+
+
+def test_a_block_is_not_carried_lower_than_it_is_gripped():
+    with pytest.raises(InvalidInputError, match=r"travel_m is 0\.05; at least release_m, 0\.06"):
+        PickPlaceOptions(travel_m=0.05, release_m=0.06)
+
+
+@pytest.mark.parametrize("timeout_s", [math.nan, -1.0])
+def test_a_time_out_that_is_none_is_refused(timeout_s):
+    clock = ManualClock()
+    robot = SimulatedRobot(clock=clock, sleep=clock.sleep)
+    with robot:
+        for act in (
+            lambda: robot.home(timeout_s=timeout_s),
+            lambda: robot.reconnect(timeout_s=timeout_s),
+        ):
+            with pytest.raises(InvalidInputError, match="timeout_s"):
+                act()
+        robot.home()
+        for act in (
+            lambda: robot.move_to(Pose(0.3, 0.0, 0.2), timeout_s=timeout_s),
+            lambda: robot.wait(timeout_s=timeout_s),
+        ):
+            with pytest.raises(InvalidInputError, match="timeout_s"):
+                act()
+
+
+def test_limits_have_their_speeds_in_order():
+    with pytest.raises(InvalidInputError, match=r"at least min_speed_m_s, 0\.6"):
+        replace(SIMULATED_LIMITS, min_speed_m_s=0.6)

@@ -131,10 +131,28 @@ def test_speed_is_a_percentage_rounded_down():
     with scorbot_rig() as rig:
         rig.robot.move_to(over_table(0.4, 0.0), speed_m_s=0.099)
         assert rig.controller.speed_percent == 9
-        rig.robot.move_to(over_table(0.4, 0.05), speed_m_s=0.001)
+        rig.robot.move_to(over_table(0.4, 0.05), speed_m_s=0.01)
         assert rig.controller.speed_percent == 1
         rig.robot.move_to(over_table(0.4, 0.0), speed_m_s=50.0)
         assert rig.controller.speed_percent == 30
+
+
+def test_the_arm_never_goes_faster_than_it_is_told():
+    with scorbot_rig() as rig:
+        moves = len(rig.controller.moves)
+        with pytest.raises(InvalidInputError, match=r"speed_m_s is 0\.002.* 0\.01 m/s"):
+            rig.robot.move_to(over_table(0.4, 0.05), speed_m_s=0.002)
+        assert len(rig.controller.moves) == moves
+
+
+def test_a_wait_after_a_fault_is_no_arrival():
+    with scorbot_rig() as rig:
+        rig.robot.move_to(over_table(0.4, 0.2), speed_m_s=0.02, wait=False)
+        rig.emulator.inject(Fault.IMPACT)
+        with pytest.raises(RobotFaultError):
+            rig.robot.pose()
+        with pytest.raises(NotReadyError, match="IMPACT"):
+            rig.robot.wait()
 
 
 def test_moves_are_queued_without_waiting():

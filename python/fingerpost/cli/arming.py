@@ -5,12 +5,11 @@ from __future__ import annotations
 import signal
 import sys
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
-import msgspec
 
 from fingerpost.cli.endings import ENDING_SIGNALS, ending_orderly
 from fingerpost.errors import InvalidInputError
@@ -20,19 +19,36 @@ if TYPE_CHECKING:
     from fingerpost.robot.guard import RecordCallback
 
 Command = TypeVar("Command", bound=Callable[..., Any])
-Options = TypeVar("Options", bound=msgspec.Struct)
+Made = TypeVar("Made")
+
+Seconds = Callable[[click.Context, click.Parameter, float | None], float | None]
 
 LONGEST_HOMING_S = 3600.0
 """Nobody watches an arm home for longer [s]."""
 
+LONGEST_ABSENCE_S = 60.0
+"""An operator or a fix not heard of for longer is gone, whatever somebody types [s]."""
 
-def homing_seconds(context: click.Context, parameter: click.Parameter, value: float) -> float:
-    """Check a time-out of homing; `click.FloatRange` would let NaN pass."""
-    if not 0 < value <= LONGEST_HOMING_S:
-        raise click.BadParameter(
-            f"{value:g} s; above 0, at most {LONGEST_HOMING_S:g} s is right", context, parameter
-        )
-    return value
+
+def seconds(longest_s: float) -> Seconds:
+    """Return what checks a time-out above 0; `click.FloatRange` would let NaN pass.
+
+    Parameters
+    ----------
+    longest_s
+        The most that is right [s].
+    """
+
+    def check(
+        context: click.Context, parameter: click.Parameter, value: float | None
+    ) -> float | None:
+        if value is not None and not 0 < value <= longest_s:
+            raise click.BadParameter(
+                f"{value:g} s; above 0, at most {longest_s:g} s is right", context, parameter
+            )
+        return value
+
+    return check
 
 
 def arming_options(command: Command) -> Command:
@@ -49,14 +65,16 @@ def arming_options(command: Command) -> Command:
             click.option(
                 "--homing-timeout",
                 type=float,
-                callback=homing_seconds,
+                callback=seconds(LONGEST_HOMING_S),
                 default=180.0,
                 show_default=True,
                 metavar="S",
             ),
             click.option(
                 "--operator-timeout",
+                "operator_timeout_s",
                 type=float,
+                callback=seconds(LONGEST_ABSENCE_S),
                 default=1.0,
                 show_default=True,
                 metavar="S",
@@ -68,19 +86,49 @@ def arming_options(command: Command) -> Command:
     return command
 
 
-def laid_over(kind: type[Options], given: Mapping[str, Any], what: str) -> Options:
+def laid_over(kind: Callable[..., Made], given: Mapping[str, Any], **fields: str) -> Made:
     """Lay what was given over the defaults, which stand where the options are defined.
+
+    Parameters
+    ----------
+    kind
+        Makes and checks the options.
+    given
+        The values of the command line, by the names of its parameters; None is not given.
+    **fields
+        For every field, the parameter that gives it.
 
     Raises
     ------
+    click.BadParameter
+        A value that the options do not take; the option of the command line is named.
     InvalidInputError
-        A value that the options do not take: their constructor would not check it.
+        Values that are right each by itself, but not together.
     """
-    named = {name: value for name, value in given.items() if value is not None}
+    named = {field: given[name] for field, name in fields.items() if given[name] is not None}
     try:
-        return msgspec.convert(named, kind)
-    except msgspec.ValidationError as error:
-        raise InvalidInputError(f"options {what}: {error}") from error
+        return kind(**named)
+    except InvalidInputError as error:
+        if (wrong := _wrong_alone(kind, named)) is None:
+            raise
+        context = click.get_current_context()
+        (option,) = (one for one in context.command.params if one.name == fields[wrong])
+        raise click.BadParameter(str(error), context, option) from error
+
+
+def _wrong_alone(kind: Callable[..., object], named: Mapping[str, Any]) -> str | None:
+    """Return the first field that will not do beside the defaults either."""
+    for field, value in named.items():
+        try:
+            kind(**{field: value})
+        except InvalidInputError:
+            return field
+    return None
+
+
+def has_terminal() -> bool:
+    """Whether somebody can type: standard input may be no terminal, or closed."""
+    return sys.stdin is not None and sys.stdin.isatty()
 
 
 def need_consent(arm: bool, what: str) -> None:
@@ -95,7 +143,7 @@ def need_consent(arm: bool, what: str) -> None:
     """
     if arm:
         return
-    if not sys.stdin.isatty():
+    if not has_terminal():
         raise click.UsageError(f"{what} moves the arm: see that its way is clear and give --arm")
     answer = click.prompt(
         f"{what} moves the arm. Is its way clear? Type 'arm' to go on", default="", err=True
@@ -113,7 +161,7 @@ def open_log(stack: ExitStack, path: Path | None) -> RecordCallback | None:
 
 def show_homing(progress: HomingProgress) -> None:
     """Tell on a terminal how far homing has come."""
-    if sys.stderr.isatty():
+    if sys.stderr is not None and sys.stderr.isatty():
         line = f"homing {progress.elapsed_s:5.1f} s of at most {progress.timeout_s:.0f} s"
         click.echo(f"\r{line}  {progress.message}", nl=False, err=True)
 
@@ -121,7 +169,28 @@ def show_homing(progress: HomingProgress) -> None:
 def home(robot: Robot, timeout_s: float) -> None:
     """Home an arm that has just been connected."""
     tell("homing; the arm moves")
-    robot.home(show_homing, timeout_s=timeout_s)
+    with stopped_by_signals(robot):
+        robot.home(show_homing, timeout_s=timeout_s)
+
+
+@contextmanager
+def stopped_by_signals(robot: Robot) -> Iterator[None]:
+    """Stop an arm that no guard watches yet on every signal that ends or suspends the program."""
+    from fingerpost.robot import RobotError
+    from fingerpost.robot.signals import stopping_on
+
+    def stop(_name: str) -> None:
+        with suppress(RobotError):  # the program ends, or homing says why it cannot go on
+            robot.stop()
+
+    with stopping_on(stop, *_stopping_signals()):
+        yield
+
+
+def _stopping_signals() -> list[signal.Signals]:
+    """Return every signal that ends or suspends the program."""
+    suspending = [signal.SIGTSTP] if hasattr(signal, "SIGTSTP") else []
+    return [signal.SIGINT, *ENDING_SIGNALS, *suspending]
 
 
 def tell(line: str) -> None:
@@ -132,8 +201,5 @@ def tell(line: str) -> None:
 @contextmanager
 def guarded(guard: Guard) -> Iterator[None]:
     """Halt the arm on every signal that ends or suspends the program, and watch it meanwhile."""
-    stopping = [signal.SIGINT, *ENDING_SIGNALS]
-    if hasattr(signal, "SIGTSTP"):
-        stopping.append(signal.SIGTSTP)
-    with ending_orderly(), guard.signals(*stopping), guard.watching():
+    with ending_orderly(), guard.signals(*_stopping_signals()), guard.watching():
         yield

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import io
 import sys
 import threading
+from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 import click
 
-from fingerpost.cli.arming import homing_seconds, show_homing
+from fingerpost.cli.arming import LONGEST_HOMING_S, seconds, show_homing, stopped_by_signals
+from fingerpost.cli.endings import ending_orderly
 from fingerpost.cli.robot_guide import follow, pick
 from fingerpost.cli.robot_plane import plane
 
@@ -38,7 +41,7 @@ def list_robots() -> None:
 @click.option(
     "--timeout",
     type=float,
-    callback=homing_seconds,
+    callback=seconds(LONGEST_HOMING_S),
     default=180.0,
     show_default=True,
     help="Give up after, s.",
@@ -47,7 +50,7 @@ def home(url: str, timeout: float) -> None:
     """Home an arm and print where its gripper is. The arm moves; Ctrl-C stops it."""
     from fingerpost.robot import open_robot
 
-    with open_robot(url) as arm:
+    with ending_orderly(), open_robot(url) as arm, stopped_by_signals(arm):
         arm.home(show_homing, timeout_s=timeout)
         click.echo(_described(arm.pose()))
 
@@ -105,10 +108,17 @@ def emulate(
         emulator,
         click.echo,
         threading.Event(),
-        orders=sys.stdin,
+        orders=_typed(),
         faults_per_s=faults_per_s,
         seed=seed,
     )
+
+
+def _typed() -> Iterable[str]:
+    """Return the lines of standard input, which may be closed, or hold what is no text."""
+    if isinstance(sys.stdin, io.TextIOWrapper):
+        sys.stdin.reconfigure(errors="replace")
+    return sys.stdin or ()
 
 
 for _command in (plane, follow, pick):

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import json
-import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
+from functools import partial
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -14,12 +14,15 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 from fingerpost.cli.arming import (
+    LONGEST_ABSENCE_S,
     arming_options,
     guarded,
+    has_terminal,
     home,
     laid_over,
     need_consent,
     open_log,
+    seconds,
     tell,
 )
 from fingerpost.cli.endings import ending_orderly
@@ -29,7 +32,16 @@ if TYPE_CHECKING:
     from fingerpost.capture import Frame
     from fingerpost.guidance import Attendance, Session
     from fingerpost.pointing import Fix
-    from fingerpost.robot import FollowOptions, FollowReport, Guard, PickPlaceOptions
+    from fingerpost.robot import (
+        DwellSelector,
+        FollowOptions,
+        FollowReport,
+        Guard,
+        PickPlaceOptions,
+    )
+
+MOST_FRAMES = 2**31 - 1
+"""Years of them."""
 
 _IN = click.Path(path_type=Path)
 Command = TypeVar("Command", bound=Callable[..., Any])
@@ -52,7 +64,13 @@ def _guiding_options(command: Command) -> Command:
                 show_default=True,
                 help="Largest semi-axis of the 95 % ellipse to move on, m.",
             ),
-            click.option("--max-age", "max_fix_age_s", type=float, help="Of a fix to move on, s."),
+            click.option(
+                "--max-age",
+                "max_fix_age_s",
+                type=float,
+                callback=seconds(LONGEST_ABSENCE_S),
+                help="Of a fix to move on, s.",
+            ),
             click.option("--min-cutoff", "min_cutoff_hz", type=float, help="Of the smoothing, Hz."),
             click.option(
                 "--slope", "slope_hz_m", type=float, help="Of its cutoff with speed, Hz per m/s."
@@ -64,7 +82,7 @@ def _guiding_options(command: Command) -> Command:
                 show_default=True,
                 help="What shows the operator is there: a tracked hand, or a key held down.",
             ),
-            click.option("--max-frames", metavar="N", type=click.IntRange(min=1)),
+            click.option("--max-frames", metavar="N", type=click.IntRange(1, MOST_FRAMES)),
             click.option("--json", "as_json", is_flag=True, help="Print JSON lines."),
             arming_options,
         ]
@@ -83,7 +101,7 @@ def follow(**given: Any) -> None:
     terminal: x or Esc stops, c arms again, w held down has the arm make way for a hand that it
     hides, q quits.
     """
-    _guide(given, None, None)
+    _guide(given, None)
 
 
 @click.command()
@@ -103,14 +121,7 @@ def follow(**given: Any) -> None:
 @click.option("--grip-width", "grip", type=float, help="Grip to a width, m, not closed.")
 @click.option("--blocks", type=click.IntRange(min=1), default=1, show_default=True)
 @click.option("--step", "step_by_step", is_flag=True, help="Wait for the key c before each step.")
-def pick(
-    select: str,
-    dwell_s: float,
-    radius_m: float,
-    blocks: int,
-    step_by_step: bool,
-    **given: Any,
-) -> None:
+def pick(**given: Any) -> None:
     """Pick blocks up and place them where the hand points.
 
     The arm follows the hand; point at a block and stay there once the arm is there (or press s),
@@ -119,58 +130,58 @@ def pick(
     """
     from fingerpost.robot import PickPlaceOptions
 
-    names = ("travel_m", "grip_m", "release_m", "grip")
-    carried = {name: given.pop(name) for name in names} | {"speed_m_s": given["speed_m_s"]}
-    carry = laid_over(PickPlaceOptions, carried, "of picking and placing")
-    if (select == "key" or step_by_step) and not sys.stdin.isatty():
+    names = ("travel_m", "grip_m", "release_m", "grip", "speed_m_s")
+    carry = laid_over(PickPlaceOptions, given, **{name: name for name in names})
+    if (given["select"] == "key" or given["step_by_step"]) and not has_terminal():
         raise click.UsageError("--select key and --step need a terminal as standard input")
-    choose = {"dwell_s": dwell_s, "radius_m": radius_m, "by_key": select == "key"}
-    _guide(given, carry, {**choose, "blocks": blocks, "step_by_step": step_by_step})
+    _guide(given, carry)
 
 
-def _guide(
-    given: dict[str, Any], carry: PickPlaceOptions | None, choose: dict[str, Any] | None
-) -> None:
-    from fingerpost.capture import SourceKind, open_source, read_views
+def _guide(given: Mapping[str, Any], carry: PickPlaceOptions | None) -> None:
+    from fingerpost.capture import SourceKind, open_views, read_views
     from fingerpost.config import Rig
     from fingerpost.guidance import Attendance, Keys, attended, guard_of, paced, robot_of
     from fingerpost.pipeline import Pointer, steps
-    from fingerpost.robot import FollowOptions, GuardOptions, open_robot
+    from fingerpost.robot import FollowOptions, GuardOptions, check_heights, open_robot
 
     rig = Rig.load(given["rig_file"])
     keep_apart({"--log": given["log"]}, rig_files(given["rig_file"], rig))
     table = robot_of(rig)
     attendance = Attendance(given["attendance"])
-    has_keys = sys.stdin.isatty()
+    has_keys = has_terminal()
     if attendance is Attendance.KEY and not has_keys:
         raise click.UsageError("--attendance key needs a terminal as standard input")
     guard_options = laid_over(
         GuardOptions,
-        {
-            "tolerance_m": given["tolerance_m"],
-            "max_fix_age_s": given["max_fix_age_s"],
-            "operator_timeout_s": given["operator_timeout"],
-            "max_speed_m_s": given["speed_m_s"],
-        },
-        "of the guard",
+        given,
+        tolerance_m="tolerance_m",
+        max_fix_age_s="max_fix_age_s",
+        operator_timeout_s="operator_timeout_s",
+        max_speed_m_s="speed_m_s",
     )
     names = ("above_m", "speed_m_s", "stride_s", "min_cutoff_hz", "slope_hz_m")
-    follow_options = laid_over(FollowOptions, {name: given[name] for name in names}, "of following")
+    follow_options = laid_over(FollowOptions, given, **{name: name for name in names})
     pointer = Pointer(rig)
     robot = open_robot(given["url"] or table.url)
-    guard_of(robot, table, guard_options)  # a region that is none is refused before all else
+    # A region that is none, and what will not do in this one, is refused before all else.
+    guard = guard_of(robot, table, guard_options)
+    _selector(guard, given)
+    if carry is not None:
+        check_heights(guard, carry)
     need_consent(given["arm"], "robot follow" if carry is None else "robot pick")
     with ExitStack() as stack:
         on_record = open_log(stack, given["log"])
         stack.enter_context(ending_orderly())
-        sources = [stack.enter_context(open_source(view.source)) for view in rig.views]
+        sources = stack.enter_context(open_views(rig.sources))
         frames: Iterator[Sequence[Frame | None]] = islice(read_views(sources), given["max_frames"])
         stack.enter_context(robot)
-        guard_of(robot, table, guard_options).check_limits()
+        guard.check_limits()
+        if carry is not None:
+            guard.check_gripper(carry.grip)
         home(robot, given["homing_timeout"])
         guard = guard_of(robot, table, guard_options, on_record=on_record)
         with guarded(guard):
-            session = _session(guard, follow_options, carry, choose, attendance, given["as_json"])
+            session = _session(guard, follow_options, carry, attendance, given)
             if has_keys:
                 stack.enter_context(Keys(session.press, session.leave))
             guard.arm()
@@ -192,27 +203,33 @@ def _session(
     guard: Guard,
     follow_options: FollowOptions,
     carry: PickPlaceOptions | None,
-    choose: dict[str, Any] | None,
     attendance: Attendance,
-    as_json: bool,
+    given: Mapping[str, Any],
 ) -> Session:
     from fingerpost.guidance import Session
-    from fingerpost.robot import DwellSelector, Follower
+    from fingerpost.robot import Follower
 
-    choose = dict(choose or {})
-    dwell = {name: choose.pop(name) for name in ("dwell_s", "radius_m") if name in choose}
-    selector = None if choose.pop("by_key", True) else DwellSelector(guard, **dwell)
     return Session(
         guard,
         Follower(guard, follow_options),
         attendance=attendance,
-        selector=selector,
+        selector=_selector(guard, given),
         carry=carry,
-        keys=sys.stdin.isatty(),
+        step_by_step=given.get("step_by_step", False),
+        blocks=given.get("blocks", 1),
+        keys=has_terminal(),
         say=tell,
-        on_report=_print_report if as_json else lambda _fix, _report: None,
-        **choose,
+        on_report=_print_report if given["as_json"] else lambda _fix, _report: None,
     )
+
+
+def _selector(guard: Guard, given: Mapping[str, Any]) -> DwellSelector | None:
+    """Return what selects by dwelling, if something is to be selected and that is wanted."""
+    from fingerpost.robot import DwellSelector
+
+    if given.get("select") != "dwell":
+        return None
+    return laid_over(partial(DwellSelector, guard), given, dwell_s="dwell_s", radius_m="radius_m")
 
 
 def _print_report(fix: Fix, report: FollowReport) -> None:

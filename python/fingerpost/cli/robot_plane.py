@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
@@ -15,6 +14,7 @@ import click
 from fingerpost.cli.arming import (
     arming_options,
     guarded,
+    has_terminal,
     home,
     laid_over,
     need_consent,
@@ -126,7 +126,7 @@ def plane(
     arm: bool,
     log: Path | None,
     homing_timeout: float,
-    operator_timeout: float,
+    operator_timeout_s: float,
     **given: Any,
 ) -> None:
     """Let the arm at URL define the working plane, and write the rig that follows from it.
@@ -135,29 +135,39 @@ def plane(
     in every view of RIG.TOML, which needs no [plane]. The new rig has the robot's own X and Y in
     metres as its plane. Run it again with another height for another plane.
     """
-    from fingerpost.capture import SourceKind, open_source, read_views
+    from fingerpost.capture import SourceKind, open_views, read_views
     from fingerpost.config import Rig, RobotTable
-    from fingerpost.guidance import PlaneOptions, attended, define_plane, guard_of, held_down
-    from fingerpost.robot import GuardOptions, open_robot
+    from fingerpost.guidance import (
+        PlaneOptions,
+        attended,
+        define_plane,
+        guard_of,
+        held_down,
+        places_to_visit,
+    )
+    from fingerpost.robot import GuardOptions, OutOfReachError, open_robot
 
     cameras = Rig.load_cameras(rig_file)
     keep_apart({"--log": log, "--output": output}, [])
     keep_apart({"--log": log}, rig_files(rig_file, cameras))
     table = RobotTable(url=url, height_m=height_m, region_m=region, z_m=z_m)
     names = ("points", "offset_m", "lift_m", "speed_m_s", "max_sigma_m")
-    options = laid_over(PlaneOptions, {name: given[name] for name in names}, "of the visits")
-    guard_options = laid_over(
-        GuardOptions, {"operator_timeout_s": operator_timeout}, "of the guard"
-    )
+    options = laid_over(PlaneOptions, given, **{name: name for name in names})
+    guard_options = GuardOptions(operator_timeout_s=operator_timeout_s)
     finders = _finders(cameras, given)
     robot = open_robot(url)
+    # A region that is none, and places that are not in it, are refused before all else.
+    guard = guard_of(robot, table, guard_options)
+    try:
+        places_to_visit(guard, options)
+    except OutOfReachError as error:
+        raise InvalidInputError(f"--height {height_m:g}: {error}") from error
     _need_file(output)  # what the visits are for must not be lost at their end
     with ExitStack() as stack:
-        guard_of(robot, table, guard_options)  # a region that is none is refused before all else
         need_consent(arm, "robot plane")
         on_record = open_log(stack, log)
         stack.enter_context(ending_orderly())
-        sources = [stack.enter_context(open_source(view.source)) for view in cameras.views]
+        sources = stack.enter_context(open_views(cameras.sources))
         for source in sources:
             if source.kind is not SourceKind.LIVE:
                 raise InvalidInputError(f"{source.name} is a recording; live views are needed")
@@ -170,7 +180,7 @@ def plane(
             return together
 
         stack.enter_context(robot)
-        guard_of(robot, table, guard_options).check_limits()
+        guard.check_limits(speed_m_s=options.speed_m_s)
         home(robot, homing_timeout)
         if not keep_pose:
             table = _replaced(table, held_down(robot, robot.pose()))
@@ -275,7 +285,7 @@ def _given_finders(
     from fingerpost.guidance import GivenFinder, load_pixels
 
     if given["pixels"] is None:
-        if not sys.stdin.isatty():
+        if not has_terminal():
             raise click.UsageError("--finder pixels needs --pixels, or a terminal to ask on")
         pictures = given["pictures"] or Path()
         _need_folder(pictures)

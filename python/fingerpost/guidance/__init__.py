@@ -28,6 +28,7 @@ from fingerpost.guidance.plane import (
     PlaneOptions,
     Visit,
     define_plane,
+    places_to_visit,
     spread_places,
 )
 from fingerpost.guidance.session import (
@@ -72,6 +73,7 @@ __all__ = [
     "load_pixels",
     "need_certainty",
     "paced",
+    "places_to_visit",
     "plane_of",
     "region_of",
     "robot_of",

@@ -25,6 +25,13 @@ from fingerpost.checks import covariance_array, finite_array, in_range
 from fingerpost.errors import InvalidInputError
 from fingerpost.guidance.errors import GripperNotFoundError
 
+SIGMAS_PX = (1e-3, 1e3)
+"""Standard deviations that a finder may have: its covariance keeps its rank, and it still finds
+something [px]."""
+
+FURTHEST_SIDES = 100.0
+"""A tip further than so many of its sides from a marker is not found by it."""
+
 _SMALLEST = float(np.finfo(np.float64).tiny)
 
 
@@ -96,13 +103,13 @@ class MarkerFinder(GripperFinder):
         carried into the image by the homography of the marker's corners, so perspective is right,
         but a point far from a small marker is found badly, and the covariance says so.
     sigma_px
-        Standard deviation of one corner in one frame [px], > 0. OpenCV's sub-pixel corners were
-        found to 0.3 px.
+        Standard deviation of one corner in one frame [px], in `SIGMAS_PX`. OpenCV's sub-pixel
+        corners were found to 0.3 px.
 
     Raises
     ------
     InvalidInputError
-        No such dictionary or marker.
+        No such dictionary or marker, or a tip too far from it.
     """
 
     def __init__(
@@ -128,7 +135,12 @@ class MarkerFinder(GripperFinder):
         self._detector = cv2.aruco.ArucoDetector(words, parameters)
         self._marker_id = marker_id
         self._tip = finite_array(tip, "tip", (2,))
-        self._sigma_px = in_range(sigma_px, "sigma_px", _SMALLEST)
+        if abs(self._tip).max() > FURTHEST_SIDES:
+            raise InvalidInputError(
+                f"tip is {self._tip.tolist()}; at most {FURTHEST_SIDES:g} sides from the marker's "
+                "centre, right and down, is right"
+            )
+        self._sigma_px = in_range(sigma_px, "sigma_px", *SIGMAS_PX)
 
     def find(
         self,
@@ -191,7 +203,8 @@ class ContourFinder(GripperFinder):
     start
         Where it waits: tip, direction and length in the image.
     along_sigma_px
-        Standard deviation of the tip along the gripper, beyond what the fit tells [px], > 0.
+        Standard deviation of the tip along the gripper, beyond what the fit tells [px], in
+        `SIGMAS_PX`.
     across_sigma_px
         The same across it [px], ≥ 0.
     polarity
@@ -217,8 +230,8 @@ class ContourFinder(GripperFinder):
         self._tracker = ContourTracker(
             template, start, {"model": model, "polarity": polarity, **(options or {})}
         )
-        self._along_sigma_px = in_range(along_sigma_px, "along_sigma_px", _SMALLEST)
-        self._across_sigma_px = in_range(across_sigma_px, "across_sigma_px", 0.0)
+        self._along_sigma_px = in_range(along_sigma_px, "along_sigma_px", *SIGMAS_PX)
+        self._across_sigma_px = in_range(across_sigma_px, "across_sigma_px", 0.0, SIGMAS_PX[1])
 
     def watch(self, frame: Frame) -> None:
         """Follow the outline."""
@@ -266,7 +279,7 @@ class MotionFinder(GripperFinder):
     min_area_px
         Least size of the area [px²], > 0.
     sigma_px
-        Standard deviation of the tip found [px], > 0.
+        Standard deviation of the tip found [px], in `SIGMAS_PX`.
     """
 
     def __init__(
@@ -281,7 +294,7 @@ class MotionFinder(GripperFinder):
         self._towards = np.array([math.cos(angle), math.sin(angle)])
         self._threshold = in_range(threshold, "threshold", _SMALLEST, 255.0)
         self._min_area_px = in_range(min_area_px, "min_area_px", _SMALLEST)
-        self._sigma_px = in_range(sigma_px, "sigma_px", _SMALLEST)
+        self._sigma_px = in_range(sigma_px, "sigma_px", *SIGMAS_PX)
 
     def find(
         self,
@@ -335,7 +348,7 @@ class GivenFinder(GripperFinder):
         Called with the place's number from 0 and the last frame; returns the pixel (u, v), or None
         where the gripper cannot be seen. See `load_pixels` for a file.
     sigma_px
-        Standard deviation of such a pixel [px], > 0.
+        Standard deviation of such a pixel [px], in `SIGMAS_PX`.
     """
 
     def __init__(
@@ -345,7 +358,7 @@ class GivenFinder(GripperFinder):
         sigma_px: float = 1.0,
     ) -> None:
         self._ask = ask
-        self._sigma_px = in_range(sigma_px, "sigma_px", _SMALLEST)
+        self._sigma_px = in_range(sigma_px, "sigma_px", *SIGMAS_PX)
 
     def find(
         self,

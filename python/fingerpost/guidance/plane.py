@@ -15,7 +15,7 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
-from typing import Annotated
+from typing import Annotated, TypeAlias
 
 import msgspec
 import numpy as np
@@ -35,6 +35,7 @@ from fingerpost.guidance.errors import GripperNotFoundError, InconsistentPlaneEr
 from fingerpost.guidance.finders import GripperFinder, Sighting
 from fingerpost.homography import MIN_REFERENCE_POINTS
 from fingerpost.robot import Guard, OutOfReachError, SafeRegion
+from fingerpost.robot.options import CheckedOptions
 
 logger = logging.getLogger(__name__)
 
@@ -47,8 +48,11 @@ PATIENCE_S = 5.0
 FrameReader = Callable[[], Sequence[Frame | None]]
 """Gives the next, or newest, frame of every view; its times are the guard's clock's."""
 
+Offset: TypeAlias = Annotated[float, msgspec.Meta(ge=-1, le=1)]
+"""One component of where something is on the gripper [m]."""
 
-class PlaneOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+
+class PlaneOptions(CheckedOptions, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """How the robot defines a plane.
 
     Attributes
@@ -76,14 +80,14 @@ class PlaneOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     """
 
     points: Annotated[int, msgspec.Meta(ge=MIN_REFERENCE_POINTS, le=50)] = 9
-    offset_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    lift_m: Annotated[float, msgspec.Meta(ge=0)] = 0.03
-    speed_m_s: Annotated[float, msgspec.Meta(gt=0)] = 0.1
-    settle_s: Annotated[float, msgspec.Meta(ge=0)] = 0.3
+    offset_m: tuple[Offset, Offset, Offset] = (0.0, 0.0, 0.0)
+    lift_m: Annotated[float, msgspec.Meta(ge=0, le=10)] = 0.03
+    speed_m_s: Annotated[float, msgspec.Meta(gt=0, le=10)] = 0.1
+    settle_s: Annotated[float, msgspec.Meta(ge=0, le=60)] = 0.3
     frames: Annotated[int, msgspec.Meta(ge=1, le=1000)] = 5
-    arm_sigma_m: Annotated[float, msgspec.Meta(ge=0)] = 0.0003
-    max_sigma_m: Annotated[float, msgspec.Meta(gt=0)] = 0.003
-    revisits: Annotated[int, msgspec.Meta(ge=0)] = 1
+    arm_sigma_m: Annotated[float, msgspec.Meta(ge=0, le=1)] = 0.0003
+    max_sigma_m: Annotated[float, msgspec.Meta(gt=0, le=1)] = 0.003
+    revisits: Annotated[int, msgspec.Meta(ge=0, le=100)] = 1
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -259,6 +263,48 @@ def spread_places(region: SafeRegion, count: int) -> NDArray[np.float64]:
     return _short_way(candidates[chosen])
 
 
+def places_to_visit(guard: Guard, options: PlaneOptions | None = None) -> NDArray[np.float64]:
+    """Choose the places that `define_plane` visits, in their order; nothing moves.
+
+    Ask before the arm is homed: what is wrong with heights, region and number of places shows here.
+
+    Parameters
+    ----------
+    guard
+        Knows plane and safe region; its robot is not asked.
+    options
+        How to go about it.
+
+    Returns
+    -------
+    (N, 2)
+        Plane coordinates.
+
+    Raises
+    ------
+    OutOfReachError
+        The places, or the way over them, are outside the safe region.
+    InvalidInputError
+        More places than the region has room for.
+    """
+    options = options or PlaneOptions()
+    region, plane = guard.region, guard.plane
+    above_m = -options.offset_m[2]
+    for what, height_m in (
+        ("the places", above_m),
+        ("the way over them", above_m + options.lift_m),
+    ):
+        _, allowed_m = guard.clamp(region.centre, height_m)
+        if allowed_m != height_m:
+            pose, allowed = (plane.pose(region.centre, z) for z in (height_m, allowed_m))
+            raise OutOfReachError(
+                f"{what} would have the gripper at Z = {pose.z_m:.4f} m, outside the safe "
+                f"region; {allowed.z_m:.4f} m is the nearest inside: choose another height, "
+                "lift or offset, or another region"
+            )
+    return spread_places(guard.allowed, options.points)
+
+
 def define_plane(
     guard: Guard,
     cameras: Rig,
@@ -332,7 +378,7 @@ class _Procedure:
         self._progress = progress
         self._offset_m = np.array(options.offset_m)
         self._above_m = -options.offset_m[2]
-        self._places = spread_places(self._reachable(), options.points)
+        self._places = places_to_visit(guard, options)
         self._visits: dict[int, Visit] = {}
         self._counts = dict.fromkeys(range(options.points), 0)
         self._elsewhere: list[list[NDArray[np.uint8]]] = [[] for _ in finders]
@@ -369,25 +415,6 @@ class _Procedure:
             sigma_m,
             frozenset(place for place, count in self._counts.items() if count > 1),
         )
-
-    def _reachable(self) -> SafeRegion:
-        """Where the gripper may stand, at a height that the visits and the way over them allow."""
-        region, lift_m = self._guard.region, self._options.lift_m
-        for what, above_m in (
-            ("the places", self._above_m),
-            ("the way over them", self._above_m + lift_m),
-        ):
-            _, allowed_m = self._guard.clamp(region.centre, above_m)
-            if allowed_m != above_m:
-                pose, allowed = (
-                    self._guard.plane.pose(region.centre, z) for z in (above_m, allowed_m)
-                )
-                raise OutOfReachError(
-                    f"{what} would have the gripper at Z = {pose.z_m:.4f} m, outside the safe "
-                    f"region; {allowed.z_m:.4f} m is the nearest inside: choose another height, "
-                    "lift or offset, or another region"
-                )
-        return self._guard.allowed
 
     def _watch_standing(self) -> None:
         """Let the finders that follow the gripper catch sight of it over the region's middle."""

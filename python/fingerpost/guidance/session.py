@@ -184,6 +184,8 @@ class SessionReport:
 class Session:
     """Follow mode, and on top of it picking and placing; a context manager.
 
+    What the arm has raised last is raised on leaving, if nothing else ends the block.
+
     Parameters
     ----------
     guard
@@ -268,6 +270,8 @@ class Session:
             self._guard.__exit__(kind, error, trace)
         finally:
             self._worker.__exit__(kind, error, trace)
+        if kind is None:
+            self._worker.check()  # what it did last, no step has asked about
 
     def press(self, key: str) -> None:
         """Take a key, from any thread; the key that stops does so at once."""
@@ -391,7 +395,7 @@ class Session:
         self._last = None
         if self._quit:
             return
-        why = _why_disarmed(self._guard)
+        why = self._guard.why_stopped or "never armed"
         if not self._keys:
             raise NotArmedError(f"stopped: {why}")
         self._paused = True
@@ -526,13 +530,6 @@ def paced(
 
 def _hand_seen(step: Step) -> bool:
     return any(isinstance(one.finger, FingerLine) for one in step.observations)
-
-
-def _why_disarmed(guard: Guard) -> str:
-    for record in reversed(guard.records):
-        if record.command in ("halt", "disarm"):
-            return record.detail
-    return "never armed"
 
 
 def _counts(counter: Counter[str]) -> str:

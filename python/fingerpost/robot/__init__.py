@@ -32,7 +32,7 @@ from fingerpost.robot.follow import (
     Selection,
 )
 from fingerpost.robot.guard import CommandRecord, Guard, GuardOptions, Presence
-from fingerpost.robot.pick_place import PickPlace, PickPlaceOptions, Step
+from fingerpost.robot.pick_place import PickPlace, PickPlaceOptions, Step, check_heights
 from fingerpost.robot.plane import RobotPlane
 from fingerpost.robot.protocol import (
     TOOL_DOWN_RAD,
@@ -93,6 +93,7 @@ __all__ = [
     "SimulatedRobot",
     "Step",
     "StoppedError",
+    "check_heights",
     "open_robot",
     "robot_names",
 ]

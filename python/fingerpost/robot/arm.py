@@ -29,6 +29,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+from fingerpost.checks import in_range
 from fingerpost.errors import InvalidInputError
 from fingerpost.robot.errors import (
     ConnectionLostError,
@@ -215,7 +216,7 @@ class Arm(ABC):
         RobotError
             The last attempt's error, when none has worked within `timeout_s`.
         """
-        deadline_s = self._clock() + timeout_s
+        deadline_s = self._clock() + _span_s(timeout_s)
         while True:
             try:
                 return self.connect()
@@ -262,9 +263,11 @@ class Arm(ABC):
             Not done in time.
         StoppedError
             Stopped meanwhile.
+        InvalidInputError
+            A time-out that is no number from 0.
         """
         start_s = self._clock()
-        turn = Turn(self._stops, start_s + timeout_s)
+        turn = Turn(self._stops, start_s + _span_s(timeout_s))
         tell = progress or (lambda _: None)
         with self._waiting(self._motion_lock, turn), self._waiting(self._exchange_lock, turn):
             self._need_connection()
@@ -326,11 +329,15 @@ class Arm(ABC):
             The move failed; the arm has been stopped.
         StoppedError
             `stop` was called after this call.
+        InvalidInputError
+            A speed or time-out that is none.
         """
         stops = self._stops
         limits = self._need_limits()
         limits.check(pose)
         speed = limits.speed(speed_m_s)
+        if timeout_s is not None:
+            timeout_s = _span_s(timeout_s)
         self._need_homing()
         with self._waiting(self._motion_lock, Turn(stops, math.inf)):
             self._need_homing()  # what went before may have failed
@@ -357,9 +364,10 @@ class Arm(ABC):
             As for `move_to`.
         """
         stops = self._stops
+        if timeout_s is not None:
+            timeout_s = _span_s(timeout_s)
         with self._waiting(self._motion_lock, Turn(stops, math.inf)):
-            if self._goal is not None:
-                self._need_homing()
+            self._need_homing()  # a fault that was seen meanwhile has ended the motion
             with self._failing_safely():
                 self._finish_motion(stops, timeout_s)
 
@@ -552,6 +560,11 @@ class Arm(ABC):
             raise NotReadyError(f"fault not cleared ({self._fault}): see to it, then call home()")
         if not self._homed:
             raise NotHomedError("not homed: call home() first")
+
+
+def _span_s(timeout_s: float) -> float:
+    """Return a time-out; NaN would be one that never comes."""
+    return in_range(timeout_s, "timeout_s", 0.0)
 
 
 def _same(a: Pose, b: Pose, within_m: float, within_rad: float) -> bool:

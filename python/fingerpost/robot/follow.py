@@ -21,23 +21,28 @@ from fingerpost.checks import in_range
 from fingerpost.pointing import Fix
 from fingerpost.robot.errors import NotArrivedError, RefusedError, StoppedError
 from fingerpost.robot.guard import Guard, Presence
+from fingerpost.robot.options import CheckedOptions
 from fingerpost.robot.protocol import Pose
-from fingerpost.robot.smoothing import OneEuroFilter
+from fingerpost.robot.smoothing import LEAST_CUTOFF_HZ, OneEuroFilter
 
 ARRIVED_M = 0.002
 """An arm this near its goal stands there, unless the dead band is wider [m]."""
+
+LONGEST_DWELL_S, WIDEST_DWELL_M = 3600.0, 1.0
+"""No hand stays for longer, and none that goes further stays [s, m]."""
 
 OVERDUE, OVERDUE_S = 3.0, 2.0
 """A stride is overdue after so many times its own time, and so long [s]."""
 
 
-class FollowOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class FollowOptions(CheckedOptions, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """How the robot follows.
 
     Attributes
     ----------
     above_m : float
-        Height above the plane [m].
+        Height above the plane [m], ≥ 0: below it there is what the hand points at. Where the safe
+        region does not reach so low or high, the nearest height inside is taken.
     speed_m_s : float
         Greatest speed [m/s].
     stride_s : float
@@ -48,13 +53,13 @@ class FollowOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
         Of the `OneEuroFilter`, the slope per metre per second of the robot's frame.
     """
 
-    above_m: float = 0.05
-    speed_m_s: Annotated[float, msgspec.Meta(gt=0)] = 0.1
-    stride_s: Annotated[float, msgspec.Meta(gt=0)] = 0.3
-    dead_band_m: Annotated[float, msgspec.Meta(ge=0)] = 0.003
-    min_cutoff_hz: Annotated[float, msgspec.Meta(gt=0)] = 1.0
-    slope_hz_m: Annotated[float, msgspec.Meta(ge=0)] = 20.0
-    speed_cutoff_hz: Annotated[float, msgspec.Meta(gt=0)] = 1.0
+    above_m: Annotated[float, msgspec.Meta(ge=0, le=10)] = 0.05
+    speed_m_s: Annotated[float, msgspec.Meta(gt=0, le=10)] = 0.1
+    stride_s: Annotated[float, msgspec.Meta(gt=0, le=10)] = 0.3
+    dead_band_m: Annotated[float, msgspec.Meta(ge=0, le=1)] = 0.003
+    min_cutoff_hz: Annotated[float, msgspec.Meta(ge=LEAST_CUTOFF_HZ, le=1000)] = 1.0
+    slope_hz_m: Annotated[float, msgspec.Meta(ge=0, le=1e6)] = 20.0
+    speed_cutoff_hz: Annotated[float, msgspec.Meta(ge=LEAST_CUTOFF_HZ, le=1000)] = 1.0
 
 
 class FollowState(StrEnum):
@@ -233,7 +238,8 @@ class DwellSelector:
     """Selects the point at which the hand stays, while the arm stands there too.
 
     Only what the operator sees the robot do can he mean: a stay counts from when the arm stands
-    within the radius of where the hand points; a point that it cannot go to is never selected.
+    within the radius of where the hand points; a point that it cannot go to is never selected. Nor
+    does it go on unseen: it begins anew after a gap between fixes of more than `max_fix_age_s`.
     After a selection the hand must leave the place before it can select again.
 
     Parameters
@@ -241,21 +247,22 @@ class DwellSelector:
     guard : Guard
         Says which fixes are good enough.
     dwell_s : float
-        How long it must stay [s], > 0.
+        How long it must stay [s], above 0, at most `LONGEST_DWELL_S`.
     radius_m : float
-        Within this distance of where it began to stay [m], > 0.
+        Within this distance of where it began to stay [m], above 0, at most `WIDEST_DWELL_M`.
 
     Raises
     ------
     InvalidInputError
-        A time or radius that is not above 0.
+        A time or radius that is out of its range.
     """
 
     def __init__(self, guard: Guard, *, dwell_s: float = 1.0, radius_m: float = 0.01) -> None:
         smallest = np.finfo(np.float64).tiny
         self._guard = guard
-        self._dwell_s = in_range(dwell_s, "dwell_s", smallest)
-        self._radius_m = in_range(radius_m, "radius_m", smallest)
+        self._dwell_s = in_range(dwell_s, "dwell_s", smallest, LONGEST_DWELL_S)
+        self._radius_m = in_range(radius_m, "radius_m", smallest, WIDEST_DWELL_M)
+        self._longest_gap_s = guard.options.max_fix_age_s
         self._stay: _Stay | None = None
         self._selected: NDArray[np.float64] | None = None
 
@@ -288,6 +295,8 @@ class DwellSelector:
         if not self._stands_at(point, arm):
             self._stay = None
             return None
+        if self._stay is not None and fix.time_s - self._stay.seen_s > self._longest_gap_s:
+            self._stay = None
         if self._stay is None or self._distance_m(self._stay.first, point) > self._radius_m:
             self._stay = _Stay(point, fix.time_s)
         self._stay.add(point, fix.time_s)
@@ -317,11 +326,12 @@ class DwellSelector:
 
 
 class _Stay:
-    """A hand that stays: where it began to, since when, and the mean since."""
+    """A hand that stays: where it began to, since when, when it was seen last, and the mean."""
 
     def __init__(self, first: NDArray[np.float64], time_s: float) -> None:
         self.first = first
         self.span_s = 0.0
+        self.seen_s = time_s
         self._since_s = time_s
         self._sum = np.zeros(2)
         self._count = 0
@@ -329,6 +339,7 @@ class _Stay:
     def add(self, point: NDArray[np.float64], time_s: float) -> None:
         """Count one more point."""
         self.span_s = time_s - self._since_s
+        self.seen_s = time_s
         self._sum = self._sum + point
         self._count += 1
 

@@ -38,6 +38,7 @@ from fingerpost.robot.errors import (
     RobotFaultError,
     RobotTimeoutError,
 )
+from fingerpost.robot.options import CheckedOptions
 from fingerpost.robot.protocol import Angle, GripperKind, Limits, Pose
 from fingerpost.robot.readings import Reading, ReadingFilter
 from fingerpost.robot.serial_line import Flow, SerialLine, Tap
@@ -47,6 +48,9 @@ logger = logging.getLogger(__name__)
 MM_PER_M = 1000.0
 MAX_SPEED_M_S = 0.1
 """Greatest speed of an arm that has no limits of its own and is given a box only [m/s]."""
+
+LEAST_SPEED_M_S = 1.0 / (60 * MM_PER_M)
+"""A feed rate of `F1`; Marlin takes `F0` for none given, and goes as fast as before [m/s]."""
 
 STARTUP_S = 8.0
 """A board that resets when its port is opened is ready after this [s]."""
@@ -155,7 +159,7 @@ UARM = Dialect(
 place above its front."""
 
 
-class GcodeOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class GcodeOptions(CheckedOptions, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """How to talk to a G-code arm.
 
     Attributes
@@ -182,18 +186,18 @@ class GcodeOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         `MAX_SPEED_M_S`.
     """
 
-    baud: Annotated[int, msgspec.Meta(gt=0)] | None = None
+    baud: Annotated[int, msgspec.Meta(gt=0, le=10_000_000)] | None = None
     flow: Flow = Flow.NONE
-    reply_s: Annotated[float, msgspec.Meta(gt=0)] = 2.0
-    accept_s: Annotated[float, msgspec.Meta(ge=0)] = 0.1
-    poll_s: Annotated[float, msgspec.Meta(ge=0)] = 0.05
-    stall_s: Annotated[float, msgspec.Meta(gt=0)] = 1.5
-    gripper_s: Annotated[float, msgspec.Meta(ge=0)] = 1.0
+    reply_s: Annotated[float, msgspec.Meta(gt=0, le=3600)] = 2.0
+    accept_s: Annotated[float, msgspec.Meta(ge=0, le=3600)] = 0.1
+    poll_s: Annotated[float, msgspec.Meta(ge=0, le=3600)] = 0.05
+    stall_s: Annotated[float, msgspec.Meta(gt=0, le=3600)] = 1.5
+    gripper_s: Annotated[float, msgspec.Meta(ge=0, le=3600)] = 1.0
     open_gripper: str | None = None
     close_gripper: str | None = None
     lower_m: tuple[float, float, float] | None = None
     upper_m: tuple[float, float, float] | None = None
-    max_speed_m_s: Annotated[float, msgspec.Meta(gt=0)] | None = None
+    max_speed_m_s: Annotated[float, msgspec.Meta(gt=0, le=10)] | None = None
 
 
 _COORDINATES = re.compile(
@@ -204,6 +208,7 @@ _COORDINATES = re.compile(
 _HASH_REPLY = re.compile(r"^\$(\d+)\s+(ok|E\d+)\b(.*)$", re.IGNORECASE)
 _RESEND = re.compile(r"^(?:resend|rs)\s*:?\s*N?(\d+)", re.IGNORECASE)
 _ERROR = re.compile(r"^(?:error|!!)\s*:?\s*(.*)$", re.IGNORECASE)
+_UNKNOWN = re.compile(r"unknown command", re.IGNORECASE)
 _LINE_ERROR = re.compile(r"checksum|line number", re.IGNORECASE)
 _RESTARTED = re.compile(r"^(?:start|grbl\b.*|marlin\b.*)$", re.IGNORECASE)
 _BUSY = re.compile(r"^(?:echo:)?\s*busy", re.IGNORECASE)
@@ -280,8 +285,12 @@ class GcodeArm(Arm):
             options.close_gripper or dialect.close_gripper,
             options.open_gripper or dialect.open_gripper,
         )
+        declared = limits or self._declared_limits()
+        if declared is not None:
+            least_m_s = max(declared.min_speed_m_s, LEAST_SPEED_M_S)
+            declared = replace(declared, min_speed_m_s=least_m_s)
         super().__init__(
-            limits or self._declared_limits(),
+            declared,
             arrival=ArrivalRule(poll_s=options.poll_s, stall_s=options.stall_s),
             clock=clock,
             sleep=sleep,
@@ -518,6 +527,8 @@ class GcodeArm(Arm):
                 end_s = self._clock() + self._options.reply_s
             elif again := _RESEND.match(line):
                 resend = int(again[1])
+            elif _UNKNOWN.search(line):  # an ok follows that means nothing
+                raise CommandRefusedError(f"{command}: the controller knows no such command")
             elif (error := _ERROR.match(line)) and not _LINE_ERROR.search(error[1]):
                 raise _marlin_error(command, error[1])
             else:

@@ -18,7 +18,6 @@ the failure is kept, and raised at the next command, when arming, or at the end 
 from __future__ import annotations
 
 import logging
-import os
 import signal
 import threading
 import time
@@ -27,7 +26,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import StrEnum
-from types import FrameType, TracebackType
+from types import TracebackType
 from typing import Annotated, Self, TypeAlias
 
 import msgspec
@@ -46,9 +45,11 @@ from fingerpost.robot.errors import (
     RobotError,
     StoppedError,
 )
+from fingerpost.robot.options import CheckedOptions
 from fingerpost.robot.plane import RobotPlane
-from fingerpost.robot.protocol import GripperTarget, Pose, Robot, RobotState
+from fingerpost.robot.protocol import GripperTarget, Limits, Pose, Robot, RobotState
 from fingerpost.robot.region import SafeRegion
+from fingerpost.robot.signals import stopping_on
 from fingerpost.uncertainty import confidence_ellipse
 
 logger = logging.getLogger(__name__)
@@ -66,10 +67,11 @@ RECORDS_KEPT = 10_000
 """Commands that a guard remembers; `on_record` sees all."""
 
 
-class GuardOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class GuardOptions(CheckedOptions, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """When a command may pass.
 
-    The upper bounds are far from any use; they keep out what would switch a check off.
+    The upper bounds are far from any use; they keep out what would switch a check off. Those of the
+    two time-outs leave room for simulated time; the command line takes a minute at most.
 
     Attributes
     ----------
@@ -87,12 +89,17 @@ class GuardOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         Kept off the rim of the safe region for rounding by the controller [m].
     max_speed_m_s : float
         Greatest speed of any command [m/s].
+
+    Raises
+    ------
+    InvalidInputError
+        A value that is out of its range, or not a number.
     """
 
     tolerance_m: Annotated[float, msgspec.Meta(gt=0, le=1)] = 0.01
     confidence: Annotated[float, msgspec.Meta(gt=0, lt=1)] = 0.95
-    max_fix_age_s: Annotated[float, msgspec.Meta(gt=0, le=60)] = 0.3
-    operator_timeout_s: Annotated[float, msgspec.Meta(gt=0, le=60)] = 1.0
+    max_fix_age_s: Annotated[float, msgspec.Meta(gt=0, le=1e6)] = 0.3
+    operator_timeout_s: Annotated[float, msgspec.Meta(gt=0, le=1e6)] = 1.0
     clearance_m: Annotated[float, msgspec.Meta(ge=0, le=1)] = 0.001
     max_speed_m_s: Annotated[float, msgspec.Meta(gt=0, le=10)] = 0.1
 
@@ -195,6 +202,7 @@ class Guard:
         self._inside = False
         self._interruptions = 0
         self._why_stopped = ""
+        self._stop_error: RobotError | None = None
         self._needs: Presence | None = None
         self._fix: Fix | None = None
         self._heard_s = -np.inf
@@ -223,11 +231,16 @@ class Guard:
 
     @property
     def why_stopped(self) -> str:
-        """Why the guard has stopped the arm the last time; empty if it has not yet."""
+        """Why the guard has stopped the arm the last time, and what if that failed; else empty."""
         return self._why_stopped
 
-    def check_limits(self) -> None:
-        """See that the robot has limits and that they hold the whole safe region.
+    def check_limits(self, *, speed_m_s: float | None = None) -> None:
+        """See that the robot has limits, and that they hold the whole safe region and a speed.
+
+        Parameters
+        ----------
+        speed_m_s : float, optional
+            What commands will ask for [m/s]; `max_speed_m_s` by default and at most.
 
         Raises
         ------
@@ -235,10 +248,11 @@ class Guard:
             No limits.
         OutOfReachError
             A corner of the region is outside them.
+        InvalidInputError
+            The arm cannot go so slowly.
         """
-        limits = self._robot.limits
-        if limits is None:
-            raise NotReadyError("the robot has no limits: declare them before arming")
+        limits = self._limits()
+        limits.speed(self._speed(speed_m_s))
         for corner in self._allowed.corners:
             for above_m in (self._allowed.lowest_m, self._allowed.highest_m):
                 try:
@@ -248,6 +262,20 @@ class Guard:
                         f"the safe region's corner ({corner[0]:g}, {corner[1]:g}): {error}"
                     ) from error
 
+    def check_gripper(self, target: GripperTarget) -> None:
+        """See that the robot has a gripper that takes a target.
+
+        Raises
+        ------
+        NotReadyError
+            No limits, so nothing is known of a gripper.
+        GripperError
+            No gripper, or a width asked of one that only opens and closes.
+        InvalidInputError
+            A width that it does not have.
+        """
+        self._limits().opening(target)
+
     def arm(self) -> None:
         """Let commands pass from now on: an operator's explicit command.
 
@@ -255,8 +283,8 @@ class Guard:
         ------
         NotReadyError
             The robot is not connected, not homed, in a fault, or has no limits.
-        OutOfReachError
-            Part of the safe region is outside the robot's limits.
+        OutOfReachError, InvalidInputError
+            As for `check_limits`.
         Exception
             The log's own: this record, or that of a stop before it, could not be written.
         """
@@ -268,7 +296,7 @@ class Guard:
             if not status.homed:
                 raise NotHomedError("home the robot before arming")
             self.check_limits()
-        except RobotError as error:
+        except (RobotError, InvalidInputError) as error:
             self._record("arm", "", outcome=str(error))
             raise
         self.heartbeat()
@@ -566,34 +594,15 @@ class Guard:
 
     @contextmanager
     def signals(self, *numbers: signal.Signals) -> Iterator[Self]:
-        """Halt on signals, then let them take their course; in the main thread only.
+        """Halt on signals, every time, then let them take their course; in the main thread only.
 
         Parameters
         ----------
         *numbers : signal.Signals
             Which; SIGINT and SIGTERM by default.
         """
-        before = {
-            number: signal.getsignal(number) or signal.SIG_DFL
-            for number in numbers or (signal.SIGINT, signal.SIGTERM)
-        }
-
-        def on_signal(number: int, frame: FrameType | None) -> None:
-            self.halt(f"signal {signal.Signals(number).name}")
-            previous = before[signal.Signals(number)]
-            if callable(previous):
-                previous(number, frame)
-            elif previous is not signal.SIG_IGN:
-                signal.signal(number, signal.SIG_DFL)
-                os.kill(os.getpid(), number)
-
-        for number in before:
-            signal.signal(number, on_signal)
-        try:
+        with stopping_on(lambda name: self.halt(f"signal {name}"), *numbers):
             yield self
-        finally:
-            for number, previous in before.items():
-                signal.signal(number, previous)
 
     def __enter__(self) -> Self:
         return self
@@ -606,10 +615,22 @@ class Guard:
     ) -> None:
         if self._armed:
             self.halt("the end" if kind is None else f"{kind.__name__}: {error}")
+            if kind is None and self._stop_error is not None:
+                raise self._stop_error
         if kind is None:
             self._need_log()
 
     # Inside.
+
+    def _speed(self, speed_m_s: float | None) -> float:
+        fastest = self.options.max_speed_m_s
+        return fastest if speed_m_s is None else min(speed_m_s, fastest)
+
+    def _limits(self) -> Limits:
+        limits = self._robot.limits
+        if limits is None:
+            raise NotReadyError("the robot has no limits: declare them before arming")
+        return limits
 
     def _doubt(self, fix: Fix) -> str:
         """Return why a fix is not good enough to move on; empty if it is."""
@@ -639,8 +660,7 @@ class Guard:
         interruptions: int,
     ) -> Pose:
         """Send a motion."""
-        fastest = self.options.max_speed_m_s
-        speed = fastest if speed_m_s is None else min(speed_m_s, fastest)
+        speed = self._speed(speed_m_s)
         self._needs = needs
         self._record(command, str(goal), pose=goal, fix=fix)
         with self._uninterrupted(command, interruptions):
@@ -683,12 +703,13 @@ class Guard:
         self._why_stopped = reason
         self._interruptions += 1
         self._needs = None
-        outcome = "sent"
+        outcome, self._stop_error = "sent", None
         try:
             self._robot.stop()
         except RobotError as error:
-            self._armed = False
-            outcome = str(error)
+            self._armed = self._inside = False
+            outcome, self._stop_error = str(error), error
+            self._why_stopped = f"{reason}; the stop failed, so the arm may still move: {error}"
         self._record(command, reason, fix=self._fix, outcome=outcome, is_stop=True)
 
     def _need_armed(self, command: str, fix: Fix | None) -> None:

@@ -13,7 +13,7 @@ import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Annotated
+from typing import Annotated, Literal
 
 import msgspec
 import numpy as np
@@ -23,33 +23,68 @@ from fingerpost.errors import InvalidInputError
 from fingerpost.robot.errors import NotReadyError
 from fingerpost.robot.follow import Selection
 from fingerpost.robot.guard import Guard, Presence
-from fingerpost.robot.protocol import GripperTarget
+from fingerpost.robot.options import CheckedOptions
 
 
-class PickPlaceOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class PickPlaceOptions(CheckedOptions, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Heights, speeds and grip.
 
     Attributes
     ----------
     travel_m : float
-        Height above the plane on the way [m]; above everything that stands there.
+        Height above the plane on the way [m]; above everything that stands there, and no lower
+        than the two places.
     grip_m, release_m : float
-        Heights at which the block is gripped and let go [m].
+        Heights above the plane at which the block is gripped and let go [m], ≥ 0.
     grip : float, "open" or "close"
         What the gripper does to hold the block.
     speed_m_s, slow_m_s : float
         Speed on the way, and up and down [m/s].
     needs : Presence
         What must last throughout: the operator, or a live fix as well.
+
+    Raises
+    ------
+    InvalidInputError
+        A value that is out of its range, or a way that is lower than a place.
     """
 
-    travel_m: float = 0.1
-    grip_m: float = 0.015
-    release_m: float = 0.017
-    grip: GripperTarget = "close"
-    speed_m_s: Annotated[float, msgspec.Meta(gt=0)] = 0.1
-    slow_m_s: Annotated[float, msgspec.Meta(gt=0)] = 0.03
+    travel_m: Annotated[float, msgspec.Meta(ge=0, le=10)] = 0.1
+    grip_m: Annotated[float, msgspec.Meta(ge=0, le=10)] = 0.015
+    release_m: Annotated[float, msgspec.Meta(ge=0, le=10)] = 0.017
+    grip: Annotated[float, msgspec.Meta(ge=0, le=1)] | Literal["open", "close"] = "close"
+    speed_m_s: Annotated[float, msgspec.Meta(gt=0, le=10)] = 0.1
+    slow_m_s: Annotated[float, msgspec.Meta(gt=0, le=10)] = 0.03
     needs: Presence = Presence.OPERATOR
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name in ("grip_m", "release_m"):
+            if self.travel_m < getattr(self, name):
+                raise InvalidInputError(
+                    f"travel_m is {self.travel_m:g}; at least {name}, {getattr(self, name):g}, is "
+                    "right: the way is above the places"
+                )
+
+
+def check_heights(guard: Guard, options: PickPlaceOptions) -> None:
+    """See that the safe region allows all heights of picking and placing.
+
+    Ask before the arm is homed: the heights are the same wherever the blocks are.
+
+    Raises
+    ------
+    InvalidInputError
+        It does not; the message names the height and the nearest one inside.
+    """
+    for name in ("travel_m", "grip_m", "release_m"):
+        above_m = getattr(options, name)
+        _, allowed_m = guard.clamp(guard.region.centre, above_m)
+        if allowed_m != above_m:
+            raise InvalidInputError(
+                f"{name} is {above_m:g}, outside the safe region; {allowed_m:g} m above the plane "
+                "is the nearest inside"
+            )
 
 
 class Step(StrEnum):
@@ -91,6 +126,8 @@ class PickPlace:
     InvalidInputError
         A height or place that the safe region does not allow: for a block, the nearest permitted
         place is the wrong one.
+    GripperError
+        The robot's gripper does not do what the options want.
     """
 
     def __init__(
@@ -108,12 +145,10 @@ class PickPlace:
         self._completed = 0
         self._interrupted = False
         self._busy = threading.Lock()
-        for name, selection, low_m in (
-            ("pick", pick, options.grip_m),
-            ("place", place, options.release_m),
-        ):
-            for above_m in (low_m, options.travel_m):
-                _need_allowed(guard, name, selection, above_m)
+        check_heights(guard, options)
+        guard.check_gripper(options.grip)
+        for name, selection in (("pick", pick), ("place", place)):
+            _need_allowed(guard, name, selection)
         self._actions = self._plan()
 
     @property
@@ -253,11 +288,11 @@ class PickPlace:
         )
 
 
-def _need_allowed(guard: Guard, name: str, selection: Selection, above_m: float) -> None:
-    allowed, allowed_above_m = guard.clamp(selection.point, above_m)
-    if not np.array_equal(allowed, selection.point) or allowed_above_m != above_m:
+def _need_allowed(guard: Guard, name: str, selection: Selection) -> None:
+    allowed, _ = guard.clamp(selection.point, guard.allowed.lowest_m)
+    if not np.array_equal(allowed, selection.point):
         x, y = selection.point
         raise InvalidInputError(
-            f"{name} at ({x:g}, {y:g}), {above_m:g} m above the plane, is outside the safe region; "
-            f"({allowed[0]:g}, {allowed[1]:g}) at {allowed_above_m:g} m is the nearest inside"
+            f"{name} at ({x:g}, {y:g}) is outside the safe region; ({allowed[0]:g}, "
+            f"{allowed[1]:g}) is the nearest inside"
         )

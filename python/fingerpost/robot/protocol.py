@@ -133,6 +133,9 @@ class Limits:
         Corners of the box of permitted positions [m].
     max_speed_m_s : float
         Greatest speed of the gripper [m/s], > 0.
+    min_speed_m_s : float
+        Least speed that the arm can be set to [m/s], ≥ 0; a slower one is refused, as the arm would
+        go faster than asked.
     reach_m : float, optional
         Greatest distance from the base's vertical axis [m], > 0.
     min_reach_m : float
@@ -154,6 +157,7 @@ class Limits:
     lower_m: tuple[float, float, float]
     upper_m: tuple[float, float, float]
     max_speed_m_s: float
+    min_speed_m_s: float = 0.0
     reach_m: float | None = None
     min_reach_m: float = 0.0
     angles: frozenset[Angle] = frozenset()
@@ -174,6 +178,11 @@ class Limits:
         for name, value in positive.items():
             if value is not None and not (math.isfinite(value) and value > 0):
                 raise InvalidInputError(f"limits: {name} is {value}; a number above 0 is needed")
+        if not 0 <= self.min_speed_m_s <= self.max_speed_m_s:
+            raise InvalidInputError(
+                f"limits: max_speed_m_s is {self.max_speed_m_s}; at least min_speed_m_s, "
+                f"{self.min_speed_m_s}, is needed"
+            )
         if not 0 <= self.min_reach_m < (self.reach_m or math.inf):
             raise InvalidInputError(
                 f"limits: min_reach_m is {self.min_reach_m}; 0 up to reach_m is needed"
@@ -215,12 +224,16 @@ class Limits:
         Raises
         ------
         InvalidInputError
-            The speed is not a number above 0.
+            The speed is not a number above 0, or slower than the arm can go.
         """
         if speed_m_s is None:
             return self.max_speed_m_s
         if not (math.isfinite(speed_m_s) and speed_m_s > 0):
             raise InvalidInputError(f"speed_m_s is {speed_m_s}; a number above 0 is needed")
+        if speed_m_s < self.min_speed_m_s:
+            raise InvalidInputError(
+                f"speed_m_s is {speed_m_s:g}; this arm's least speed is {self.min_speed_m_s:g} m/s"
+            )
         return min(speed_m_s, self.max_speed_m_s)
 
     def opening(self, target: GripperTarget) -> float:

@@ -10,6 +10,9 @@ from numpy.typing import ArrayLike, NDArray
 from fingerpost.checks import finite_array, in_range
 from fingerpost.errors import InvalidInputError
 
+FURTHEST = 1e9
+"""A table's coordinates are smaller in any unit; much greater ones overflow when areas are told."""
+
 # A corner that turns by less than this share of its sides is not a corner but rounding.
 FLAT_SHARE = 1e-9
 
@@ -24,14 +27,15 @@ class SafeRegion:
     Parameters
     ----------
     corners : (N, 2)
-        Corners in plane coordinates, N ≥ 3, in order, either way round; convex.
+        Corners in plane coordinates, N ≥ 3, in order, either way round; convex; none further than
+        `FURTHEST`.
     lowest_m, highest_m : float
         Heights above the plane [m]; the lower first.
 
     Raises
     ------
     InvalidInputError
-        Too few corners, NaN, not convex, without area, or heights in the wrong order.
+        Too few corners, NaN, too far, not convex, without area, or heights in the wrong order.
     """
 
     corners: NDArray[np.float64]
@@ -40,6 +44,10 @@ class SafeRegion:
 
     def __post_init__(self) -> None:
         corners = finite_array(self.corners, "corners", ("N", 2))
+        if (abs(corners) > FURTHEST).any():
+            raise InvalidInputError(
+                f"corners {corners.tolist()} reach too far; up to {FURTHEST:g} is right"
+            )
         if len(corners) < 3:
             raise InvalidInputError(f"corners: {len(corners)} found; at least 3 are needed")
         lowest = in_range(self.lowest_m, "lowest_m", -np.inf)

@@ -20,6 +20,7 @@ from fingerpost.errors import InvalidInputError
 from fingerpost.robot.gcode import DOBOT, MARLIN, UARM, Dialect, GcodeArm, GcodeOptions
 from fingerpost.robot.protocol import Robot
 from fingerpost.robot.scorbot import Scorbot, ScorbotOptions
+from fingerpost.robot.serial_line import check_address
 from fingerpost.robot.simulated import SimulatedOptions, SimulatedRobot
 from fingerpost.robot.ur import UniversalRobot, UrOptions
 from fingerpost.robot.xarm import Xarm, XarmOptions
@@ -66,7 +67,7 @@ def open_robot(target: str, **options: object) -> Robot:
     """
     name, address, from_url = _split(target)
     address = str(options.pop("address", address))
-    robot = _factory(name)(address, {**from_url, **options})
+    robot = _factory(name, target)(address, {**from_url, **options})
     if not isinstance(robot, Robot):
         raise InvalidInputError(
             f"the plug-in for {name!r} returned {type(robot).__name__}, which is no Robot"
@@ -105,15 +106,16 @@ def read_options(kind: type[_Options], options: Mapping[str, object], robot: str
 
 def _split(target: str) -> tuple[str, str, dict[str, object]]:
     """Take a URL apart into name, address and options."""
-    if "://" not in target:
+    scheme, is_url, rest = target.partition("://")
+    if not is_url:
         return target, "", {}
     try:
-        parts = urlsplit(target)
+        parts = urlsplit(f"//{rest}")
     except ValueError as error:
         raise InvalidInputError(
             f"{target}: {error}; name://address?option=value is needed"
         ) from error
-    name, plus, transport = parts.scheme.partition("+")
+    name, plus, transport = scheme.lower().partition("+")
     address = parts.netloc + parts.path
     try:
         pairs = parse_qsl(parts.query, keep_blank_values=True, strict_parsing=bool(parts.query))
@@ -125,7 +127,7 @@ def _split(target: str) -> tuple[str, str, dict[str, object]]:
     return name, f"{transport}://{address}" if plus else address, options
 
 
-def _factory(name: str) -> RobotFactory:
+def _factory(name: str, target: str) -> RobotFactory:
     if name in BUILT_IN:
         return BUILT_IN[name]
     for point in _plug_ins():
@@ -133,7 +135,8 @@ def _factory(name: str) -> RobotFactory:
             factory: RobotFactory = point.load()
             return factory
     raise InvalidInputError(
-        f"there is no robot {name!r}; there are {', '.join(robot_names())}. "
+        f"{target!r}: there is no robot {name!r}; there are {', '.join(robot_names())}; "
+        "acl:///dev/ttyUSB0 is right, say. "
         f"Others are added by the entry point group {ENTRY_POINT_GROUP!r}"
     )
 
@@ -143,13 +146,16 @@ def _plug_ins() -> list[EntryPoint]:
 
 
 def _scorbot(address: str, options: Mapping[str, object]) -> Robot:
+    check_address(address, "acl")
     return Scorbot(address, read_options(ScorbotOptions, options, "acl"))
 
 
 def _gcode(name: str, dialect: Dialect) -> RobotFactory:
-    return lambda address, options: GcodeArm(
-        address, dialect, read_options(GcodeOptions, options, name)
-    )
+    def factory(address: str, options: Mapping[str, object]) -> Robot:
+        check_address(address, name)
+        return GcodeArm(address, dialect, read_options(GcodeOptions, options, name))
+
+    return factory
 
 
 def _ur(address: str, options: Mapping[str, object]) -> Robot:
@@ -167,8 +173,10 @@ def _simulated(address: str, options: Mapping[str, object]) -> Robot:
 
 
 def _host(address: str, name: str) -> str:
-    if not address:
-        raise InvalidInputError(f"{name} needs an address: {name}://host")
+    if not address or "/" in address:
+        raise InvalidInputError(
+            f"{name}://{address}: a host alone is needed; {name}://10.0.0.5 is right"
+        )
     return address
 
 

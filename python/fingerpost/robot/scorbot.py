@@ -39,6 +39,7 @@ from fingerpost.robot.errors import (
     NotReadyError,
     RobotTimeoutError,
 )
+from fingerpost.robot.options import CheckedOptions
 from fingerpost.robot.protocol import Angle, GripperKind, Limits, Pose
 from fingerpost.robot.readings import Reading, ReadingFilter
 from fingerpost.robot.serial_line import Flow, SerialLine, Tap
@@ -82,7 +83,7 @@ SCORBOT_ER7_LIMITS = Limits(
 stands on; declare your own table's height before the arm goes near it."""
 
 
-class ScorbotOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class ScorbotOptions(CheckedOptions, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """How to talk to a Scorbot.
 
     Attributes
@@ -109,19 +110,19 @@ class ScorbotOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
         Number the commands by the case of their letters, as in `Conversation`.
     """
 
-    baud: Annotated[int, msgspec.Meta(gt=0)] = 9600
+    baud: Annotated[int, msgspec.Meta(gt=0, le=10_000_000)] = 9600
     flow: Flow = Flow.NONE
-    reply_s: Annotated[float, msgspec.Meta(gt=0)] = 1.0
-    quiet_s: Annotated[float, msgspec.Meta(gt=0)] = 0.06
-    resync_s: Annotated[float, msgspec.Meta(gt=0)] = 3.0
-    poll_s: Annotated[float, msgspec.Meta(ge=0)] = 0.05
-    stall_s: Annotated[float, msgspec.Meta(gt=0)] = 1.5
+    reply_s: Annotated[float, msgspec.Meta(gt=0, le=3600)] = 1.0
+    quiet_s: Annotated[float, msgspec.Meta(gt=0, le=3600)] = 0.06
+    resync_s: Annotated[float, msgspec.Meta(gt=0, le=3600)] = 3.0
+    poll_s: Annotated[float, msgspec.Meta(ge=0, le=3600)] = 0.05
+    stall_s: Annotated[float, msgspec.Meta(gt=0, le=3600)] = 1.5
     lower_m: tuple[float, float, float] | None = None
     upper_m: tuple[float, float, float] | None = None
-    max_speed_m_s: Annotated[float, msgspec.Meta(gt=0)] | None = None
-    full_speed_m_s: Annotated[float, msgspec.Meta(gt=0)] = 1.0
-    gripper_s: Annotated[float, msgspec.Meta(ge=0)] = 1.0
-    retries: Annotated[int, msgspec.Meta(ge=0)] = 2
+    max_speed_m_s: Annotated[float, msgspec.Meta(gt=0, le=10)] | None = None
+    full_speed_m_s: Annotated[float, msgspec.Meta(gt=0, le=10)] = 1.0
+    gripper_s: Annotated[float, msgspec.Meta(ge=0, le=3600)] = 1.0
+    retries: Annotated[int, msgspec.Meta(ge=0, le=100)] = 2
     tagged: bool = True
 
 
@@ -161,7 +162,7 @@ class Scorbot(Arm):
     ) -> None:
         self._options = options = options or ScorbotOptions()
         super().__init__(
-            limits or _limits(options),
+            _no_slower(limits or _limits(options), options),
             arrival=ArrivalRule(poll_s=options.poll_s, stall_s=options.stall_s),
             clock=clock,
             sleep=sleep,
@@ -267,7 +268,7 @@ class Scorbot(Arm):
 
     def _set_speed(self, speed_m_s: float, turn: Turn) -> None:
         """Set the speed, rounded down, unless it is set already."""
-        percent = max(1, min(100, int(100 * speed_m_s / self._options.full_speed_m_s + 1e-9)))
+        percent = min(100, int(100 * speed_m_s / self._options.full_speed_m_s + 1e-9))
         if percent != self._percent:
             self._percent = None
             self._ask(f"SPEED {percent}", turn)
@@ -311,6 +312,12 @@ def _limits(options: ScorbotOptions) -> Limits:
         if (value := getattr(options, name)) is not None
     }
     return replace(SCORBOT_ER7_LIMITS, **declared)
+
+
+def _no_slower(limits: Limits, options: ScorbotOptions) -> Limits:
+    """Return limits whose least speed is that of `SPEED 1`, or their own if that is greater."""
+    least_m_s = max(limits.min_speed_m_s, options.full_speed_m_s / 100)
+    return replace(limits, min_speed_m_s=least_m_s)
 
 
 def _agree(stored: tuple[int, ...], goal: tuple[int, ...]) -> bool:

@@ -8,6 +8,7 @@ a command, and it waits only a moment for a write that another thread has begun.
 from __future__ import annotations
 
 import os
+import re
 import select
 import threading
 import time
@@ -15,6 +16,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from enum import StrEnum
 from typing import Any, TypeAlias
+from urllib.parse import urlsplit
 
 import serial
 
@@ -30,6 +32,15 @@ WRITE_TIMEOUT_S = 0.25
 URGENT_PATIENCE_S = 0.002
 """How long `send_now` lets another thread finish its write [s]."""
 
+
+SERVERS = ("socket", "rfc2217")
+"""Kinds of serial servers, as pyserial's URLs name them."""
+
+LOCAL = ("alt", "cp2110", "hwgrep", "loop", "spy")
+"""Its other kinds of URL; what follows them is checked when it is opened."""
+
+LAST_PORT = 65535
+"""Greatest number of a TCP port."""
 
 RECEIVE_WAIT_S = 0.02
 """Longest wait of one `receive`; fixed, as changing it would talk to an RFC 2217 server [s]."""
@@ -72,13 +83,67 @@ class Flow(StrEnum):
     RTS_CTS = "rtscts"
 
 
+def check_address(address: str, robot: str = "") -> None:
+    """See that an address can be one; nothing is opened.
+
+    Parameters
+    ----------
+    address : str
+        Device, or URL of a serial server.
+    robot : str
+        The name of the robot in whose URL it stands, for the message.
+
+    Raises
+    ------
+    InvalidInputError
+        It is empty, or a URL without host or port, or of another kind; the message names the URL,
+        what is wrong with it, and a right one.
+    """
+    kind, is_url, server = address.partition("://")
+    plus, scheme = (f"{robot}+", f"{robot}://") if robot else ("", "")
+    if is_url:
+        if problem := _server_problem(kind, server):
+            example = kind if kind in SERVERS else SERVERS[0]
+            raise InvalidInputError(
+                f"{plus}{address}: {problem}; {plus}{example}://host:4001 is right"
+            )
+    elif not address:
+        shown = scheme or "serial line"
+        raise InvalidInputError(f"{shown}: the address is empty; {scheme}/dev/ttyUSB0 is right")
+    elif re.fullmatch(r"[^/]+:\d+", address):
+        raise InvalidInputError(
+            f"{scheme}{address}: a server, not a device; {plus}{SERVERS[0]}://{address} is right"
+        )
+
+
+def _server_problem(kind: str, server: str) -> str:
+    """Say what is wrong with the URL of a serial server; nothing if it can be one."""
+    if kind in LOCAL:
+        return ""
+    if kind not in SERVERS:
+        return f"{kind!r} is no kind of line, {' and '.join(SERVERS)} are"
+    try:
+        parts = urlsplit(f"//{server}")
+    except ValueError as error:  # brackets that do not match
+        return str(error)
+    _, has_port, port = parts.netloc.rpartition("]")[2].rpartition(":")
+    if not parts.hostname:
+        return "the host is missing"
+    if not has_port:
+        return "the port is missing"
+    if not port.isdecimal() or not 0 < int(port) <= LAST_PORT:
+        return f"{port!r} is no port, 1 to {LAST_PORT} are"
+    return f"nothing belongs after the port, but {parts.path} is there" if parts.path else ""
+
+
 class SerialLine:
     """A serial line with time-outs on everything.
 
     Parameters
     ----------
     url : str
-        Device (`/dev/ttyUSB0`, `COM3`) or pyserial URL.
+        Device (`/dev/ttyUSB0`, `COM3`), `socket://host:port`, `rfc2217://host:port` or another
+        URL of pyserial's.
     baud : int
         Bits per second; 8 data bits, no parity, 1 stop bit.
     flow : Flow
@@ -89,14 +154,13 @@ class SerialLine:
     Raises
     ------
     InvalidInputError
-        The address is empty.
+        The address is empty, or a URL that cannot be one; see `check_address`.
     """
 
     def __init__(
         self, url: str, *, baud: int = 9600, flow: Flow = Flow.NONE, tap: Tap | None = None
     ) -> None:
-        if not url:
-            raise InvalidInputError("the port is empty; a device such as /dev/ttyUSB0 is needed")
+        check_address(url)
         self.url = url
         self._baud = baud
         self._flow = flow

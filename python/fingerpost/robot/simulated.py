@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from fingerpost.robot.arm import Arm, ArrivalRule, Turn
 from fingerpost.robot.motion import MotionQueue, straight
+from fingerpost.robot.options import CheckedOptions
 from fingerpost.robot.protocol import TOOL_DOWN_RAD, Angle, GripperKind, Limits, Pose
 
 HOME = (0.3, 0.0, 0.3, TOOL_DOWN_RAD, 0.0)
@@ -33,7 +34,7 @@ SIMULATED_LIMITS = Limits(
 )
 
 
-class SimulatedOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class SimulatedOptions(CheckedOptions, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """How a simulated robot behaves.
 
     Attributes
@@ -44,9 +45,9 @@ class SimulatedOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
         Time that homing and the gripper take [s].
     """
 
-    acceleration_m_s2: Annotated[float, msgspec.Meta(gt=0)] = 2.0
-    homing_s: Annotated[float, msgspec.Meta(ge=0)] = 1.0
-    gripper_s: Annotated[float, msgspec.Meta(ge=0)] = 0.3
+    acceleration_m_s2: Annotated[float, msgspec.Meta(gt=0, le=1000)] = 2.0
+    homing_s: Annotated[float, msgspec.Meta(ge=0, le=3600)] = 1.0
+    gripper_s: Annotated[float, msgspec.Meta(ge=0, le=3600)] = 0.3
 
 
 class SimulatedRobot(Arm):

@@ -15,6 +15,9 @@ from numpy.typing import ArrayLike, NDArray
 from fingerpost.checks import finite_array, in_range
 from fingerpost.errors import InvalidInputError
 
+LEAST_CUTOFF_HZ = 1e-3
+"""A low-pass this slow is minutes late; one much slower never arrives in floating point [Hz]."""
+
 
 class OneEuroFilter:
     """A One-Euro filter of a point.
@@ -22,11 +25,11 @@ class OneEuroFilter:
     Parameters
     ----------
     min_cutoff_hz : float
-        Cutoff for a point at rest [Hz], > 0. Lower is smoother and later.
+        Cutoff for a point at rest [Hz], at least `LEAST_CUTOFF_HZ`. Lower is smoother and later.
     slope_hz_s : float
         Rise of the cutoff with speed [Hz per unit/s], ≥ 0: the paper's β.
     speed_cutoff_hz : float
-        Cutoff of the speed's own low-pass [Hz], > 0.
+        Cutoff of the speed's own low-pass [Hz], at least `LEAST_CUTOFF_HZ`.
 
     Raises
     ------
@@ -40,10 +43,9 @@ class OneEuroFilter:
         slope_hz_s: float = 0.0,
         speed_cutoff_hz: float = 1.0,
     ) -> None:
-        smallest = np.finfo(np.float64).tiny
-        self._min_cutoff_hz = in_range(min_cutoff_hz, "min_cutoff_hz", smallest)
+        self._min_cutoff_hz = in_range(min_cutoff_hz, "min_cutoff_hz", LEAST_CUTOFF_HZ)
         self._slope_hz_s = in_range(slope_hz_s, "slope_hz_s", 0.0)
-        self._speed_cutoff_hz = in_range(speed_cutoff_hz, "speed_cutoff_hz", smallest)
+        self._speed_cutoff_hz = in_range(speed_cutoff_hz, "speed_cutoff_hz", LEAST_CUTOFF_HZ)
         self.reset()
 
     def reset(self) -> None:

@@ -25,6 +25,7 @@ from fingerpost.robot.errors import (
     RobotFaultError,
 )
 from fingerpost.robot.extras import require
+from fingerpost.robot.options import CheckedOptions
 from fingerpost.robot.orientation import (
     pose_angles,
     rotation_matrix,
@@ -37,7 +38,7 @@ MODE_RUNNING = 7
 """Robot mode of an arm that is switched on with its brakes released."""
 
 
-class UrOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class UrOptions(CheckedOptions, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """How to use a Universal Robots arm.
 
     Attributes
@@ -56,15 +57,15 @@ class UrOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
         How the end of a move is seen [s], as in `ArrivalRule`.
     """
 
-    reach_m: Annotated[float, msgspec.Meta(gt=0)] = 0.85
+    reach_m: Annotated[float, msgspec.Meta(gt=0, le=10)] = 0.85
     lower_z_m: float = 0.0
-    max_speed_m_s: Annotated[float, msgspec.Meta(gt=0)] = 0.25
-    acceleration_m_s2: Annotated[float, msgspec.Meta(gt=0)] = 0.5
-    stop_m_s2: Annotated[float, msgspec.Meta(gt=0)] = 5.0
+    max_speed_m_s: Annotated[float, msgspec.Meta(gt=0, le=10)] = 0.25
+    acceleration_m_s2: Annotated[float, msgspec.Meta(gt=0, le=1000)] = 0.5
+    stop_m_s2: Annotated[float, msgspec.Meta(ge=0.1, le=1000)] = 5.0
     gripper_output: Annotated[int, msgspec.Meta(ge=0, le=7)] | None = None
-    gripper_s: Annotated[float, msgspec.Meta(ge=0)] = 1.0
-    poll_s: Annotated[float, msgspec.Meta(ge=0)] = 0.02
-    stall_s: Annotated[float, msgspec.Meta(gt=0)] = 1.0
+    gripper_s: Annotated[float, msgspec.Meta(ge=0, le=3600)] = 1.0
+    poll_s: Annotated[float, msgspec.Meta(ge=0, le=3600)] = 0.02
+    stall_s: Annotated[float, msgspec.Meta(gt=0, le=3600)] = 1.0
 
 
 class UniversalRobot(Arm):

@@ -25,6 +25,7 @@ from fingerpost.robot.errors import (
     RobotTimeoutError,
 )
 from fingerpost.robot.extras import require
+from fingerpost.robot.options import CheckedOptions
 from fingerpost.robot.orientation import (
     fixed_angles,
     from_fixed_angles,
@@ -59,7 +60,7 @@ _CODES: dict[int, tuple[type[RobotError], str]] = {
 _WARNING_CODE = 2
 
 
-class XarmOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class XarmOptions(CheckedOptions, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """How to use an xArm.
 
     Attributes
@@ -80,15 +81,15 @@ class XarmOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
         How the end of a move is seen [s], as in `ArrivalRule`.
     """
 
-    reach_m: Annotated[float, msgspec.Meta(gt=0)] = 0.7
+    reach_m: Annotated[float, msgspec.Meta(gt=0, le=10)] = 0.7
     lower_z_m: float = 0.0
-    max_speed_m_s: Annotated[float, msgspec.Meta(gt=0)] = 0.2
-    acceleration_m_s2: Annotated[float, msgspec.Meta(gt=0)] = 1.0
+    max_speed_m_s: Annotated[float, msgspec.Meta(gt=0, le=10)] = 0.2
+    acceleration_m_s2: Annotated[float, msgspec.Meta(gt=0, le=1000)] = 1.0
     gripper: bool = True
-    gripper_opening_m: Annotated[float, msgspec.Meta(gt=0)] = 0.085
-    gripper_timeout_s: Annotated[float, msgspec.Meta(gt=0)] = 5.0
-    poll_s: Annotated[float, msgspec.Meta(ge=0)] = 0.02
-    stall_s: Annotated[float, msgspec.Meta(gt=0)] = 1.0
+    gripper_opening_m: Annotated[float, msgspec.Meta(gt=0, le=10)] = 0.085
+    gripper_timeout_s: Annotated[float, msgspec.Meta(gt=0, le=3600)] = 5.0
+    poll_s: Annotated[float, msgspec.Meta(ge=0, le=3600)] = 0.02
+    stall_s: Annotated[float, msgspec.Meta(gt=0, le=3600)] = 1.0
 
 
 class Xarm(Arm):

@@ -22,7 +22,7 @@ BUSY_S = 2.0
 """Marlin says that it is busy this often [s]."""
 
 _WORD = re.compile(r"([A-Z])(-?\d+(?:\.\d+)?)")
-_NUMBERED = re.compile(r"^N(\d+)\s*(.*)\*(\d+)$")
+_NUMBERED = re.compile(r"^N(\d+)\s*(\S.*)\*(\d+)$")
 
 
 @dataclass(slots=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 import pty
 import select
@@ -21,14 +20,16 @@ from typing import Protocol, Self
 
 import numpy as np
 
+from fingerpost.checks import in_range
 from fingerpost.errors import InvalidInputError
 from fingerpost.robot.emulator.faults import LINE_FAULTS, Fault, LineFaults
 from fingerpost.robot.errors import RobotTimeoutError
+from fingerpost.robot.serial_line import LAST_PORT
 
 READ_SIZE = 4096
 
-LAST_PORT = 65535
-"""Greatest number of a TCP port."""
+TIME_SCALES = (1e-3, 1e6)
+"""An arm may live so many times as fast as we do: so far, its clock keeps its digits."""
 
 
 class ArmTime:
@@ -37,18 +38,16 @@ class ArmTime:
     Parameters
     ----------
     scale : float
-        Seconds of the arm per second of ours, > 0.
+        Seconds of the arm per second of ours, in `TIME_SCALES`.
 
     Raises
     ------
     InvalidInputError
-        The scale is not above 0.
+        The scale is out of its range.
     """
 
     def __init__(self, scale: float = 1.0) -> None:
-        if not (math.isfinite(scale) and scale > 0):
-            raise InvalidInputError(f"time scale is {scale}; a number above 0 is needed")
-        self.scale = scale
+        self.scale = in_range(scale, "time_scale", *TIME_SCALES)
 
     def __call__(self) -> float:
         """Return the arm's time [s]."""

@@ -18,6 +18,12 @@ from fingerpost.robot.emulator.ports import ArmTime, Controller, Emulator, PtyPo
 EMULATED = ("acl", "dobot", "marlin", "uarm")
 """Controllers that can be emulated, by the names of their drivers."""
 
+HOMING_S = (1e-3, 3600.0)
+"""Homing may take from and up to this [s of the arm]."""
+
+FAULTS_PER_S = (1e-6, 1000.0)
+"""Faults at random may come at these rates, or never [1/s]."""
+
 UNPLUGGED_S = 0.5
 """How long a cable that is pulled at random stays out [s]."""
 
@@ -43,13 +49,13 @@ def make_emulator(
     tcp_port : int, optional
         Serve this TCP port of the loopback instead, 0 for a free one.
     time_scale : float
-        Seconds of the arm per second of ours, > 0.
+        Seconds of the arm per second of ours, as for `ArmTime`.
     homing_s : float
-        How long homing takes [s of the arm], > 0.
+        How long homing takes [s of the arm], in `HOMING_S`.
     echo : bool
         Whether an ACL controller echoes.
     seed : int
-        Of the faults' noise.
+        Of the faults' noise, ≥ 0.
 
     Returns
     -------
@@ -61,7 +67,7 @@ def make_emulator(
     InvalidInputError
         No such controller, or a value out of its range.
     """
-    homing_s = in_range(homing_s, "homing_s", np.finfo(np.float64).tiny)
+    homing_s = in_range(homing_s, "homing_s", *HOMING_S)
     controllers: dict[str, Callable[[], Controller]] = {
         "acl": lambda: AclController(AclStyle(echo=echo, homing_s=homing_s)),
         "dobot": lambda: MarlinController(home_command="M1112", homing_s=homing_s),
@@ -74,7 +80,7 @@ def make_emulator(
         controllers[name](),
         PtyPort(link) if tcp_port is None else TcpPort(port=tcp_port),
         clock=ArmTime(time_scale),
-        rng=np.random.default_rng(seed),
+        rng=_seeded(seed),
     )
 
 
@@ -100,12 +106,18 @@ def serve(
     orders : iterable of str
         Faults to have as they come, by name: lines of a terminal, say. Read in a thread.
     faults_per_s : float
-        Faults at random, on average [1/s of ours], ≥ 0.
+        Faults at random, on average [1/s of ours], 0 or in `FAULTS_PER_S`.
     seed : int
-        Of these.
+        Of these, ≥ 0.
+
+    Raises
+    ------
+    InvalidInputError
+        A value out of its range.
     """
-    faults_per_s = in_range(faults_per_s, "faults_per_s", 0.0)
-    rng = np.random.default_rng(seed)
+    if faults_per_s != 0:
+        faults_per_s = in_range(faults_per_s, "faults_per_s", *FAULTS_PER_S)
+    rng = _seeded(seed)
     with emulator:
         announce(emulator.address)
         reader = threading.Thread(target=_obey, args=(emulator, orders, announce), daemon=True)
@@ -117,6 +129,12 @@ def serve(
             if fault is Fault.UNPLUG:
                 stop.wait(UNPLUGGED_S)
                 emulator.inject(Fault.PLUG)
+
+
+def _seeded(seed: int) -> np.random.Generator:
+    if seed < 0:
+        raise InvalidInputError(f"seed is {seed}; a whole number from 0 is right")
+    return np.random.default_rng(seed)
 
 
 def _obey(emulator: Emulator, orders: Iterable[str], announce: Callable[[str], None]) -> None:

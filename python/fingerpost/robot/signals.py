@@ -1,0 +1,44 @@
+"""Signals that end or suspend a program, and an arm that must not go on without it."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from types import FrameType
+
+
+@contextmanager
+def stopping_on(stop: Callable[[str], None], *numbers: signal.Signals) -> Iterator[None]:
+    """Stop on signals, every time, then let them take their course; in the main thread only.
+
+    Parameters
+    ----------
+    stop : callable
+        Called with the signal's name, in its handler; must not wait.
+    *numbers : signal.Signals
+        Which; SIGINT and SIGTERM by default.
+    """
+    before = {
+        number: signal.getsignal(number) or signal.SIG_DFL
+        for number in numbers or (signal.SIGINT, signal.SIGTERM)
+    }
+
+    def on_signal(number: int, frame: FrameType | None) -> None:
+        stop(signal.Signals(number).name)
+        previous = before[signal.Signals(number)]
+        if callable(previous):
+            previous(number, frame)
+        elif previous is not signal.SIG_IGN:
+            signal.signal(number, signal.SIG_DFL)
+            signal.raise_signal(number)  # in this thread, so it is done when this returns
+            # A suspended program has been continued: the next suspension must stop the arm too.
+            signal.signal(number, on_signal)
+
+    for number in before:
+        signal.signal(number, on_signal)
+    try:
+        yield
+    finally:
+        for number, previous in before.items():
+            signal.signal(number, previous)
