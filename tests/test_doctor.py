@@ -477,6 +477,8 @@ def test_the_command_says_what_is_wrong_and_exits_with_1(tmp_path):
     assert told["serious"]
     assert told["readings"][0]["frames"] == 2
     assert {"severity", "check", "view", "what", "right"} == set(told["findings"][0])
+    done = CliRunner().invoke(main, ["doctor", str(rig_file), "--json", "--frames", str(10**20)])
+    assert json.loads(done.stdout)["readings"][0]["frames"] == 4
 
 
 def test_views_of_one_source_are_refused_in_one_line(tmp_path, clean):

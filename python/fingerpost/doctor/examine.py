@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from itertools import islice, zip_longest
+from itertools import zip_longest
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,7 @@ from fingerpost.doctor.hand import HandReadings, judge_hand, read_hand
 from fingerpost.doctor.pictures import judge_pictures, read_pictures, region_between
 from fingerpost.doctor.references import judge_together, judge_views
 from fingerpost.errors import InvalidInputError
-from fingerpost.pipeline import DEFAULT_REFERENCE_SIGMA_PX
+from fingerpost.pipeline import DEFAULT_REFERENCE_SIGMA_PX, at_most
 from fingerpost.pointing import DEFAULT_OPTIONS, PlaneView
 
 DEFAULT_FRAMES = 40
@@ -66,8 +66,8 @@ def look(sources: Sequence[Source], count: int) -> Iterator[tuple[Frame | None, 
         Recorded and live sources are mixed.
     """
     if all(source.kind is SourceKind.RECORDED for source in sources):
-        return zip_longest(*(islice(source, count) for source in sources))
-    return islice(read_views(sources), count)
+        return zip_longest(*(at_most(source, count) for source in sources))
+    return at_most(read_views(sources), count)
 
 
 def examine(rig: Rig, frames: Sequence[Sequence[Frame]]) -> Diagnosis:
