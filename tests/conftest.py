@@ -1,7 +1,13 @@
 """What all tests share."""
 
+import signal
+
 from hypothesis import settings
 
 # A busy machine is no fault of what is tested: no example has a deadline.
 settings.register_profile("untimed", deadline=None)
 settings.load_profile("untimed")
+
+# A shell has its background jobs ignore Ctrl-C, and what tests start and interrupt would inherit
+# that.
+signal.signal(signal.SIGINT, signal.default_int_handler)

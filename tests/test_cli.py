@@ -7,13 +7,14 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 from click.testing import CliRunner, Result
 
 from fingerpost.cli import main
-from fingerpost.cli.endings import ending_as_interrupted
+from fingerpost.cli.endings import ending_as_interrupted, ending_orderly
 from fingerpost.recording import read_points, read_tracks
 from fingerpost.simulate import DevicePose, SimulatedRig, Trajectory, write_recording
 
@@ -276,10 +277,37 @@ def test_ctrl_c_keeps_what_was_written(tmp_path):
 @pytest.mark.parametrize("name", ["SIGTERM", "SIGHUP"])
 def test_a_signal_that_ends_programs_does_what_ctrl_c_does(name):
     number = getattr(signal, name)
-    before = signal.getsignal(number)
-    with pytest.raises(KeyboardInterrupt), ending_as_interrupted():
-        signal.raise_signal(number)
-    assert signal.getsignal(number) is before
+    with handled(number, signal.SIG_DFL):
+        with pytest.raises(KeyboardInterrupt), ending_as_interrupted():
+            signal.raise_signal(number)
+        assert signal.getsignal(number) is signal.SIG_DFL
+
+
+@contextmanager
+def handled(number, handler):
+    before = signal.signal(number, handler)
+    try:
+        yield
+    finally:
+        signal.signal(number, before)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="POSIX signals")
+def test_a_background_job_that_ignores_ctrl_c_is_ended_all_the_same():
+    with (
+        handled(signal.SIGINT, signal.SIG_IGN),
+        pytest.raises(KeyboardInterrupt),
+        ending_as_interrupted(),
+    ):
+        signal.raise_signal(signal.SIGTERM)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="POSIX signals")
+@pytest.mark.parametrize("ending", [ending_as_interrupted, ending_orderly])
+def test_what_nohup_has_a_program_ignore_does_not_end_it(ending):
+    with handled(signal.SIGHUP, signal.SIG_IGN), ending():
+        signal.raise_signal(signal.SIGHUP)
+        assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
 
 
 @pytest.mark.skipif(os.name == "nt", reason="POSIX shells")

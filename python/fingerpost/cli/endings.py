@@ -15,7 +15,12 @@ ENDING_SIGNALS = tuple(
 
 
 def _handling(handler: Callable[[int, FrameType | None], None]) -> Iterator[None]:
-    before = {number: signal.signal(number, handler) for number in ENDING_SIGNALS}
+    # What the caller has the program ignore, as `nohup` does, it goes on to ignore.
+    before = {
+        number: signal.signal(number, handler)
+        for number in ENDING_SIGNALS
+        if signal.getsignal(number) is not signal.SIG_IGN
+    }
     try:
         yield
     finally:
@@ -32,4 +37,10 @@ def ending_orderly() -> Iterator[None]:
 @contextmanager
 def ending_as_interrupted() -> Iterator[None]:
     """Let signals that end the program do what Ctrl-C does, which leaves whole what is written."""
-    yield from _handling(lambda *_: signal.raise_signal(signal.SIGINT))
+    yield from _handling(lambda _, frame: _interrupt(frame))
+
+
+def _interrupt(frame: FrameType | None) -> None:
+    """Do what Ctrl-C does, or would: a shell has its background jobs ignore SIGINT alone."""
+    handler = signal.getsignal(signal.SIGINT)
+    (handler if callable(handler) else signal.default_int_handler)(signal.SIGINT, frame)
