@@ -31,6 +31,7 @@ PYTHON_GROUPS = {
     "recording": "recording",
     "robot": "robot",
     "config": "config",
+    "admission": "pipeline",
     "finding": "pipeline",
     "pipeline": "pipeline",
     "experiment": "application",

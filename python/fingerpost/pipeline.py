@@ -11,7 +11,6 @@ loop exists once; whatever plays, draws, records or drives stands around it.
 
 from __future__ import annotations
 
-import math
 import numbers
 import sys
 from collections import deque
@@ -20,25 +19,18 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import islice
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fingerpost._core import (
-    ContourTracker,
-    SearchLines,
-    StartPose,
-    Template,
-    Track,
-    update_views,
-)
+from fingerpost._core import SearchLines, Track, update_views
+from fingerpost.admission import Admission, check_tracker_options, different_sides
 from fingerpost.capture import Frame, open_views, read_views
 from fingerpost.checks import in_range
-from fingerpost.config import Rig, View
+from fingerpost.config import Rig
 from fingerpost.errors import FingerpostError, InvalidInputError
 from fingerpost.finding import HandView, Shared, find_hand, how_flat, measured_line
-from fingerpost.homography import transfer_jacobian_by_point
 from fingerpost.pointing import (
     BARE_HAND,
     FingerLine,
@@ -60,70 +52,6 @@ DEFAULT_REFERENCE_SIGMA_PX = 0.5
 _REFERENCE_SIGMAS_PX = (1e-6, 1e6)
 
 Frames = TypeVar("Frames")
-
-
-class Contradiction(NamedTuple):
-    """What a rig says and its pictures or its other views belie.
-
-    Attributes
-    ----------
-    what
-        What is wrong, with the values found.
-    right
-        What would be right.
-    """
-
-    what: str
-    right: str
-
-
-def different_sides(rig: Rig, plane_views: Sequence[PlaneView]) -> Contradiction | None:
-    """Tell whether views see the plane from different sides, which cameras cannot.
-
-    Which side is the upper one is not asked: plane axes may turn either way, alike for all views.
-
-    Parameters
-    ----------
-    rig
-        One view or more.
-    plane_views
-        How its views see the plane, in its order.
-    """
-    turns = [_turn(view) for view in plane_views]
-    if len(set(turns)) <= 1:
-        return None
-    ways = ", ".join(
-        f"{view.name} {'clockwise' if turn > 0 else 'anticlockwise'}"
-        for view, turn in zip(rig.views, turns, strict=True)
-    )
-    return Contradiction(
-        f"the views see the plane from different sides: from X to Y it turns {ways}",
-        "reference_points_px must be in the order of plane.points, and no image mirrored",
-    )
-
-
-def _turn(plane_view: PlaneView) -> float:
-    """Sense of rotation of the plane's axes in the image: 1 or −1."""
-    centroid = plane_view.plane_points.mean(axis=0)
-    jacobian = transfer_jacobian_by_point(plane_view.image_from_plane, centroid)
-    return float(np.sign(np.linalg.det(jacobian)))
-
-
-def points_outside(view: View, size_px: tuple[int, int]) -> Contradiction | None:
-    """Tell whether most reference points lie outside an image (width, height) of their view.
-
-    Some may, where a camera shows a part of the plane; most do where they were measured in larger
-    images. Those that were measured in smaller ones lie inside: nothing shows it.
-    """
-    points_px = np.array(view.reference_points_px)
-    inside = ((points_px >= -0.5) & (points_px <= np.array(size_px) - 0.5)).all(axis=1)
-    if inside.sum() * 2 >= len(points_px):
-        return None
-    return Contradiction(
-        f"{len(points_px) - int(inside.sum())} of {len(points_px)} reference points lie outside "
-        f"the image of {size_px[0]} × {size_px[1]} px",
-        "were they measured in images of another size? the workspace should be in view",
-    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -441,8 +369,7 @@ class Pointer:
         )
         if (wrong := different_sides(rig, self.plane_views)) is not None:
             raise InvalidInputError(f"{wrong.what}; {wrong.right}")
-        self._rig = rig
-        self._sizes_px: list[tuple[int, int] | None] = [None] * len(rig.views)
+        self._admission = Admission(rig.views)
         self._options = pointing_options
         self._still = self.plane_views
         self._watches = tuple(
@@ -475,8 +402,7 @@ class Pointer:
             time cannot be used; a view's first frame that does not show half of its reference
             points; or a later one of another size.
         """
-        self._refuse_unusable(frames)
-        self._refuse_other_sizes(frames)
+        self._admission.admit(frames)
         self._watch(frames)
         self._follow(frames)
         self._leave_table(frames)
@@ -504,38 +430,6 @@ class Pointer:
         needed_s = self._pending[0].time_s if self._pending else np.inf
         for history in self._histories:
             history.forget(needed_s)
-
-    def _refuse_unusable(self, frames: Sequence[Frame | None]) -> None:
-        """Refuse what no camera gives, before any part of it is used."""
-        views = self._rig.views
-        if not isinstance(frames, Sequence) or len(frames) != len(views):
-            given = isinstance(frames, Sequence)
-            found = f"{len(frames) if given else type(frames).__name__} found"
-            raise InvalidInputError(
-                f"frames: {found}; one for each of the {len(views)} views is needed, None where a "
-                "view has none"
-            )
-        for view, frame in zip(views, frames, strict=True):
-            if frame is not None and (complaint := _unusable(frame)):
-                raise InvalidInputError(f'view "{view.name}": {complaint}')
-
-    def _refuse_other_sizes(self, frames: Sequence[Frame | None]) -> None:
-        """Refuse frames of another size than the rig's pixels are told for, as far as they tell."""
-        for k, (view, frame) in enumerate(zip(self._rig.views, frames, strict=True)):
-            if frame is None:
-                continue
-            height, width = frame.image.shape[:2]
-            size_px, first_px = (width, height), self._sizes_px[k]
-            if size_px == first_px:
-                continue
-            if first_px is not None:
-                raise InvalidInputError(
-                    f'view "{view.name}": frame {frame.index} has {width} × {height} px, the first '
-                    f"one has {first_px[0]} × {first_px[1]}; all must have one size"
-                )
-            if (wrong := points_outside(view, size_px)) is not None:
-                raise InvalidInputError(f'view "{view.name}": {wrong.what}; {wrong.right}')
-            self._sizes_px[k] = size_px
 
     def _watch(self, frames: Sequence[Frame | None]) -> None:
         """Tell the views how they see the plane: a camera may have moved."""
@@ -621,42 +515,6 @@ class Pointer:
                 continue
             fix = replace(fix, reason=fix.reason.replace(without, why))
         return Step(pending.index, pending.observations, fix)
-
-
-def check_tracker_options(options: Mapping[str, Any] | None) -> None:
-    """Refuse options that a tracker would refuse, before there is one.
-
-    Raises
-    ------
-    InvalidInputError
-        No mapping, an unknown key or a value out of range; the message has the path of the key.
-    """
-    if not isinstance(options, Mapping | None):
-        raise InvalidInputError(
-            f"tracker_options is {options!r}; a mapping from option to value is needed"
-        )
-    try:
-        ContourTracker(Template.pistol("none"), StartPose((0.0, 0.0), 0.0, 50.0), options)
-    except InvalidInputError as error:  # the tracker calls them options
-        raise InvalidInputError(str(error).replace("options", "tracker_options", 1)) from error
-
-
-def _unusable(frame: object) -> str:
-    """Say what is wrong with a frame of somebody else's making; empty if nothing is."""
-    if not isinstance(frame, Frame):
-        return f"{type(frame).__name__} found; a Frame is needed, or None"
-    image, place = frame.image, f"the image of frame {frame.index}"
-    needed = "(height, width) or (height, width, 3) of uint8 is needed"
-    if not isinstance(image, np.ndarray):
-        return f"{place} is a {type(image).__name__}; an array {needed}"
-    if image.dtype != np.uint8 or image.shape[2:] not in ((), (3,)) or image.ndim < 2:
-        return f"{place} has the shape {image.shape} and type {image.dtype}; {needed}"
-    if not image.size:
-        return f"{place} has the shape {image.shape}; one pixel at least is needed"
-    time_s = frame.time_s
-    if not isinstance(time_s, numbers.Real) or not math.isfinite(time_s):
-        return f"time_s of frame {frame.index} is {time_s!r}; a finite number is needed"
-    return ""
 
 
 def at_most(frames: Iterator[Frames], count: int | None) -> Iterator[Frames]:

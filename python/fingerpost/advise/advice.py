@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fingerpost.admission import different_sides
 from fingerpost.advise.camera import USABLE_FOCAL_SIGMA, PlaneCamera, recover_camera
 from fingerpost.advise.forecast import (
     Doubt,
@@ -28,7 +29,6 @@ from fingerpost.config import Rig
 from fingerpost.errors import InvalidInputError
 from fingerpost.experiment.table import number
 from fingerpost.homography import transfer_jacobian_by_entries
-from fingerpost.pipeline import different_sides
 from fingerpost.pointing import PlaneView
 
 Array = NDArray[np.float64]

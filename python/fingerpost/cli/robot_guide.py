@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from functools import partial
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -140,7 +141,7 @@ def _guide(given: Mapping[str, Any], carry: PickPlaceOptions | None) -> None:
     from fingerpost.capture import SourceKind, open_views, read_views
     from fingerpost.config import Rig
     from fingerpost.guidance import Attendance, Keys, attended, guard_of, paced, robot_of
-    from fingerpost.pipeline import Pointer, at_most, steps
+    from fingerpost.pipeline import Pointer, steps
     from fingerpost.robot import FollowOptions, GuardOptions, check_heights, open_robot
 
     rig = Rig.load(given["rig_file"])
@@ -172,7 +173,7 @@ def _guide(given: Mapping[str, Any], carry: PickPlaceOptions | None) -> None:
         on_record = open_log(stack, given["log"])
         stack.enter_context(ending_orderly())
         sources = stack.enter_context(open_views(rig.sources))
-        frames: Iterator[Sequence[Frame | None]] = at_most(read_views(sources), given["max_frames"])
+        frames: Iterator[Sequence[Frame | None]] = islice(read_views(sources), given["max_frames"])
         stack.enter_context(robot)
         guard.check_limits()
         if carry is not None:

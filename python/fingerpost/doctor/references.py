@@ -1,8 +1,8 @@
 """What may be wrong with reference points.
 
-- *outside*: most of them lie outside the image (`fingerpost.pipeline.points_outside`);
+- *outside*: most of them lie outside the image (`fingerpost.admission.points_outside`);
 - *mirrored*: the homographies of all views keep or reverse the sense of rotation alike, for all
-  cameras stand on one side of the plane (`fingerpost.pipeline.different_sides`);
+  cameras stand on one side of the plane (`fingerpost.admission.different_sides`);
 - *order*: carried onto the plane, the views show one and the same table. Where another order of
   one view's four points makes them agree much better, it is that one's order. A table that looks
   alike from four sides does not tell;
@@ -21,10 +21,11 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from fingerpost.admission import different_sides, points_outside
 from fingerpost.advise import reference_weakness
 from fingerpost.config import Rig, View
 from fingerpost.doctor.findings import Check, Finding, Severity
-from fingerpost.pipeline import DEFAULT_REFERENCE_SIGMA_PX, different_sides, points_outside
+from fingerpost.pipeline import DEFAULT_REFERENCE_SIGMA_PX
 from fingerpost.pointing import PlaneView
 
 Array = NDArray[np.float64]

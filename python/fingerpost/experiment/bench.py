@@ -5,12 +5,13 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from fingerpost.admission import check_tracker_options
 from fingerpost.capture import Frame
 from fingerpost.config import LensParameters, Rig
 from fingerpost.experiment.bound import LineBound, edge_information, line_bound, point_bound
 from fingerpost.experiment.options import ExperimentOptions
 from fingerpost.experiment.trial import LineTrial, Trial, line_error, trial_of
-from fingerpost.pipeline import Observation, Pointer, check_tracker_options, steps
+from fingerpost.pipeline import Observation, Pointer, steps
 from fingerpost.pointing import FingerLine, PlaneView, Status
 from fingerpost.rehearsal import described
 from fingerpost.simulate import (
