@@ -190,6 +190,39 @@ def test_an_arm_that_does_not_go_is_halted(monkeypatch):
         assert not rig.guard.armed
 
 
+def test_time_that_passes_while_a_stride_is_sent_is_not_the_arms(monkeypatch):
+    with guard_rig(max_fix_age_s=10.0) as rig:
+        start = rig.robot._start_move
+
+        def start_late(*arguments):
+            rig.clock.sleep(4.0)
+            start(*arguments)
+
+        monkeypatch.setattr(rig.robot, "_start_move", start_late)
+        follower = Follower(rig.guard)
+        reports = follow(rig, follower, [290.0, 390.0], 0.5)
+        assert FollowState.UNDER_WAY in {report.state for report in reports}
+        assert rig.guard.armed
+
+
+def test_an_arm_is_not_late_where_the_look_at_it_is(monkeypatch):
+    with guard_rig(max_fix_age_s=10.0) as rig:
+        follower = Follower(rig.guard)
+        follow(rig, follower, [290.0, 390.0], 0.5)
+        pose = rig.robot.pose
+
+        def pose_of_before():
+            seen = pose()
+            rig.clock.sleep(4.0)
+            return seen
+
+        with monkeypatch.context() as held_up:
+            held_up.setattr(rig.robot, "pose", pose_of_before)
+            rig.clock.sleep(STEP_S)
+            assert follower.update(rig.fix([290.0, 390.0])).state is FollowState.UNDER_WAY
+        assert follow(rig, follower, [290.0, 390.0], 8.0)[-1].state is FollowState.THERE
+
+
 def test_pointing_out_of_the_region_leads_to_its_rim():
     with guard_rig() as rig:
         follower = Follower(rig.guard, FollowOptions(above_m=0.0))

@@ -155,6 +155,7 @@ class Follower:
             return self._hold(self._guard.why_stopped, fix)
 
     def _go_after(self, fix: Fix) -> FollowReport:
+        looked_s = self._guard.time_s  # where the arm is, it is not before this
         here, here_above_m = self._guard.where()
         fix = self._guard.newest_fix or fix  # reading takes its time
         point = self._guard.accept(fix)
@@ -163,16 +164,15 @@ class Follower:
         at = self._guard.plane.pose(here, here_above_m)
         stride_m = self._options.speed_m_s * self._options.stride_s
         if self._goal is not None and at.distance_m(self._goal) > stride_m / 2:
-            return self._under_way(at, target, fix)
+            return self._under_way(at, looked_s, target, fix)
         start = self._goal or at
         way_m = start.distance_m(self._guard.plane.pose(target, above_m))
         if way_m <= self._options.dead_band_m:
             if self._goal is not None and at.distance_m(self._goal) > self._near_m:
-                return self._under_way(at, target, fix)
+                return self._under_way(at, looked_s, target, fix)
             return FollowReport(FollowState.THERE, "", target, lag_s, None, fix)
         goal_point, goal_above_m = self._stride(start, target, above_m, min(1.0, stride_m / way_m))
         self._interruptions = self._guard.interruptions
-        self._sent_s = self._guard.time_s
         self._goal = self._guard.move(
             goal_point,
             goal_above_m,
@@ -181,10 +181,13 @@ class Follower:
             speed_m_s=self._options.speed_m_s,
             wait=False,
         )
+        self._sent_s = self._guard.time_s  # a slow line takes its time to send
         return FollowReport(FollowState.MOVING, "", target, lag_s, self._goal, fix)
 
-    def _under_way(self, at: Pose, target: NDArray[np.float64], fix: Fix) -> FollowReport:
-        self._need_progress(at)
+    def _under_way(
+        self, at: Pose, looked_s: float, target: NDArray[np.float64], fix: Fix
+    ) -> FollowReport:
+        self._need_progress(at, looked_s)
         return FollowReport(FollowState.UNDER_WAY, "", target, self._filter.lag_s, None, fix)
 
     def _smooth(self, point: NDArray[np.float64], time_s: float) -> NDArray[np.float64]:
@@ -217,9 +220,9 @@ class Follower:
         self._smooth_m = None
         self._filter.reset()
 
-    def _need_progress(self, at: Pose) -> None:
+    def _need_progress(self, at: Pose, looked_s: float) -> None:
         """Halt an arm that has not come through a stride long after it should have."""
-        waited_s = self._guard.time_s - self._sent_s
+        waited_s = looked_s - self._sent_s
         if waited_s > OVERDUE * self._options.stride_s + OVERDUE_S:
             message = f"the arm is at {at}, {waited_s:.1f} s after it was sent to {self._goal}"
             self._guard.halt(message)
