@@ -11,7 +11,7 @@ from types import SimpleNamespace
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.ndimage import map_coordinates
 from scipy.optimize import least_squares
@@ -265,6 +265,7 @@ coordinates = st.one_of(st.floats(-4, 9), st.integers(-4, 9).map(float))
     st.lists(st.tuples(coordinates, coordinates), min_size=3, max_size=3),
     st.lists(st.tuples(coordinates, coordinates), min_size=3, max_size=3),
 )
+@example([(0.0, 0.0)] * 3, [(0.0, 0.0), (0.0, 0.0), (1.0, 2.2e-311)])
 @settings(max_examples=80)
 def test_coverage_is_the_area_in_every_cell(
     one: list[tuple[float, float]], other: list[tuple[float, float]]

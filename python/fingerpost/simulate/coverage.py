@@ -86,9 +86,9 @@ def _edge_sums(polygons: Array, size: NDArray[np.int64]) -> NDArray[np.float32]:
     edge, row = _ranges(first, last)
     upper = np.maximum(top[edge], row)
     lower = np.minimum(bottom[edge], row + 1)
-    slope = ((x1 - x0) / (y1 - y0))[edge]
-    x_upper = x0[edge] + (upper - y0[edge]) * slope
-    x_lower = x0[edge] + (lower - y0[edge]) * slope
+    # Parts of the edge, not its slope: that of one that is all but level is beyond all floats.
+    part = [(y - y0[edge]) / (y1 - y0)[edge] for y in (upper, lower)]
+    x_upper, x_lower = (x0[edge] + p * (x1 - x0)[edge] for p in part)
     rise = np.where(y1 > y0, 1.0, -1.0)[edge] * (lower - upper)
     polygon = polygon[edge]
 
