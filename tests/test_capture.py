@@ -20,7 +20,7 @@ import cv2
 import numpy as np
 import pytest
 
-from fingerpost.capture import SourceKind, open_source, read_views
+from fingerpost.capture import Frame, SourceKind, open_source, read_views
 from fingerpost.capture.live import LiveSource
 from fingerpost.capture.opening import STILL_FRAMES, refuse_repeated
 from fingerpost.capture.video import FrameTimes
@@ -55,6 +55,34 @@ def write_video(path: Path, count: int, *, fourcc: str = "mp4v", fps: float = 25
 def write_images(folder: Path, names: list[str]) -> None:
     for number, name in enumerate(names):
         assert cv2.imwrite(str(folder / name), painted(number))
+
+
+def test_an_image_is_in_colour_if_its_channels_differ_anywhere():
+    rng = np.random.default_rng(0)
+    levels = rng.integers(0, 256, (HEIGHT, WIDTH), dtype=np.uint8)
+    grey = np.repeat(levels[..., None], 3, axis=2)
+    assert Frame(0, 0.0, levels).colour() is None
+    assert Frame(0, 0.0, grey).colour() is None
+    np.testing.assert_array_equal(Frame(0, 0.0, grey).grey(), levels)
+    for place, channel in (((0, 0), 2), ((17, 30), 0), ((HEIGHT - 1, WIDTH - 1), 1)):
+        coloured = grey.copy()
+        coloured[(*place, channel)] ^= 4
+        assert Frame(0, 0.0, coloured).colour() is coloured
+
+
+@pytest.mark.parametrize("name", ["%02d.jpg", "%02d.png", "film.mp4", "film.avi"])
+def test_a_monochrome_film_in_three_channels_is_grey(tmp_path: Path, name: str):
+    if "%" in name:
+        for number in range(3):
+            assert cv2.imwrite(str(tmp_path / (name % number)), painted(number))
+        path = tmp_path / f"*{Path(name).suffix}"
+    else:
+        fourcc = {"film.mp4": "mp4v", "film.avi": "MJPG"}[name]
+        path = write_video(tmp_path / name, 3, fourcc=fourcc)
+    with open_source(str(path)) as source:
+        frames = list(source)
+    assert len(frames) == 3
+    assert all(frame.colour() is None for frame in frames)
 
 
 def numbers(source: str | Path, **options: float) -> list[int]:

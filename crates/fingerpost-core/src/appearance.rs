@@ -57,10 +57,21 @@ pub struct Appearance {
 }
 
 /// How often every bin was seen.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, PartialEq)]
 struct Histogram {
     bins: Vec<f32>,
     total: f64,
+}
+
+impl Clone for Histogram {
+    fn clone(&self) -> Self {
+        Self { bins: self.bins.clone(), total: self.total }
+    }
+
+    fn clone_from(&mut self, other: &Self) {
+        self.bins.clone_from(&other.bins);
+        self.total = other.total;
+    }
 }
 
 impl Histogram {
@@ -204,6 +215,13 @@ impl Appearance {
             smooth: &mut self.smooth,
             votes: &mut *self.votes,
         });
+    }
+
+    /// The same before all that another appearance of the same kind has seen behind the hand, in place
+    /// of what this one has.
+    pub(crate) fn learn_before(&mut self, other: &Self) {
+        self.background.clone_from(&other.background);
+        self.learn();
     }
 
     /// Mean vote of what was seen of the hand minus that of what was seen behind it, 0–6: how well

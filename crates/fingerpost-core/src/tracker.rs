@@ -6,7 +6,8 @@
 //! when, over [`AcquireOptions::settle_frames`] accepted frames in a row, no frame changed the
 //! finger's half-width by more than [`AcquireOptions::settle_change`] of it: the hand may move
 //! meanwhile, from any place that the waiting template reaches to any other. Then it is looked at
-//! anew in its own colours; [`Model::Ribbon`] is shortened where it reaches beyond the finger, and
+//! anew in its own colours, or in the grey levels of either flank where there are none;
+//! [`Model::Ribbon`] is shortened where it reaches beyond the finger, and
 //! [`Model::Paper`] deforms affinely once more and freezes the size.
 //!
 //! **Tracking.** Of the band model everything stays free, but what a hand cannot change is held
@@ -76,6 +77,7 @@ mod scene;
 mod seek;
 mod settle;
 mod shape;
+mod sides;
 mod standing;
 mod steady;
 mod tell;

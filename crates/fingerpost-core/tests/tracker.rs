@@ -4,7 +4,7 @@
 
 mod common;
 
-use common::{BentFinger, Canvas, Hand, Noise, Picture, Shape};
+use common::{BentFinger, Canvas, Hand, Noise, Picture, Shape, covered_part};
 use fingerpost_core::fit::{FitOptions, Loss};
 use fingerpost_core::frame::ColourView;
 use fingerpost_core::image::GrayView;
@@ -1590,4 +1590,82 @@ fn a_light_that_falls_at_once_does_not_hide_the_hand() {
             assert!(error.tip_px < 1.0 && error.angle_rad.abs() < 0.02, "{thumb:?} {k}: {error:?}");
         }
     }
+}
+
+const PAPER: f64 = 200.0;
+
+impl Canvas {
+    /// Lays a finger over it that a lamp lights on its left: so bright at that flank, so dark at the
+    /// other, and in between in proportion.
+    fn paint_lit(mut self, finger: &Hand, [lit, shaded]: [f64; 2]) -> Self {
+        for (i, grey) in self.grey.iter_mut().enumerate() {
+            let at = Point2::new((i % WIDTH) as f64, (i / WIDTH) as f64);
+            let (depth, outward) = finger.depth(at);
+            let across = (finger.offset_px(&at) / finger.half_width_px).clamp(-1.0, 1.0);
+            let level = lit + (shaded - lit) * 0.5 * (across + 1.0);
+            *grey += covered_part(depth, &outward) * (level - *grey);
+        }
+        self
+    }
+}
+
+/// Of a finger whose edges may have either polarity.
+fn waiting_in_grey() -> ContourTracker {
+    let options = TrackerOptions::default();
+    ContourTracker::new(Template::pistol(Thumb::None).unwrap(), &START, options).unwrap()
+}
+
+#[test]
+fn a_soft_shadow_beside_a_finger_is_no_part_of_it() {
+    for aside_px in [16.0, 18.0, 20.0] {
+        let hand = held_up(Thumb::None);
+        let aside = Vector2::new(-hand.angle_rad.sin(), hand.angle_rad.cos());
+        let shadow = Hand { tip_px: hand.tip_px + aside * aside_px, ..hand };
+        let table = Canvas::new(WIDTH, HEIGHT, PAPER).paint(&shadow, 130.0).blur(3.5);
+        let scene = table.paint_lit(&hand, [170.0, 135.0]).blur(BLUR_PX);
+        let mut tracker = waiting_in_grey();
+        let mut noise = Noise::new(0x736f_6674);
+        for k in 0..6 {
+            let picture = scene.take(NOISE, &mut noise);
+            let line = update(&mut tracker, &picture, f64::from(k) * FRAME_S).finger_line;
+            if k > 0 {
+                let error = LineError::of(&line.unwrap(), &hand);
+                assert!(error.offset_px.abs() < 0.3 && error.angle_rad.abs() < 0.01, "{error:?}");
+            }
+        }
+    }
+}
+
+/// A sheet with rows of words.
+fn printed(noise: &mut Noise) -> Canvas {
+    let mut sheet = Canvas::new(WIDTH, HEIGHT, PAPER);
+    for row in (3..HEIGHT - 4).step_by(14) {
+        let mut from = noise.between(0.0, 10.0);
+        while from < WIDTH as f64 {
+            let to = from + noise.between(5.0, 18.0);
+            for line in row..row + 4 {
+                sheet.grey[line * WIDTH..][from as usize..(to as usize).min(WIDTH)].fill(80.0);
+            }
+            from = to + 4.0;
+        }
+    }
+    sheet.blur(0.7)
+}
+
+#[test]
+fn print_under_a_finger_does_not_hide_it_without_colours() {
+    // Its edges are stronger than the finger's, and nearer than the template reaches.
+    let hand = held_up(Thumb::None);
+    let acquired = (0..12).filter(|seed| {
+        let mut noise = Noise::new(0x7072_696e + seed);
+        let scene = printed(&mut noise).paint_lit(&hand, [160.0, 130.0]).blur(BLUR_PX);
+        let mut tracker = waiting_in_grey();
+        let track = (0..6)
+            .map(|k| update(&mut tracker, &scene.take(NOISE, &mut noise), f64::from(k) * FRAME_S));
+        let error = track.last().unwrap().finger_line.map(|line| LineError::of(&line, &hand));
+        error.is_some_and(|e| e.offset_px.abs() < 0.5 && e.angle_rad.abs() < 0.02)
+    });
+    // Of the same scenes it was one while edges were looked for from afar alone.
+    let acquired = acquired.count();
+    assert!(acquired >= 7, "{acquired}");
 }

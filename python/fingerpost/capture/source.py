@@ -35,6 +35,7 @@ class Frame:
     time_s: float
     image: NDArray[np.uint8]
     _grey: NDArray[np.uint8] | None = field(default=None, init=False, repr=False)
+    _has_colours: bool | None = field(default=None, init=False, repr=False)
 
     def grey(self) -> NDArray[np.uint8]:
         """Return the image in grey (ITU-R BT.601 luma); a grey image is returned as it is.
@@ -52,8 +53,31 @@ class Frame:
         return self._grey
 
     def colour(self) -> NDArray[np.uint8] | None:
-        """Return the image if it is in colour; None for a grey one."""
-        return self.image if self.image.ndim == 3 else None
+        """Return the image if it is in colour; None for a grey one.
+
+        One whose three channels are the same everywhere, but for how videos round, is grey: so
+        most drivers and files hand over what a monochrome camera sees.
+        """
+        if self._has_colours is None:
+            object.__setattr__(self, "_has_colours", _is_coloured(self.image))
+        return self.image if self._has_colours else None
+
+
+SAME_GREY = 3
+"""A grey picture's channels differ by no more than this once a video has been decoded [levels]."""
+
+
+def _is_coloured(image: NDArray[np.uint8]) -> bool:
+    """Tell whether the channels of an image differ anywhere; most coloured ones show it at once."""
+    import cv2
+
+    if image.ndim == 2:
+        return False
+    for part in (image[::16, ::16], image):
+        blue, green, red = cv2.split(np.ascontiguousarray(part))
+        if any(cv2.absdiff(green, other).max() > SAME_GREY for other in (blue, red)):
+            return True
+    return False
 
 
 class SourceKind(enum.Enum):

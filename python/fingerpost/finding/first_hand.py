@@ -16,9 +16,9 @@ from fingerpost.capture import Frame
 from fingerpost.finding.finger import LATELY, hand_region, has_moved, moves
 from fingerpost.finding.foreground import has_come, has_come_whole, stands_out
 
-IS_FLAT = 0.2
+IS_FLAT = 0.4
 """What a waiting template follows lies on the table where it has looked this flat of late; a hand,
-even with its finger on the table, does not at all."""
+even with its finger on the table, does not at all in colour, and by 0.27 at most without."""
 
 FLAT_KEPT = 0.5
 """What that keeps from look to look; the rest is what the present frames show."""

@@ -1,11 +1,13 @@
 //! What a hand looks like: all that is learned from either side of its contour.
 
+use super::sides::Sides;
 use crate::Result;
 use crate::appearance::Appearance;
 use crate::discriminant::{Discriminant, DiscriminantImage, Mixture, region_about};
 use crate::frame::{Frame, SidedPixel};
 use crate::search::{Cue, Polarity};
 use crate::shape_space::{Axis, PlacedSample, RibbonVector};
+use crate::template::Part;
 use nalgebra::{Point2, Vector2};
 
 /// The edge itself, this far to either side, is of neither colour; looks are learned up to that
@@ -63,6 +65,8 @@ pub(super) struct Sight<'a> {
     pub in_grey: Option<InGrey<'a>>,
     /// The grey levels of a hand whose looks are colours.
     pub shades: Option<&'a Appearance>,
+    /// The flanks of a hand whose looks are grey levels, if edges are to look like it.
+    pub sides: Option<&'a Sides>,
 }
 
 /// How a search line sees in grey a hand whose looks are colours.
@@ -76,11 +80,27 @@ impl Sight<'_> {
     /// Any edge of this polarity: all that can be looked for before a hand was seen.
     pub fn unknown(polarity: Polarity) -> Self {
         let (lead, cue) = (Lead::AnyEdge, Cue::Edges);
-        Self { lead, cue, mixture: None, polarity, in_grey: None, shades: None }
+        Self { lead, cue, mixture: None, polarity, in_grey: None, shades: None, sides: None }
     }
 
-    /// Whether an edge is the hand's own in a frame that is `shown` as this sight shows it; any is where
-    /// looks tell nothing.
+    /// What lines of a part of the outline look for.
+    pub fn cue_of(&self, part: Part) -> Cue<'_> {
+        self.sides.and_then(|sides| sides.of(part)).map_or(self.cue, Cue::HandEdges)
+    }
+
+    /// Whether an edge of a part of the outline is the hand's own in a frame that is `shown` as this
+    /// sight shows it; any is where looks tell nothing.
+    pub fn is_own_of(
+        &self,
+        part: Part,
+        frame: &Frame<'_>,
+        shown: &Frame<'_>,
+        edge: &PlacedSample,
+    ) -> bool {
+        Sight { cue: self.cue_of(part), ..*self }.is_own(frame, shown, edge)
+    }
+
+    /// The same of an edge wherever it is on the outline.
     pub fn is_own(&self, frame: &Frame<'_>, shown: &Frame<'_>, edge: &PlacedSample) -> bool {
         self.cue.appearance().is_none_or(|looks| {
             looks.is_own_edge(shown, edge.position, edge.normal) && self.has_shade(frame, edge)
@@ -114,6 +134,9 @@ pub(super) struct Silhouette {
 }
 
 impl Silhouette {
+    /// The edge itself, this far to either side, is of neither colour \[px\].
+    pub const EDGE_PX: f64 = EDGE_PX;
+
     /// That of a band template.
     pub fn of_band(x: &RibbonVector) -> Self {
         Self { ahead: Vector2::new(x[2].cos(), x[2].sin()), half_width_px: x[3] }
@@ -236,6 +259,8 @@ pub(super) struct Looks {
     finer: bool,
     /// Of grey levels, beside colours.
     shades: Option<Appearance>,
+    /// Of either flank, if it is to be known for itself.
+    sides: Option<Sides>,
     /// The pixels of one frame.
     pixels: Vec<SidedPixel>,
 }
@@ -248,13 +273,22 @@ impl Looks {
             mixed: Appearance::new(false),
             finer: false,
             shades: coloured.then(|| Appearance::new(false)),
+            sides: None,
             pixels: Vec::new(),
         }
     }
 
+    /// The same, of each flank for itself as well where there are no colours.
+    pub fn with_sides(self) -> Self {
+        let sides = (!self.is_coloured()).then(Sides::new);
+        Self { sides, ..self }
+    }
+
     /// Makes room for what a contour of so many samples shows.
     pub fn reserve(&mut self, samples: usize) {
-        self.pixels.reserve(samples * (REACH_PX + MOST_REACH_PX) as usize);
+        let pixels = samples * (REACH_PX + MOST_REACH_PX) as usize;
+        self.pixels.reserve(pixels);
+        self.sides.iter_mut().for_each(|sides| sides.reserve(pixels));
     }
 
     /// Forgets all.
@@ -264,6 +298,7 @@ impl Looks {
         self.mixed.fade(0.0);
         self.finer = false;
         self.shades.iter_mut().for_each(|shades| shades.fade(0.0));
+        self.sides.iter_mut().for_each(Sides::forget);
     }
 
     /// Whether they were learned from colours.
@@ -277,6 +312,7 @@ impl Looks {
         self.discriminant.anchor();
         self.mixed.anchor();
         self.shades.iter_mut().for_each(Appearance::anchor);
+        self.sides.iter_mut().for_each(Sides::anchor);
     }
 
     /// Takes all over into light that is `gain` times as bright. The discriminant's image stays as
@@ -285,6 +321,7 @@ impl Looks {
         self.plain.relight(gain as f32);
         self.discriminant.relight(gain);
         self.shades.iter_mut().for_each(|shades| shades.relight(gain as f32));
+        self.sides.iter_mut().for_each(|sides| sides.relight(gain as f32));
     }
 
     /// Takes over what a frame shows on either side of a finger's contour, `times` times; what was
@@ -307,6 +344,9 @@ impl Looks {
         self.plain.observe_all(frame, &self.pixels, times);
         self.discriminant.observe_all(frame, &self.pixels, times);
         self.plain.learn();
+        if let Some(sides) = &mut self.sides {
+            sides.learn(frame, contour.edges, finger, &self.plain, (keep, times));
+        }
         if let Some(shades) = &mut self.shades {
             shades.fade(keep as f32);
             shades.observe_all(frame, &self.pixels, times);
@@ -393,7 +433,8 @@ impl Looks {
             Lead::AnyEdge => (Cue::Edges, mixture, in_mixture),
         };
         let in_grey = (lead == Lead::HandEdges && mixture.is_some()).then_some(in_grey);
-        Some(Sight { lead, cue, mixture, polarity, in_grey, shades: self.shades.as_ref() })
+        let sides = self.sides.as_ref().filter(|_| lead == Lead::HandEdges);
+        Some(Sight { lead, cue, mixture, polarity, in_grey, shades: self.shades.as_ref(), sides })
     }
 
     /// Adds pixels of what is behind a hand that ends where there is no edge: the mixture that tells the

@@ -28,8 +28,9 @@ const THUMB_ROOTS: [f64; 4] = [-0.75, -0.6, -0.45, -0.3];
 const THUMB_ANGLES_RAD: [f64; 6] = [0.6, 0.85, 1.1, 1.35, 1.6, 1.85];
 /// Lengths of the thumb that try, in finger lengths.
 const THUMB_LENGTHS: [f64; 4] = [0.4, 0.6, 0.8, 1.0];
-/// Tapers of a finger: it may get slimmer towards the tip, hardly stouter.
-const TAPERS: std::ops::RangeInclusive<f64> = -0.3..=0.12;
+/// Tapers of a finger: it may get slimmer towards the tip, hardly stouter. Fingers on 33 recordings have
+/// -0.13 to 0.03.
+const TAPERS: std::ops::RangeInclusive<f64> = -0.2..=0.12;
 /// Lengths that a fitted thumb may have, in finger lengths.
 const THUMB_SIZES: std::ops::RangeInclusive<f64> = 0.2..=1.5;
 /// What part of a flank, of the tip and of the thumb a fit has to explain before it is a hand.
@@ -51,6 +52,18 @@ const LED_ROUNDS: usize = 2;
 /// beyond \[px\], and how far its edges are looked for from nearby \[half-widths\].
 const SLIM_PX: f64 = 4.0;
 const NEAR_WIDTHS: f64 = 2.0;
+/// Where there are no colours, the strongest edge about is seldom the hand's: fingers about the waiting
+/// one try as well that move to what is close by alone. So far along it and across it \[half-widths\],
+/// turned by so much \[rad\] and of so many times its width; the likeliest of them are fitted.
+const CLOSE_ALONG: [f64; 3] = [-1.0, 0.0, 1.0];
+const CLOSE_ACROSS: [f64; 3] = [-0.6, 0.0, 0.6];
+const CLOSE_ANGLES_RAD: [f64; 3] = [-0.12, 0.0, 0.12];
+const CLOSE_WIDTHS: [f64; 2] = [0.85, 1.15];
+const CLOSE_FITTED: usize = 5;
+/// They explain this part of their contour at least: what they do not see is not a hand's.
+const CLOSE_SEEN: f64 = 0.75;
+/// A flank whose edges are less sharp than this ([`Convergence::sharpness`]) is rather that of a shadow.
+const SHARP: f64 = 0.6;
 /// What part of the thumb's contour has to be explained, counted with what the finger hides.
 const THUMB_IN_SIGHT: f64 = 0.5;
 /// How many of the thumbs are fitted.
@@ -126,6 +139,16 @@ impl Mould<'_> {
                 }
             }
             let polarity = self.options.polarity;
+            if frame.colour().is_none() {
+                for from in self.close_by(convergence, frame, angle_rad)? {
+                    let half_px = MIN_HALF_LENGTH_PX;
+                    let found =
+                        self.bands::<5>(convergence, frame, &from, &waiting, half_px, polarity)?;
+                    if found.explains_finger() >= CLOSE_SEEN {
+                        self.consider(&mut best, convergence, frame, &found, polarity)?;
+                    }
+                }
+            }
             let led = self.inside(convergence, frame, &waiting, polarity)?;
             self.consider(&mut best, convergence, frame, &led, polarity)?;
             // The other angles are for a hand that is held up badly turned.
@@ -166,16 +189,68 @@ impl Mould<'_> {
         let score = self.score(&finger) / finger_samples(self.samples).len() as f64;
         let is_hand =
             self.stands_out(frame, &finger.x, told) && score * told / (1.0 + told) > LEAST_SCORE;
-        if is_hand && score * told > best.worth {
-            *best = Best { finger, polarity, worth: score * told };
+        let worth = self.worth(convergence, frame, &finger.x, (score, told));
+        if is_hand && worth > best.worth {
+            *best = Best { finger, polarity, worth };
         }
         Ok(())
+    }
+
+    /// What a finger is worth that explains such a part of its contour in the last search and is told so
+    /// well from what is beside it. Without colours, a finger and its shadow together are told from paper
+    /// better than the finger alone: how well they are says less, and the shadow's edges are soft.
+    fn worth(
+        &self,
+        convergence: &mut Convergence,
+        frame: &Scene<'_>,
+        x: &RibbonVector,
+        (explained, told): (f64, f64),
+    ) -> f64 {
+        if frame.colour().is_some() {
+            return explained * told;
+        }
+        let samples = finger_samples(self.samples).len();
+        let sharpness = convergence.sharpness(samples, frame, &Silhouette::of_band(x));
+        explained * told.sqrt() * (sharpness / SHARP).min(1.0).powi(2)
+    }
+
+    /// Of the fingers about the waiting one, turned by so much, those that have most edges close by.
+    fn close_by(
+        &self,
+        convergence: &mut Convergence,
+        frame: &Scene<'_>,
+        angle_rad: f64,
+    ) -> Result<[RibbonVector; CLOSE_FITTED]> {
+        let polarity = self.options.polarity;
+        let mut best = [(0, self.turned(angle_rad)); CLOSE_FITTED];
+        for turn_rad in CLOSE_ANGLES_RAD {
+            let turned = self.turned(angle_rad + turn_rad);
+            let ahead = Vector2::new(turned[2].cos(), turned[2].sin()) * turned[3];
+            let aside = Vector2::new(-ahead.y, ahead.x);
+            for (along, across) in
+                CLOSE_ALONG.into_iter().flat_map(|a| CLOSE_ACROSS.map(|b| (a, b)))
+            {
+                let by = ahead * along + aside * across;
+                for width in CLOSE_WIDTHS {
+                    let mut x = turned;
+                    (x[0], x[1], x[3]) = (x[0] + by.x, x[1] + by.y, width * x[3]);
+                    let support =
+                        self.support::<5>(convergence, frame, &x, MIN_HALF_LENGTH_PX, polarity)?;
+                    let [.., last] = &mut best;
+                    if support > last.0 {
+                        *last = (support, x);
+                        best.sort_unstable_by_key(|(support, _)| std::cmp::Reverse(*support));
+                    }
+                }
+            }
+        }
+        Ok(best.map(|(_, x)| x))
     }
 
     /// From an earlier fit, all of the hand at once: by the edges about it, or the finger that what is
     /// inside of it leads to, whichever is worth more. A pattern's edges are anywhere, and of a slim
     /// finger's the other flank's and the fist's are within reach as well: where they are taken for its
-    /// own, it is looked at once more from nearby.
+    /// own, it is looked at once more from nearby; and so is every finger without colours.
     pub fn refit(
         &self,
         convergence: &mut Convergence,
@@ -188,8 +263,20 @@ impl Mould<'_> {
         let least = self.options.acquire.accept.min_inliers;
         let (_, led_worth) = self.judged(convergence, frame, from, kind, Lead::Votes, reach_px)?;
         let mut edges = self.judged(convergence, frame, from, kind, Lead::AnyEdge, reach_px)?;
+        let mut searched_px = reach_px;
         if from[3] <= SLIM_PX && edges.0.hand.fit.is_none_or(|fit| fit.agreement < least) {
+            searched_px = near_px;
             edges = self.judged(convergence, frame, from, kind, Lead::AnyEdge, near_px)?;
+        }
+        if frame.colour().is_none() {
+            let close_px = MIN_HALF_LENGTH_PX;
+            let close = self.judged(convergence, frame, from, kind, Lead::AnyEdge, close_px)?;
+            edges = if close.0.hand.explains_finger() >= CLOSE_SEEN && close.1 >= edges.1 {
+                close
+            } else {
+                // Once more, so that the last search is that of the best.
+                self.judged(convergence, frame, from, kind, Lead::AnyEdge, searched_px)?
+            };
         }
         if led_worth > WORTH_THE_CHANGE * edges.1 {
             // Once more, so that the last search is that of the best.
@@ -226,7 +313,7 @@ impl Mould<'_> {
         let Some(fit) = hand.fit.filter(|_| self.stands_out(frame, &hand.x, told)) else {
             return Ok((none(hand.x), 0.0));
         };
-        let worth = told * hand.explains_finger();
+        let worth = self.worth(convergence, frame, &hand.x, (hand.explains_finger(), told));
         // A thumb of a finger that was elsewhere is none.
         let has_thumb = has_thumb && fit.shape.names.len() == RIBBON_DOF;
         Ok((Moulded { hand, kind: Kind { has_thumb, polarity } }, worth))
@@ -489,7 +576,8 @@ impl Mould<'_> {
         let mut tried = Vec::new();
         for &polarity in self.hypotheses() {
             for from in self.thumbs(finger) {
-                let support = self.support(convergence, frame, &from, reach_px, polarity)?;
+                let support =
+                    self.support::<RIBBON_DOF>(convergence, frame, &from, reach_px, polarity)?;
                 tried.push((support, polarity, from));
             }
         }
@@ -521,9 +609,9 @@ impl Mould<'_> {
         })
     }
 
-    /// Samples of the thumb that lie within reach of an edge, and near it all alike: an edge found
-    /// half the reach away counts half.
-    fn support(
+    /// Samples of the finger, or of the thumb if the shape space has one, that lie within reach of an
+    /// edge, and near it all alike: an edge found half the reach away counts half.
+    fn support<const D: usize>(
         &self,
         convergence: &mut Convergence,
         frame: &Scene<'_>,
@@ -531,11 +619,13 @@ impl Mould<'_> {
         reach_px: f64,
         polarity: Polarity,
     ) -> Result<u64> {
-        let space = Ribbon::<RIBBON_DOF>::about(x, &self.measure)?;
-        let samples = thumb_samples(self.samples);
-        let sight = Sight::unknown(polarity);
-        let attempt = attempt(samples, sight, reach_px);
-        let offsets = convergence.sought(frame, &space, x, &attempt)?.filter_map(|(_, px)| px);
+        let has_thumb = D > 5;
+        let space = Ribbon::<D>::about(x, &self.measure.with_thumb(has_thumb))?;
+        let samples =
+            if has_thumb { thumb_samples(self.samples) } else { finger_samples(self.samples) };
+        let attempt = attempt(samples, Sight::unknown(polarity), reach_px);
+        let x = Ribbon::<D>::free(x);
+        let offsets = convergence.sought(frame, &space, &x, &attempt)?.filter_map(|(_, px)| px);
         Ok(offsets.map(|d| (1000.0 * (1.0 - (d / reach_px).abs()).max(0.0)) as u64).sum())
     }
 

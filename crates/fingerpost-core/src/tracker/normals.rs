@@ -11,6 +11,7 @@ use crate::frame::Frame;
 use crate::search::{Cue, Edge, EdgeMeasurement, EdgeSearch, Miss, Scale, SearchLine};
 use crate::shape_space::PlacedSample;
 use crate::simd::Isa;
+use crate::template::Part;
 
 /// A search line reads no further beyond its end than this \[px\]: the reach of the widest kernel.
 pub(super) const KERNEL_REACH_PX: f64 = 32.0;
@@ -28,7 +29,11 @@ const BEGINS_WITHIN_PX: f64 = 4.0;
 pub(super) struct Normals {
     search: EdgeSearch,
     lines: Vec<SearchLine>,
+    /// Which part of the outline each line belongs to.
+    parts: Vec<Part>,
     found: Vec<EdgeMeasurement>,
+    /// What the lines of one part have found.
+    found_of_part: Vec<EdgeMeasurement>,
     /// Whose edges are those of the grey image, where another is searched.
     in_grey: Vec<bool>,
     grey_lines: Vec<SearchLine>,
@@ -52,7 +57,9 @@ impl Normals {
         Ok(Self {
             search: EdgeSearch::new(options.search)?,
             lines: Vec::with_capacity(options.samples),
+            parts: Vec::with_capacity(options.samples),
             found: Vec::with_capacity(options.samples),
+            found_of_part: Vec::with_capacity(options.samples),
             in_grey: Vec::with_capacity(options.samples),
             grey_lines: Vec::with_capacity(options.samples),
             found_in_grey: Vec::with_capacity(options.samples),
@@ -69,10 +76,13 @@ impl Normals {
 
     pub fn clear(&mut self) {
         self.lines.clear();
+        self.parts.clear();
     }
 
-    pub fn push(&mut self, line: SearchLine) {
+    /// Adds a line of a part of the outline.
+    pub fn push(&mut self, part: Part, line: SearchLine) {
         self.lines.push(line);
+        self.parts.push(part);
     }
 
     pub fn lines(&self) -> &[SearchLine] {
@@ -113,7 +123,11 @@ impl Normals {
         scale: Scale,
         own_only: bool,
     ) -> Result<()> {
-        self.search.search(shown, sight.cue, scale, &self.lines, &mut self.found)?;
+        if sight.sides.is_some() {
+            self.search_part_by_part(shown, sight, scale)?;
+        } else {
+            self.search.search(shown, sight.cue, scale, &self.lines, &mut self.found)?;
+        }
         self.in_grey.clear();
         self.in_grey.resize(self.lines.len(), false);
         if let Some(in_grey) = &sight.in_grey {
@@ -132,6 +146,23 @@ impl Normals {
             }
             _ => Ok(()),
         }
+    }
+
+    /// Searches the lines of every part of the outline by what is known of that.
+    fn search_part_by_part(
+        &mut self,
+        shown: &Frame<'_>,
+        sight: &Sight<'_>,
+        scale: Scale,
+    ) -> Result<()> {
+        self.found.clear();
+        for parts in self.parts.chunk_by(|one, next| one == next) {
+            let Some(&part) = parts.first() else { continue };
+            let lines = &self.lines[self.found.len()..][..parts.len()];
+            self.search.search(shown, sight.cue_of(part), scale, lines, &mut self.found_of_part)?;
+            self.found.append(&mut self.found_of_part);
+        }
+        Ok(())
     }
 
     /// A mixture of colours that shows most of a hand best may hardly show some of its edges, or what is
@@ -175,7 +206,7 @@ impl Normals {
         let edge = at_edge(&self.lines[line], edge);
         match &sight.in_grey {
             Some(in_grey) if self.in_grey[line] => sight.is_own_in_grey(in_grey, frame, &edge),
-            _ => sight.is_own(frame, shown, &edge),
+            _ => sight.is_own_of(self.parts[line], frame, shown, &edge),
         }
     }
 

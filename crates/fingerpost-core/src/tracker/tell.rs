@@ -5,7 +5,7 @@ use super::convergence::finger_region;
 use super::found::Found;
 use super::line::FingerLine;
 use super::looks::{Lead, Looks};
-use super::options::AcceptOptions;
+use super::options::{AcceptOptions, Model};
 use super::scene::Scene;
 use super::shape::Shape;
 use super::steady::Shown;
@@ -256,7 +256,11 @@ impl ContourTracker {
         }
         let (samples, finger) = (self.hand.fingers(&self.samples), self.hand.shape.silhouette());
         let keep = (1.0 - self.options.track.appearance_rate).powi(frames as i32);
-        let looks = self.hand.looks.get_or_insert_with(|| Looks::new(coloured));
+        // The tracker of 1994 knows the finger as a whole.
+        let looks = self.hand.looks.get_or_insert_with(|| match self.options.model {
+            Model::Ribbon => Looks::new(coloured).with_sides(),
+            Model::Paper => Looks::new(coloured),
+        });
         self.convergence.teach(looks, samples, frame, &finger, (keep, frames as f64))
     }
 
