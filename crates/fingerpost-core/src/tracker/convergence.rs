@@ -386,7 +386,7 @@ impl Convergence {
     }
 
     /// How sharp the edges of the last search that agree are on the flank where they are softer, 0–1: 0.8
-    /// where a step is blurred by 1 px, 0.5 by 2 px and 0.3 by 4 px.
+    /// where a step is blurred by 1 px, 0.5 by 2 px and 0.35 by 4 px.
     pub fn sharpness(&mut self, samples: usize, frame: &Frame<'_>, finger: &Silhouette) -> f64 {
         self.gather_agreeing(samples);
         let left = Vector2::new(finger.ahead.y, -finger.ahead.x);
