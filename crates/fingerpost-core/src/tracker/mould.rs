@@ -3,9 +3,9 @@
 //! The finger comes first, alone: it is what the waiting pose tells most about. Several widths,
 //! angles and polarities try, each fitted in stages (place, angle, then width and taper), and the
 //! one that explains most of its contour stays. Without colours, fingers close by that move to the
-//! next edges alone try as well, and one whose flanks are soft, as a shadow's are, is worth less. The thumb may lean anywhere and be seen at any
-//! length, so a grid of thumbs is judged by the edges they lie on, and the best of them are fitted
-//! together with the finger.
+//! next edges alone try as well, and one whose flanks are soft, as a shadow's are, is worth less.
+//! The thumb may lean anywhere and be seen at any length, so a grid of thumbs is judged by the edges
+//! they lie on, and the best of them are fitted together with the finger.
 
 use super::convergence::{Attempt, Converged, Convergence, MIN_HALF_LENGTH_PX, Rest, Support};
 use super::looks::{Lead, Looks, Shaft, Sight, Silhouette};
