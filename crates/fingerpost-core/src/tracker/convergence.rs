@@ -18,7 +18,7 @@ use crate::search::{EdgeMeasurement, Miss, Polarity, Scale, SearchLine};
 use crate::shape_space::{Axis, PlacedSample, Pose, ShapeSpace};
 use crate::simd::Isa;
 use crate::template::{Part, TemplateSample};
-use nalgebra::{Matrix2, Point2, SMatrix, SVector, Vector2, Vector3};
+use nalgebra::{Matrix2, Point2, SMatrix, SVector, Vector3};
 
 /// A contour has converged when no sample moves further than this \[px\]: what is left is a tenth.
 const CONVERGED_PX: f64 = 0.05;
@@ -38,11 +38,9 @@ const RESIDUAL_SHARE: f64 = 0.2;
 /// A sample supports a fit when its residual offset is below this \[px\].
 pub(super) const SUPPORT_PX: f64 = 1.5;
 /// How sharp the edges of a flank are is told by how much of the change across them, so far to either
-/// side, is there already this near \[px\]; an edge of a flank has a normal that is across the finger to
-/// at least this part.
+/// side, is there already this near \[px\].
 const NEAR_EDGE_PX: [f64; 2] = [1.0, 2.0];
 const ABOUT_EDGE_PX: [f64; 2] = [5.0, 6.0];
-const ACROSS: f64 = 0.7;
 /// What a hand does besides moving and turning shifts its edges by this, as a standard deviation
 /// \[px\].
 const BESIDES_PX: f64 = 1.0;
@@ -389,10 +387,9 @@ impl Convergence {
     /// where a step is blurred by 1 px, 0.5 by 2 px and 0.35 by 4 px.
     pub fn sharpness(&mut self, samples: usize, frame: &Frame<'_>, finger: &Silhouette) -> f64 {
         self.gather_agreeing(samples);
-        let left = Vector2::new(finger.ahead.y, -finger.ahead.x);
-        let sharpness = |side: Vector2<f64>| {
+        let [left, right] = finger.flanks(&self.agreeing).map(|edges| {
             let (mut near, mut about) = (0.0, 0.0);
-            for edge in self.agreeing.iter().filter(|edge| edge.normal.dot(&side) > ACROSS) {
+            for edge in edges {
                 let [step, change] =
                     [NEAR_EDGE_PX, ABOUT_EDGE_PX].map(|px| change_across(frame, edge, px));
                 if let (Some(step), Some(change)) = (step, change) {
@@ -401,8 +398,8 @@ impl Convergence {
                 }
             }
             if about > 0.0 { (near / about).clamp(0.0, 1.0) } else { 1.0 }
-        };
-        sharpness(left).min(sharpness(-left))
+        });
+        left.min(right)
     }
 
     /// Of the finger's samples of the last search, the first `samples` of all, those whose edges agree

@@ -14,6 +14,8 @@ use nalgebra::{Point2, Vector2};
 /// far from it \[px\].
 const EDGE_PX: f64 = 2.0;
 const REACH_PX: f64 = 14.0;
+/// An edge is a flank's if its normal points aside by this much at least.
+const ASIDE: f64 = 0.7;
 /// Ahead of the tip they are learned so many half-widths further, but no further than that \[px\].
 const AHEAD_WIDTHS: f64 = 5.0;
 const MOST_REACH_PX: f64 = 120.0;
@@ -140,6 +142,15 @@ impl Silhouette {
     /// That of a band template.
     pub fn of_band(x: &RibbonVector) -> Self {
         Self { ahead: Vector2::new(x[2].cos(), x[2].sin()), half_width_px: x[3] }
+    }
+
+    /// Of these edges those of its left flank and those of its right one, by where their normals point.
+    pub fn flanks<'a>(
+        &self,
+        edges: &'a [PlacedSample],
+    ) -> [impl Iterator<Item = &'a PlacedSample> + use<'a>; 2] {
+        let left = Vector2::new(self.ahead.y, -self.ahead.x);
+        [left, -left].map(|side| edges.iter().filter(move |edge| edge.normal.dot(&side) > ASIDE))
     }
 }
 

@@ -190,9 +190,11 @@ impl Mould<'_> {
         let score = self.score(&finger) / finger_samples(self.samples).len() as f64;
         let is_hand =
             self.stands_out(frame, &finger.x, told) && score * told / (1.0 + told) > LEAST_SCORE;
-        let worth = self.worth(convergence, frame, &finger.x, (score, told));
-        if is_hand && worth > best.worth {
-            *best = Best { finger, polarity, worth };
+        if is_hand {
+            let worth = self.worth(convergence, frame, &finger.x, (score, told));
+            if worth > best.worth {
+                *best = Best { finger, polarity, worth };
+            }
         }
         Ok(())
     }

@@ -4,21 +4,18 @@
 //! those of the table, of paper or of the finger's shadow beside the other. Where there are no colours,
 //! an edge of a flank is told by the levels that this flank has shown.
 //!
-//! Source: Isard & Blake 1998 for profiles that belong to a stretch of the contour.
+//! Source: Cootes & Taylor 1993 for grey levels that each stretch of a contour has for itself.
 
 use super::looks::Silhouette;
 use crate::appearance::Appearance;
 use crate::frame::{Frame, SidedPixel};
 use crate::shape_space::PlacedSample;
 use crate::template::Part;
-use nalgebra::Vector2;
 
 /// A flank's levels are learned as deep inside of it as the fine kernel reaches \[px\], or this part of
 /// the half-width.
 const DEPTH_PX: f64 = 5.0;
 const DEPTH_WIDTHS: f64 = 0.6;
-/// An edge is a flank's if its normal points to that side by this much at least.
-const ASIDE: f64 = 0.7;
 /// A flank is known once its levels differ from what is behind the finger by this much
 /// ([`Appearance::separation`]).
 const KNOWN: f64 = 1.0;
@@ -77,17 +74,12 @@ impl Sides {
         whole: &Appearance,
         (keep, times): (f64, f64),
     ) {
-        let left = Vector2::new(finger.ahead.y, -finger.ahead.x);
         let depth_px = (DEPTH_WIDTHS * finger.half_width_px).max(DEPTH_PX);
-        for (flank, side) in self.flanks.iter_mut().zip([left, -left]) {
+        for (flank, edges) in self.flanks.iter_mut().zip(finger.flanks(edges)) {
             self.pixels.clear();
-            for PlacedSample { position, normal } in edges {
-                if normal.dot(&side) > ASIDE {
-                    let inside =
-                        SidedPixel::along(*position, -normal, Silhouette::EDGE_PX, depth_px, true);
-                    self.pixels.extend(inside);
-                }
-            }
+            self.pixels.extend(edges.flat_map(|PlacedSample { position, normal }| {
+                SidedPixel::along(*position, -normal, Silhouette::EDGE_PX, depth_px, true)
+            }));
             flank.levels.fade(keep as f32);
             flank.levels.observe_all(frame, &self.pixels, times);
             flank.levels.learn_before(whole);
@@ -113,7 +105,7 @@ impl Sides {
 mod tests {
     use super::*;
     use crate::image::GrayView;
-    use nalgebra::Point2;
+    use nalgebra::{Point2, Vector2};
 
     const SIDE: usize = 60;
     /// The flanks of a finger that points up, and the table: a lamp on the left lights the finger from
