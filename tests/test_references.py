@@ -4,6 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
+from fingerpost.homography import transfer_to_image
 from fingerpost.references import LOOK_EVERY, MOVED_PX, ReferenceWatch
 from fingerpost.references.registration import PlaneRegistration
 from fingerpost.simulate import Background, DevicePose, Hand, SimulatedRig, Trajectory
@@ -119,6 +120,56 @@ def test_reference_points_that_are_corners_tell_on_a_table_without_any_others():
     watch = ReferenceWatch(REFERENCES_PX)
     told_px = shown(watch, [taken(picture), taken(moved(picture, shift(6.0, -4.0)), 2)])
     assert told_px == pytest.approx(np.hypot(6.0, 4.0), abs=0.5)
+
+
+def white_table(line: float = 190.0) -> np.ndarray:
+    """Faint lines, and a patterned mug that has most of the corners and the strongest edges."""
+    picture = np.full((480, 640), 205.0, np.float32)
+    rng = np.random.default_rng(RNG_SEED)
+    for k in np.cumsum(rng.integers(18, 50, 18)).tolist():
+        cv2.line(picture, (k, 0), (k, 479), line, 2)
+        cv2.line(picture, (0, k), (639, k), line, 2)
+    picture = cv2.GaussianBlur(picture, (0, 0), 0.8)
+    picture[370:460, 520:610] = table(90, 90)
+    return picture
+
+
+def with_shadow(picture: np.ndarray, u_px: int) -> np.ndarray:
+    """The same with the hard shadow of something that is not in the picture."""
+    shadow = np.zeros(picture.shape, np.float32)
+    cv2.ellipse(shadow, (u_px, 200), (50, 35), 20.0, 0.0, 360.0, 1.0, -1)
+    return picture * (1.0 - 0.45 * cv2.GaussianBlur(shadow, (0, 0), 1.0))
+
+
+def test_a_faint_lattice_tells_a_motion_that_a_mug_alone_would_not():
+    watch = ReferenceWatch(REFERENCES_PX)
+    picture = white_table()
+    told_px = shown(watch, [taken(picture), taken(moved(picture, shift(6.0, -4.0)), 2)])
+    assert told_px == pytest.approx(np.hypot(6.0, 4.0), abs=0.5)
+
+
+def test_a_shadow_that_moves_on_a_white_table_leads_no_reference_point_away():
+    # The camera moves to the left, and a shadow with most of the strong edges to the right.
+    watch = ReferenceWatch(REFERENCES_PX)
+    off_px = []
+    for k in range(40):
+        by_px = -0.5 * max(k - 4, 0)
+        watch.look(taken(with_shadow(moved(white_table(), shift(by_px, 0.0)), 150 + 4 * k), k))
+        if watch.motion is not None:
+            there_px = transfer_to_image(watch.motion.now_from_first, np.array(REFERENCES_PX))
+            off_px.append(np.abs(there_px - REFERENCES_PX - [by_px, 0.0]).max())
+    assert len(off_px) > 25
+    assert max(off_px) < 1.0
+
+
+def test_a_camera_that_begins_to_move_is_noticed_in_the_next_picture():
+    picture = 120.0 + 0.4 * (table() - 120.0)
+    watch = ReferenceWatch(REFERENCES_PX)
+    for k in range(LOOK_EVERY + 2):
+        watch.look(taken(picture, k))
+    assert watch.moved_px == 0.0
+    watch.look(taken(moved(picture, shift(1.0, 0.6)), 99))
+    assert watch.moved_px == pytest.approx(np.hypot(1.0, 0.6), abs=0.3)
 
 
 def test_a_hand_that_comes_and_points_moves_no_camera():

@@ -171,13 +171,13 @@ def test_a_plain_table_tells_nothing(level, shape):
     picture = np.full(shape, level, np.uint8)
     registration = PlaneRegistration(picture, REFERENCES_PX)
     assert registration.align(picture, np.eye(3)) is None
-    assert registration.unlike_levels(picture) == 0.0
+    assert registration.unlike_px(picture) == 0.0
 
 
 def test_another_place_is_not_this_one():
     registration = PlaneRegistration(taken(table(), 1), REFERENCES_PX)
     assert registration.align(taken(table()[::-1, ::-1], 2), np.eye(3)) is None
-    assert registration.unlike_levels(taken(table()[::-1, ::-1], 2)) > 10
+    assert registration.unlike_px(taken(table()[::-1, ::-1], 2)) > 1.0
 
 
 @settings(max_examples=25)

@@ -67,6 +67,15 @@ LEAST_DETERMINANT = 0.1
 """Iterations at most, and until no reference point moves further, or further in the halved
 pictures; a step that nearly folds the plane is none."""
 
+OBLIQUE = np.zeros((4, 8))
+OBLIQUE[(0, 0, 1, 1, 2, 3), (0, 4, 1, 3, 6, 7)] = 1.0, -1.0, 1.0, 1.0, 1.0, 1.0
+OBLIQUE_PX = 0.5
+HALVED_OBLIQUE_PX = 0.001
+"""What the entries of a homography are but a shift, a turn and a change of scale, and how much of
+that comes about from one look to the next [px, half a picture's width from its middle]. Where too
+little is seen to tell there is hardly any; halved pictures, which tell about where the plane is, do
+not tell it."""
+
 LEARNED_PART = 0.1
 LEAST_TRUST = 0.5
 """How much one picture changes what a pixel counts for, from 1 to 0, and what it must count for to
@@ -88,16 +97,17 @@ this side, from this root mean square gradient on: most are of the table, whatev
 FITS_PART = 0.25
 SURE = 3.0
 NOISE_FLOOR = 0.3
+LEAST_GAIN = 0.3
 LIGHT_ITERATIONS = 3
 STANDS_SHARE = 0.15
 LEAST_TOLD = 8
 """A square tells of a motion that would change it by so many times as much as noise may. It has not
 moved if it has changed by no more than this part of that, and by what noise may, which is so many
-times what is expected of it. Where a camera has moved hardly any squares have not; an arm leaves
-more than this share. So many squares must tell."""
+times what is expected of it, and still has this part of its contrast. Where a camera has moved
+hardly any squares have not; an arm leaves more than this share. So many squares must tell."""
 
-SOME = 10
-"""One pixel in so many tells whether a picture is unlike the first one."""
+SOME = 5
+"""One pixel in so many of the better half tells whether a picture is unlike the first one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,15 +170,17 @@ class PlaneRegistration:
         ]
         self._jury = _Level(self._first, 0, self._all, *view, is_spread=True)
 
-    def unlike_levels(self, now: Picture) -> float:
-        """Return how much a picture differs from the first one where the plane is not plain.
+    def unlike_px(self, now: Picture) -> float:
+        """Return by how much the plane seems to have moved, as a median of its best pixels [px].
+
+        A sign that it has, quick to tell: noise and what covers the plane seem to move it too.
 
         Parameters
         ----------
         now
             (H, W) Grey levels of a picture of the size of the first.
         """
-        return self._levels[0].unlike_levels(now)
+        return self._levels[0].unlike_px(now)
 
     def forget(self, hand: Segment) -> None:
         """Take what a part of the first picture shows for no plane.
@@ -216,13 +228,16 @@ class PlaneRegistration:
             Where a hand covers the plane now, if that is known.
         """
         now_from_first, fit = guess, None
+        # How far it has gone from there, in units.
+        gone = np.eye(3)
         for level, picture in reversed(list(zip(self._levels, _pyramid(now), strict=True))):
             smooth = _smooth(picture)
             for _ in range(MOST_ITERATIONS):
-                fit = level.fit(smooth, now_from_first, hand)
+                fit = level.fit(smooth, now_from_first, gone / gone[2, 2], hand)
                 if fit is None or np.linalg.det(fit.step) < LEAST_DETERMINANT:
                     return None
-                step = self._px_from_unit @ np.linalg.inv(fit.step) @ self._unit_from_px
+                back = np.linalg.inv(fit.step)
+                step, gone = self._px_from_unit @ back @ self._unit_from_px, gone @ back
                 now_from_first = now_from_first @ step
                 now_from_first = now_from_first / now_from_first[2, 2]
                 if not np.isfinite(now_from_first).all():
@@ -324,7 +339,12 @@ class _Level:
         self._information = (by_px**2).sum(axis=1) / self._variances
         self._jacobian = self._by_step(by_px, unit_from_px)
         self._trust = np.ones(len(self._levels))
-        self._some = row[::SOME], column[::SOME]
+        oblique_px = OBLIQUE_PX if halvings == 0 else HALVED_OBLIQUE_PX
+        self._oblique = OBLIQUE.T @ OBLIQUE / (unit_from_px[0, 0] * oblique_px) ** 2
+        better = np.argsort(-self._information, kind="stable")[: len(row) // 2]
+        some = better[::SOME]
+        self._some = row[some], column[some]
+        self._some_by_px = np.linalg.norm(by_px[some], axis=1)
         self._some_levels = picture[self._some].astype(np.int16)
 
     def _by_step(self, by_px: Array, unit_from_px: Array) -> Array:
@@ -335,14 +355,12 @@ class _Level:
         columns = [by_x * x, by_x * y, by_x, by_y * x, by_y * y, by_y, radial * x, radial * y]
         return np.column_stack(columns)
 
-    def unlike_levels(self, now: Picture) -> float:
-        """Return the median difference of some pixels from the picture, but for the light."""
+    def unlike_px(self, now: Picture) -> float:
+        """Return the median by which some pixels seem to have moved, but for the light."""
         if len(self._some_levels) == 0:
             return 0.0
         off = now[self._some] - self._some_levels
-        middle = len(off) // 2
-        off = np.abs(off - np.partition(off, middle)[middle])
-        return float(np.partition(off, middle)[middle])
+        return float(np.median(np.abs(off - np.median(off)) / self._some_by_px))
 
     def stands(self, smooth: NDArray[np.float32], guess: Array, hand: Segment | None) -> bool:
         """Tell whether squares that a motion would change have not changed."""
@@ -355,18 +373,28 @@ class _Level:
         off_px = transfer_to_image(guess, self._places_px) - self._places_px
         expected = np.nan_to_num((self._by_px * off_px).sum(axis=1))
         left = here - _lit(self._levels, here, in_sight)
-        level = self._centred(self._levels[:, None], weights)[0]
+        level, now = self._centred(np.column_stack([self._levels, here]), weights)
+        shown = self._sums(weights * level**2)
         # What is far away from where it was differs by no more than two places do.
-        told = np.minimum(self._sums(weights * expected**2), self._sums(weights * level**2))
+        told = np.minimum(self._sums(weights * expected**2), shown)
         noise = SURE * (self._noise_levels**2 * self._sums(weights) + NOISE_FLOOR)
-        stays = self._sums(weights * left**2) < FITS_PART * told + noise
+        # A light in which most squares are plain may be that of none.
+        is_lit = self._sums(weights * level * now) > LEAST_GAIN * shown
+        stays = is_lit & (self._sums(weights * left**2) < FITS_PART * told + noise)
         tells = told > SURE * noise
         return bool(tells.sum() >= LEAST_TOLD and stays[tells].mean() > STANDS_SHARE)
 
     def fit(
-        self, smooth: NDArray[np.float32], now_from_first: Array, hand: Segment | None
+        self,
+        smooth: NDArray[np.float32],
+        now_from_first: Array,
+        gone: Array,
+        hand: Segment | None,
     ) -> _Fit | None:
-        """Solve for the step that brings the levels nearest; None where too few are in sight."""
+        """Solve for the step that brings the levels nearest; None where too few are in sight.
+
+        `gone` is the homography, in units, by which earlier steps have left the guess.
+        """
         if len(self._levels) < LEAST_PIXELS * self._scale:
             return None
         here, in_sight = self._seen(smooth, now_from_first, hand)
@@ -379,15 +407,16 @@ class _Level:
         z = np.abs(left[:, 0]) / np.sqrt(self._variances)
         scale = max(1.4826 * float(np.median(z[expected])), LEAST_SCALE)
         cut = BIWEIGHT * scale
-        fits = np.where(in_sight & (z < cut), (1.0 - (z / cut) ** 2) ** 2, 0.0)
+        is_lit = np.abs(gains[:, 0]) < MOST_GAIN
+        fits = np.where(in_sight & is_lit & (z < cut), (1.0 - (z / cut) ** 2) ** 2, 0.0)
         weights = weights * fits
         columns, _ = self._unlit(columns, weights)
-        solved = self._solved(columns[:, :8], columns[:, 8], weights)
+        solved = self._solved(columns[:, :8], columns[:, 8], weights, gone)
         if solved is None:
             return None
         step = np.eye(3)
         step.ravel()[:8] += solved[0]
-        is_like = (z < BIWEIGHT * min(scale, MOST_SCALE)) & (np.abs(gains[:, 0]) < MOST_GAIN)
+        is_like = is_lit & (z < BIWEIGHT * min(scale, MOST_SCALE))
         is_met = is_like[expected]
         told = self._information[expected]
         return _Fit(
@@ -437,18 +466,23 @@ class _Level:
         gains = gains[self._square_of]
         return np.asarray(about - level[:, None] * gains), np.asarray(gains)
 
-    def _solved(self, jacobian: Array, off: Array, weights: Array) -> tuple[Array, Array] | None:
-        """Return the least-squares solution and its covariance; None if nothing weighs."""
+    def _solved(
+        self, jacobian: Array, off: Array, weights: Array, gone: Array
+    ) -> tuple[Array, Array] | None:
+        """Return the least-squares solution and its covariance; None if nothing weighs.
+
+        It leads back from where earlier steps have gone obliquely, unless pixels are against that.
+        """
         weighted = jacobian * weights[:, None]
-        normal = weighted.T @ jacobian
+        normal = weighted.T @ jacobian + self._oblique
         scale = np.sqrt(np.diag(normal))
         if not (scale > 0.0).all():
             return None
         scales = np.outer(scale, scale)
         inverse = np.linalg.pinv(normal / scales, rcond=1e-9, hermitian=True) / scales
-        solution = inverse @ (weighted.T @ off)
+        solution = inverse @ (weighted.T @ off + self._oblique @ (gone - np.eye(3)).ravel()[:8])
         scores = self._sums(weighted * (off - jacobian @ solution)[:, None])
-        return solution, inverse @ (scores.T @ scores) @ inverse
+        return solution, inverse @ (scores.T @ scores + self._oblique) @ inverse
 
     def _sums(self, columns: Array) -> Array:
         """Return the sums over the pixels of each square."""
@@ -508,7 +542,9 @@ def _chosen(
     rows, columns = (size // SQUARE_PX for size in strength.shape)
     energy = np.where(inside, strength, 0.0)[: rows * SQUARE_PX, : columns * SQUARE_PX] ** 2
     energy = energy.reshape(rows, SQUARE_PX, columns, SQUARE_PX).mean(axis=(1, 3))
-    square = np.sort(_spread(energy) if is_spread else _strongest(energy))
+    square = np.sort(_spread(energy))
+    if not is_spread:
+        square = np.union1d(square, _strongest(energy))
     down, along = np.nonzero(np.indices((SQUARE_PX, SQUARE_PX)).sum(axis=0) % 2 == 0)
     row = (square[:, None] // max(columns, 1) * SQUARE_PX + down).ravel()
     column = (square[:, None] % max(columns, 1) * SQUARE_PX + along).ravel()

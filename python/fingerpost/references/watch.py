@@ -28,10 +28,11 @@ LOOK_EVERY = 5
 WIDEST_PX = 320
 """Wider pictures are halved until they are not; all lengths below are of the halved picture."""
 
-MOST_CORNERS = 72
-CORNER_QUALITY = 0.01
+CORNERS_A_CELL = 6
+LEAST_CORNER = 1.5
 CORNERS_APART_PX = 6
-"""How many corners are followed, how strong they are beside the strongest, and how far apart."""
+"""How many corners of each cell are followed, how much the picture changes about them at least,
+along either axis, as a root mean square [levels a pixel], and how far apart they are."""
 
 NEAR_PX = 2
 """A reference point is a corner if there is one this near to it."""
@@ -83,11 +84,11 @@ MET_SHARE = 0.7
 FIRST_FRAMES = 10
 """A hand that is followed after so few frames was there in the first one."""
 
-FIRST_LEVELS = 3.0
+FIRST_UNLIKE_PX = 0.3
 UNLIKE = 1.5
-UNLIKE_LEVELS = 1.0
-"""A picture is looked at, too, that differs from the first one so much more, in part and in levels,
-than the one that was looked at last; and how much that is at first."""
+UNLIKE_PX = 0.2
+"""A picture is looked at, too, that seems to be off the first one by so much more, in part and in
+pixels, than the last one whose turn it was; and by how much at first."""
 
 _Picture = NDArray[np.uint8]
 _Points = NDArray[np.float32]
@@ -153,18 +154,15 @@ class ReferenceWatch:
 
     def _begin(self, grey: _Picture) -> None:
         """Find the corners of the first picture, the reference points before all others."""
-        import cv2
-
         self._size, self._halves = grey.shape, _halves(grey)
         self._first = _halved(grey, self._halves).copy()
         self._whole_px = grey.shape[1] / self._first.shape[1]
-        self._frames, self._unlike_levels = 0, FIRST_LEVELS
+        self._frames, self._unlike_px = 0, FIRST_UNLIKE_PX
         self._registration = PlaneRegistration(grey, self._reference_points_px, self._lens)
         self._rest()
-        strength = np.asarray(cv2.cornerMinEigenVal(self._first, 3), np.float32)
+        strength = _corner_strength(self._first)
         references = _corners_near(self._reference_points_px / self._whole_px, strength)
-        found = cv2.goodFeaturesToTrack(self._first, MOST_CORNERS, CORNER_QUALITY, CORNERS_APART_PX)
-        others = np.empty((0, 2)) if found is None else np.asarray(found).reshape(-1, 2)
+        others = _strongest_corners(strength)
         self._references = len(references)
         self._corners_px = np.vstack([references, others]).astype(np.float32)
         self._is_hand, self._knows_hand = np.zeros(len(self._corners_px), np.bool_), False
@@ -186,12 +184,12 @@ class ReferenceWatch:
         """Tell whether a picture is to be looked at."""
         if self.moved_px > 0.0:
             return True
-        unlike_levels = self._registration.unlike_levels(grey)
-        most_levels = UNLIKE * self._unlike_levels + UNLIKE_LEVELS
-        if self._frames % LOOK_EVERY > 0 and unlike_levels <= most_levels:
-            return False
-        self._unlike_levels = unlike_levels
-        return True
+        unlike_px = self._registration.unlike_px(grey)
+        is_unlike = unlike_px > UNLIKE * self._unlike_px + UNLIKE_PX
+        is_its_turn = self._frames % LOOK_EVERY == 0
+        if is_its_turn:
+            self._unlike_px = unlike_px
+        return is_its_turn or is_unlike
 
     def _compare(self, grey: _Picture, hand: Segment | None) -> None:
         """Follow the corners from the first picture to this one, and let them vote."""
@@ -217,7 +215,7 @@ class ReferenceWatch:
             return
         guesses = [] if gone is None else [gone @ before]
         guesses += [self._further @ before, before]
-        self._register(grey, hand, guesses, None if gone is None else (from_px, to_px))
+        self._register(grey, hand, guesses, (from_px, to_px) if is_told else None)
 
     def _stands(self, grey: _Picture, guess: NDArray[np.float64], hand: Segment | None) -> bool:
         """Tell whether it is not the plane that has moved, but something with many corners."""
@@ -274,12 +272,27 @@ class ReferenceWatch:
             if moved_px < STILL_PX:
                 self._rest()
                 return
-            if votes is None or self._meets(motion, *votes):
+            is_backed = was_followed if votes is None else self._meets(motion, *votes)
+            if is_backed:
                 self.motion, self.moved_px = motion, moved_px
                 self._now_from_first = motion.now_from_first
-                gone = motion.now_from_first @ np.linalg.inv(before)
-                self._further = gone / gone[2, 2] if was_followed else np.eye(3)
+                self._further = self._gone(before) if was_followed else np.eye(3)
                 return
+
+    def _gone(self, before: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the shift, turn and change of scale by which the corners have gone on."""
+        from_px = self._whole(self._shown(self._corners_px, before)) @ [1.0, 1j]
+        to_px = self._whole(self._shown(self._corners_px, self._now_from_first)) @ [1.0, 1j]
+        about = from_px - from_px.mean()
+        turn = np.vdot(about, to_px) / np.vdot(about, about).real
+        shift = to_px.mean() - turn * from_px.mean()
+        return np.array(
+            [
+                [turn.real, -turn.imag, shift.real],
+                [turn.imag, turn.real, shift.imag],
+                [0.0, 0.0, 1.0],
+            ]
+        )
 
     def _moved_px(self, motion: PlaneMotion) -> float:
         """Return how far a motion takes corners, on average [px of the whole picture]."""
@@ -306,9 +319,7 @@ class ReferenceWatch:
 
     def _sorted_into_cells(self) -> list[NDArray[np.intp]]:
         """Return which corners are in each cell of the picture, but for the reference points."""
-        size_px = np.array(self._first.shape[::-1])
-        column, row = np.clip(self._corners_px / size_px * CELLS, 0, np.array(CELLS) - 1).T
-        cell = column.astype(int) + CELLS[0] * row.astype(int)
+        cell = _cell_of(self._corners_px, self._first.shape)
         cell[: self._references] = -1
         return [np.flatnonzero(cell == c) for c in range(CELLS[0] * CELLS[1])]
 
@@ -354,16 +365,47 @@ def _halved(grey: _Picture, halves: list[_Picture]) -> _Picture:
     return grey
 
 
+def _corner_strength(picture: _Picture) -> NDArray[np.float32]:
+    """Return how much a picture changes about each place along the axis along which it does least.
+
+    As a root mean square [levels a pixel] (Shi & Tomasi 1994).
+    """
+    import cv2
+
+    # OpenCV sums 9 squares of a Sobel filter, whose weights add up to 8, over 4 * 3 * 255.
+    strength = cv2.cornerMinEigenVal(picture, 3)
+    return np.asarray(np.sqrt(np.maximum(strength, 0.0)) * (4 * 3 * 255) / (3 * 8), np.float32)
+
+
+def _strongest_corners(strength: NDArray[np.float32]) -> _Points:
+    """Return the strongest corners of each cell of a picture [px]."""
+    import cv2
+
+    about = np.ones((2 * CORNERS_APART_PX + 1,) * 2, np.uint8)
+    is_corner = (strength >= LEAST_CORNER) & (strength == cv2.dilate(strength, about))
+    row, column = np.nonzero(is_corner)
+    order = np.argsort(-strength[row, column], kind="stable")
+    corners = np.stack([column, row], axis=1)[order].astype(np.float32)
+    cell = _cell_of(corners, strength.shape)
+    best = [np.flatnonzero(cell == c)[:CORNERS_A_CELL] for c in range(CELLS[0] * CELLS[1])]
+    return corners[np.concatenate(best)]
+
+
+def _cell_of(corners_px: _Points, shape: tuple[int, ...]) -> NDArray[np.intp]:
+    """Return the cell of a picture in which each corner lies."""
+    column, row = np.clip(corners_px / np.array(shape[::-1]) * CELLS, 0, np.array(CELLS) - 1).T
+    return np.asarray(column.astype(int) + CELLS[0] * row.astype(int), np.intp)
+
+
 def _corners_near(points_px: NDArray[np.float64], strength: NDArray[np.float32]) -> _Points:
     """Return those of some points that are corners, each where it is strongest [px]."""
-    least = CORNER_QUALITY * float(strength.max(initial=0.0))
     size_px = np.array(strength.shape[::-1])
     in_picture = ((points_px >= 0.0) & (points_px <= size_px - 1)).all(axis=1)
     corners = []
     for u, v in np.round(points_px[in_picture]).astype(int):
         left, top = max(u - NEAR_PX, 0), max(v - NEAR_PX, 0)
         about = strength[top : v + NEAR_PX + 1, left : u + NEAR_PX + 1]
-        if float(about.max()) > least:
+        if float(about.max()) >= LEAST_CORNER:
             row, column = np.unravel_index(int(np.argmax(about)), about.shape)
             corners.append((left + column, top + row))
     return np.array(corners, np.float32).reshape(-1, 2)
