@@ -29,6 +29,7 @@ from fingerpost.finding import (
     pair_scores,
 )
 from fingerpost.finding.first_hand import FirstHand
+from fingerpost.finding.look import widening
 from fingerpost.finding.trial import Trial, belief
 from fingerpost.finding.views import are_left_standing, views_with_mover
 from fingerpost.pipeline import Pointer
@@ -619,8 +620,9 @@ def test_a_hand_is_found_and_followed_without_colours(has_start: bool):
     assert np.mean(np.array(squared) < scipy.stats.chi2.ppf(0.95, 2)) >= 0.9
 
 
-def test_what_monochrome_cameras_hand_over_in_three_channels_is_grey():
-    rig, frames, _ = monochrome(has_start=True)
+@pytest.mark.parametrize("has_start", [True, False])
+def test_what_monochrome_cameras_hand_over_in_three_channels_is_grey(has_start: bool):
+    rig, frames, _ = monochrome(has_start)
     tripled = [
         [Frame(f.index, f.time_s, np.repeat(f.image[..., None], 3, axis=2)) for f in pair]
         for pair in frames
@@ -630,6 +632,18 @@ def test_what_monochrome_cameras_hand_over_in_three_channels_is_grey():
         (a,), (b,) = (p.update(pair) for p, pair in zip(pointers, (one, three), strict=True))
         assert a.fix.status is b.fix.status
         np.testing.assert_array_equal(a.fix.covariance, b.fix.covariance)
+
+
+def test_a_finger_widens_to_its_hand_as_far_in_three_equal_channels():
+    # Its hand is darker by twice what its levels scatter: alike in part.
+    rng = np.random.default_rng(5)
+    picture = np.full((240, 320), 60.0)
+    picture[110:130, 60:260], picture[110:180, 60:170] = 150.0, 138.0
+    grey = np.clip(picture + rng.normal(0, 6, picture.shape), 0, 255).round().astype(np.uint8)
+    line = SimpleNamespace(tip_px=(258.0, 120.0), angle_rad=0.0)
+    one, three = Frame(0, 0.0, grey), Frame(0, 0.0, np.repeat(grey[..., None], 3, axis=2))
+    assert 0.2 < widening(one, line, 10.0) < 0.95
+    assert widening(three, line, 10.0) == widening(one, line, 10.0)
 
 
 @pytest.mark.parametrize("gain", [0.6, 1.5])

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fingerpost._core import FingerLine
+from fingerpost.capture import Frame
 from fingerpost.finding.finger import Array, Sighting
 from fingerpost.pointing import PlaneView
 
@@ -96,13 +97,13 @@ ALIKE = {1: 6.6, 3: 11.3}
 colour lies: a grey level and three channels."""
 
 
-def widening(image: NDArray[np.uint8], line: FingerLine, half_width_px: float) -> float:
+def widening(frame: Frame, line: FingerLine, half_width_px: float) -> float:
     """Tell how far a finger widens behind, as it does to a hand and a pen does not.
 
     Parameters
     ----------
-    image
-        (H, W) grey levels or (H, W, 3) colours.
+    frame
+        What shows it: its colours, if it has any.
     line, half_width_px
         The finger's axis, and half its width [px].
 
@@ -112,6 +113,8 @@ def widening(image: NDArray[np.uint8], line: FingerLine, half_width_px: float) -
         The part of what lies behind it and beside its flanks, on the better side, that looks like
         the finger, 0 to 1: an index finger is at the edge of its hand.
     """
+    colours = frame.colour()
+    image = frame.grey() if colours is None else colours
     e = np.array([np.cos(line.angle_rad), np.sin(line.angle_rad)])
     n = np.array([-e[1], e[0]])
 

@@ -172,7 +172,7 @@ class HandSearch:
                 line=line,
                 score=float(score),
                 foreground=candidate.foreground,
-                hand=widening(frame.image, line, candidate.half_width_px),
+                hand=widening(frame, line, candidate.half_width_px),
                 is_late=is_late,
                 lengthening=Lengthening(self._tracker_at, half_width_px),
             )

@@ -174,7 +174,7 @@ class Trial:
             self.score += (1.0 - FORGET) * (likeness * worth - self.score)
         foreground = np.nan_to_num(foreground_part(background, frame, line))
         self.foreground += (1.0 - FORGET) * (float(foreground) - self.foreground)
-        hand = widening(frame.image, line, half_width_px)
+        hand = widening(frame, line, half_width_px)
         self.hand += (1.0 - FORGET) * (hand - self.hand)
 
     def is_at(self, start: StartPose, half_width_px: float) -> bool:
