@@ -38,8 +38,10 @@ pub(super) struct Normals {
     in_grey: Vec<bool>,
     grey_lines: Vec<SearchLine>,
     found_in_grey: Vec<EdgeMeasurement>,
-    /// Lines that are searched once more, where the hand begins, and which lines they replace.
+    /// Lines that are searched once more, where the hand begins, of which parts they are, and which
+    /// lines they replace.
     again: Vec<SearchLine>,
+    again_parts: Vec<Part>,
     replaced: Vec<Replaced>,
     found_again: Vec<EdgeMeasurement>,
 }
@@ -64,6 +66,7 @@ impl Normals {
             grey_lines: Vec::with_capacity(options.samples),
             found_in_grey: Vec::with_capacity(options.samples),
             again: Vec::with_capacity(options.samples),
+            again_parts: Vec::with_capacity(options.samples),
             replaced: Vec::with_capacity(options.samples),
             found_again: Vec::with_capacity(options.samples),
         })
@@ -123,11 +126,9 @@ impl Normals {
         scale: Scale,
         own_only: bool,
     ) -> Result<()> {
-        if sight.sides.is_some() {
-            self.search_part_by_part(shown, sight, scale)?;
-        } else {
-            self.search.search(shown, sight.cue, scale, &self.lines, &mut self.found)?;
-        }
+        let lines = (self.lines.as_slice(), self.parts.as_slice());
+        let (of_part, found) = (&mut self.found_of_part, &mut self.found);
+        search_parts(&mut self.search, shown, sight, scale, lines, of_part, found)?;
         self.in_grey.clear();
         self.in_grey.resize(self.lines.len(), false);
         if let Some(in_grey) = &sight.in_grey {
@@ -146,23 +147,6 @@ impl Normals {
             }
             _ => Ok(()),
         }
-    }
-
-    /// Searches the lines of every part of the outline by what is known of that.
-    fn search_part_by_part(
-        &mut self,
-        shown: &Frame<'_>,
-        sight: &Sight<'_>,
-        scale: Scale,
-    ) -> Result<()> {
-        self.found.clear();
-        for parts in self.parts.chunk_by(|one, next| one == next) {
-            let Some(&part) = parts.first() else { continue };
-            let lines = &self.lines[self.found.len()..][..parts.len()];
-            self.search.search(shown, sight.cue_of(part), scale, lines, &mut self.found_of_part)?;
-            self.found.append(&mut self.found_of_part);
-        }
-        Ok(())
     }
 
     /// A mixture of colours that shows most of a hand best may hardly show some of its edges, or what is
@@ -220,6 +204,7 @@ impl Normals {
         scale: Scale,
     ) -> Result<()> {
         self.again.clear();
+        self.again_parts.clear();
         self.replaced.clear();
         for (i, (line, found)) in self.lines.iter().zip(&mut self.found).enumerate() {
             let Ok(edge) = found else { continue };
@@ -233,10 +218,13 @@ impl Normals {
                     ..line.sample
                 };
                 self.again.push(SearchLine { sample, half_length_px: BEGINS_WITHIN_PX, ..*line });
+                self.again_parts.push(self.parts[i]);
                 self.replaced.push(Replaced { line: i, begins_px });
             }
         }
-        self.search.search(shown, sight.cue, scale, &self.again, &mut self.found_again)?;
+        let lines = (self.again.as_slice(), self.again_parts.as_slice());
+        let (of_part, found) = (&mut self.found_of_part, &mut self.found_again);
+        search_parts(&mut self.search, shown, sight, scale, lines, of_part, found)?;
         for (&Replaced { line, begins_px }, found) in self.replaced.iter().zip(&self.found_again) {
             let Ok(mut edge) = *found else { continue };
             edge.offset_px += begins_px;
@@ -247,6 +235,30 @@ impl Normals {
         }
         Ok(())
     }
+}
+
+/// Searches lines by what is known of the parts of the outline that they are of, where flanks are known
+/// for themselves; `of_part` is a buffer.
+fn search_parts(
+    search: &mut EdgeSearch,
+    shown: &Frame<'_>,
+    sight: &Sight<'_>,
+    scale: Scale,
+    (lines, parts): (&[SearchLine], &[Part]),
+    of_part: &mut Vec<EdgeMeasurement>,
+    found: &mut Vec<EdgeMeasurement>,
+) -> Result<()> {
+    if sight.sides.is_none() {
+        return search.search(shown, sight.cue, scale, lines, found);
+    }
+    found.clear();
+    for same in parts.chunk_by(|one, next| one == next) {
+        let Some(&part) = same.first() else { continue };
+        let lines = &lines[found.len()..][..same.len()];
+        search.search(shown, sight.cue_of(part), scale, lines, of_part)?;
+        found.append(of_part);
+    }
+    Ok(())
 }
 
 /// Whether an edge of the grey image is further out than another's, and much plainer.
