@@ -2,10 +2,12 @@
 
 What the first picture shows about its reference points is brought to lie on the present picture by
 a homography, directly by its levels: iterated least squares over the eight parameters with the
-gradients of the first picture (inverse compositional: Baker & Matthews 2004), from halved pictures
-to whole ones. Of every small square the light is free, a gain and an offset, for the soft shadow of
-a hand crosses most of them. Biweights leave out what covers the plane, and squares that seldom fit
-count ever less: what was no plane in the first picture is soon gone from its place.
+gradients of the first picture (inverse compositional: Baker & Matthews 2004), from halved pictures,
+which tell a shift, a turn and a scale, to whole ones. Squares from all over the picture take part,
+however faint, and the strongest ones besides, which may be a mug's or a shadow's. Of every small
+square the light is free, a gain and an offset, for the soft shadow of a hand crosses most of them.
+Biweights leave out what covers the plane, and squares that seldom fit count ever less: what was no
+plane in the first picture is soon gone from its place.
 """
 
 from __future__ import annotations
