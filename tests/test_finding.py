@@ -316,6 +316,20 @@ def score(rig: SimulatedRig, first: Sighting, second: Sighting) -> float:
     return float(pair_scores(viewpoints(rig), ([first], [second]))[0, 0])
 
 
+def test_two_views_from_one_place_are_judged_without_a_warning():
+    # Rays of one direction, and rays that meet in the camera.
+    here, _ = viewpoints(SimulatedRig())
+    rng = np.random.default_rng(0)
+    tips = rng.uniform((20, 20), (620, 460), (60, 2))
+    first, second = (
+        [Sighting((u + off, v), 0.1 * k, 6.0) for k, (u, v) in enumerate(tips.tolist())]
+        for off in (0.0, 1e-7)
+    )
+    scores = pair_scores((here, here), (first, second))
+    assert ((scores >= 0.0) & (scores <= 1.0)).all()
+    assert (np.diag(scores) == 0.0).all()
+
+
 def test_the_camera_is_where_the_plane_says_it_is():
     rig = SimulatedRig()
     for viewpoint, camera in zip(viewpoints(rig), rig.cameras, strict=True):

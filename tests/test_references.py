@@ -122,13 +122,13 @@ def test_reference_points_that_are_corners_tell_on_a_table_without_any_others():
     assert told_px == pytest.approx(np.hypot(6.0, 4.0), abs=0.5)
 
 
-def white_table(line: float = 190.0) -> np.ndarray:
+def white_table() -> np.ndarray:
     """Faint lines, and a patterned mug that has most of the corners and the strongest edges."""
     picture = np.full((480, 640), 205.0, np.float32)
     rng = np.random.default_rng(RNG_SEED)
     for k in np.cumsum(rng.integers(18, 50, 18)).tolist():
-        cv2.line(picture, (k, 0), (k, 479), line, 2)
-        cv2.line(picture, (0, k), (639, k), line, 2)
+        cv2.line(picture, (k, 0), (k, 479), 190.0, 2)
+        cv2.line(picture, (0, k), (639, k), 190.0, 2)
     picture = cv2.GaussianBlur(picture, (0, 0), 0.8)
     picture[370:460, 520:610] = table(90, 90)
     return picture

@@ -231,6 +231,9 @@ MISS_PER_HEIGHT = 0.25
 """How far apart two rays through a tip may pass [plane sizes], and how much further for every plane
 size of height, that it costs a pair 40 %: the cameras are known by the reference points alone."""
 
+SAME_DIRECTION = 1e-12
+"""Rays whose angle has a squared sine below this have one direction."""
+
 HIGHEST = 4.0
 """No tip is higher above the plane than this [plane sizes]."""
 
@@ -261,11 +264,12 @@ class _Tips:
     Attributes
     ----------
     places
-        Where that is (X, Y, height above the plane); NaN where the cameras are not known.
+        Where that is (X, Y, height above the plane); NaN where the cameras are not known, and for
+        rays of one direction.
     misses
         How far from each other the rays through the tips pass there.
     widths
-        How wide either view shows the finger to be, if its tip is there.
+        How wide either view shows the finger to be, if its tip is there; NaN where a camera is.
     """
 
     places: Array
@@ -280,8 +284,9 @@ class _Tips:
         between[..., :2] = second.foot - first.foot
         pp, qq, pq = ((x * y).sum(axis=-1) for x, y in ((p, p), (q, q), (p, q)))
         pd, qd = ((x * between).sum(axis=-1) for x in (p, q))
-        # The two points of the rays that are nearest to each other.
-        determinant = np.maximum(pp * qq - pq**2, np.finfo(float).tiny)
+        # The points of two rays that are nearest to each other; those of one direction have none.
+        determinant = pp * qq - pq**2
+        determinant = np.where(determinant > SAME_DIRECTION * pp * qq, determinant, np.nan)
         s, t = (qq * pd - pq * qd) / determinant, (pq * pd - pp * qd) / determinant
         nearest = s[..., None] * p, between + t[..., None] * q
         foot = np.pad(first.foot, ((0, 0), (0, 0), (0, 1)))
@@ -289,7 +294,7 @@ class _Tips:
             places=foot + 0.5 * (nearest[0] + nearest[1]),
             misses=np.linalg.norm(nearest[1] - nearest[0], axis=-1),
             # A finger above the plane covers more of that than it is wide.
-            widths=(first.breadth * np.abs(1.0 - s), second.breadth * np.abs(1.0 - t)),
+            widths=(_positive(first.breadth * (1.0 - s)), _positive(second.breadth * (1.0 - t))),
         )
 
     def same(self, plane_size: float) -> Array:
@@ -304,6 +309,11 @@ class _Tips:
         """Return how far points of the plane are from the tips [half-widths]; 0 if not known."""
         away = np.linalg.norm(self.places - np.pad(point, ((0, 0), (0, 0), (0, 1))), axis=-1)
         return np.asarray(np.nan_to_num(away / np.sqrt(self.widths[0] * self.widths[1])))
+
+
+def _positive(widths: Array) -> Array:
+    """Return widths without their sign; NaN where there is none."""
+    return np.abs(np.where(widths == 0.0, np.nan, widths))
 
 
 def _homogeneous(points: Array) -> Array:

@@ -43,9 +43,10 @@ MOST_PX = 1e4
 SQUARE_PX = 8
 MOST_PIXELS = 6000
 LEAST_GRADIENT = 3.0
-"""Squares of this side count whose gradients are the strongest, from this root mean square [levels
-a pixel] on; of each every other pixel, the flat ones beside an edge too: without them a shift and a
-change of the light are the same."""
+"""Squares of this side count whose gradients are the strongest, so many pixels at most and from
+this root mean square [levels a pixel] on, and those that are spread over the plane. Every other
+pixel of each does, the flat ones beside an edge too: without them a shift and a change of the light
+are the same."""
 
 NOISE_LEVELS = 3.0
 ALIGNED_PX = 0.15
@@ -91,10 +92,11 @@ LEAST_PIXELS = 150
 MOST_SIGMA_PX = 2.0
 """A plane whose reference points are known no better is not known."""
 
-JURY_PX = 40
-JURY_GRADIENT = 1.0
-"""Squares that tell whether the plane has moved at all are the best ones of each larger square of
-this side, from this root mean square gradient on: most are of the table, whatever stands on it."""
+SPREAD_PX = 40
+SPREAD_GRADIENT = 1.0
+"""Spread squares are the best ones of each larger square of this side, from this root mean square
+gradient on. They alone tell whether the plane has moved at all: most are of the table, whatever
+stands on it."""
 
 FITS_PART = 0.25
 SURE = 3.0
@@ -170,7 +172,7 @@ class PlaneRegistration:
             _Level(picture, halvings, self._plane, *view)
             for halvings, picture in enumerate(_pyramid(self._first))
         ]
-        self._jury = _Level(self._first, 0, self._all, *view, is_spread=True)
+        self._jury = _Level(self._first, 0, self._all, *view, only_spread=True)
 
     def unlike_px(self, now: Picture) -> float:
         """Return by how much the plane seems to have moved, as a median of its best pixels [px].
@@ -310,7 +312,7 @@ class _Level:
         lens: Lens | None,
         unit_from_px: Array,
         *,
-        is_spread: bool = False,
+        only_spread: bool = False,
     ) -> None:
         import cv2
 
@@ -320,7 +322,7 @@ class _Level:
         smooth = _smooth(picture)
         gradient = [cv2.Sobel(smooth, cv2.CV_32F, *axis, scale=1 / 8) for axis in ((1, 0), (0, 1))]
         mask = cv2.resize(plane, self._size_px, interpolation=cv2.INTER_NEAREST) > 0
-        column, row, square = _chosen(np.hypot(*gradient), np.asarray(mask), is_spread)
+        column, row, square = _chosen(np.hypot(*gradient), np.asarray(mask), only_spread)
         shown_px = (np.stack([column, row], axis=1) + 0.5) / self._scale - 0.5
         places_px = shown_px if lens is None else lens.undistort(shown_px)
         known = np.isfinite(places_px).all(axis=1)
@@ -536,7 +538,7 @@ def _about(shape: tuple[int, ...], references_px: Array) -> Picture:
 
 
 def _chosen(
-    strength: NDArray[np.float32], mask: Mask, is_spread: bool
+    strength: NDArray[np.float32], mask: Mask, only_spread: bool
 ) -> tuple[NDArray[np.intp], ...]:
     """Return columns and rows of the pixels that count, and the square of each, in order."""
     inside = np.zeros(strength.shape, np.bool_)
@@ -545,7 +547,7 @@ def _chosen(
     energy = np.where(inside, strength, 0.0)[: rows * SQUARE_PX, : columns * SQUARE_PX] ** 2
     energy = energy.reshape(rows, SQUARE_PX, columns, SQUARE_PX).mean(axis=(1, 3))
     square = np.sort(_spread(energy))
-    if not is_spread:
+    if not only_spread:
         square = np.union1d(square, _strongest(energy))
     down, along = np.nonzero(np.indices((SQUARE_PX, SQUARE_PX)).sum(axis=0) % 2 == 0)
     row = (square[:, None] // max(columns, 1) * SQUARE_PX + down).ravel()
@@ -562,14 +564,14 @@ def _strongest(energy: NDArray[np.float32]) -> NDArray[np.intp]:
 
 def _spread(energy: NDArray[np.float32]) -> NDArray[np.intp]:
     """Return the best square of each larger one."""
-    side = JURY_PX // SQUARE_PX
+    side = SPREAD_PX // SQUARE_PX
     number = np.arange(energy.size).reshape(energy.shape)
     best = []
     for row in range(0, energy.shape[0], side):
         for column in range(0, energy.shape[1], side):
             part = np.s_[row : row + side, column : column + side]
             k = int(np.argmax(energy[part]))
-            if energy[part].flat[k] >= JURY_GRADIENT**2:
+            if energy[part].flat[k] >= SPREAD_GRADIENT**2:
                 best.append(number[part].flat[k])
     return np.array(best, np.intp)
 
