@@ -1,6 +1,7 @@
 """The hand is found by itself: in recordings whose truth is known, and what is no hand is not."""
 
 import csv
+import dataclasses
 from contextlib import ExitStack
 from itertools import islice
 from pathlib import Path
@@ -20,16 +21,22 @@ from fingerpost.config import Rig
 from fingerpost.errors import InvalidInputError
 from fingerpost.finding import (
     HandSearch,
+    HandView,
     Sighting,
     Viewpoint,
     are_one,
     are_two,
+    can_be_one,
+    compare_widths,
     first_hand,
     flatness,
+    measured_line,
     pair_scores,
+    width_ratio,
 )
+from fingerpost.finding.finger import off_by_softness, off_by_width
 from fingerpost.finding.first_hand import FirstHand
-from fingerpost.finding.look import widening
+from fingerpost.finding.look import softness, widening
 from fingerpost.finding.trial import Trial, belief
 from fingerpost.finding.views import are_left_standing, views_with_mover
 from fingerpost.pipeline import Pointer
@@ -726,7 +733,12 @@ class Following:
     """A view that follows a finger from a place of the world towards the table's middle [mm]."""
 
     def __init__(
-        self, camera: Camera, rig: SimulatedRig, tip_mm: tuple | None, turn: float
+        self,
+        camera: Camera,
+        rig: SimulatedRig,
+        tip_mm: tuple | None,
+        turn: float = 0.0,
+        half_width_px: float | None = None,
     ) -> None:
         self.viewpoint = Viewpoint.of(
             PlaneView.from_reference_points(
@@ -736,6 +748,7 @@ class Following:
         )
         self.search = HandSearch()
         self.is_searching = False
+        self.odd_width = None
         self.track = None
         if tip_mm is not None:
             tip, aim = camera.project(np.array([tip_mm, (200.0, 260.0, 0.0)]))
@@ -748,7 +761,14 @@ class Following:
                 covariance=np.diag([1e-4, 1e-7]),
                 half_length_px=30.0,
             )
-            self.track = SimpleNamespace(finger_line=line, shape_vector=None, shape_names=())
+            names = () if half_width_px is None else ("half_width [px]",)
+            self.track = SimpleNamespace(
+                finger_line=line, shape_vector=[half_width_px], shape_names=names
+            )
+
+    @property
+    def off(self) -> float:
+        return off_by_width(self.odd_width or 0.0)
 
 
 def on_table(points: np.ndarray) -> np.ndarray:
@@ -772,3 +792,239 @@ def test_views_that_follow_one_finger_or_two_are_told(other_tip_mm, turn, one_fi
     for views in ((one, other), (other, one)):
         assert are_one(views) is one_finger
         assert are_two(views) is two_fingers
+
+
+# --- fingers that two views show unlike wide -----------------------------------------------------
+
+
+def nearer(camera: Camera, part: float) -> Camera:
+    """The camera at this part of its distance from the world's origin."""
+    pose = camera.camera_from_world.copy()
+    pose[:, 3] = -pose[:, :3] @ (part * camera.centre_mm)
+    return dataclasses.replace(camera, camera_from_world=pose)
+
+
+def viewpoint_of(camera: Camera, rig: SimulatedRig) -> Viewpoint:
+    shown = camera.project(on_table(rig.plane_points))
+    view = PlaneView.from_reference_points(rig.plane_points, shown, 0.01 * np.eye(2))
+    return Viewpoint.of(view, (camera.width_px, camera.height_px))
+
+
+def round_tip(camera: Camera, tip_mm: tuple, radius_mm: float, turn: float) -> Sighting:
+    """A round finger's tip: it reaches as far across the camera's ray, whichever way it points."""
+    one = np.cross(tip_mm - camera.centre_mm, (0.0, 0.0, 1.0))
+    other = np.cross(tip_mm - camera.centre_mm, one)
+    one, other = one / np.linalg.norm(one), other / np.linalg.norm(other)
+    across_mm = radius_mm * (np.cos(turn) * one + np.sin(turn) * other)
+    tip, left, right = camera.project(np.array([tip_mm, tip_mm - across_mm, tip_mm + across_mm]))
+    along_px = right - left
+    half_width_px = 0.5 * float(np.hypot(*along_px))
+    return Sighting(tuple(tip), float(np.arctan2(-along_px[0], along_px[1])), half_width_px)
+
+
+@pytest.mark.parametrize("tip_mm", [(200.0, 150.0, 20.0), (120.0, 260.0, 180.0)])
+@pytest.mark.parametrize(("first_mm", "second_mm"), [(8.0, 8.0), (4.0, 8.0), (12.0, 7.0)])
+def test_a_finger_is_as_wide_from_near_and_far(tip_mm, first_mm, second_mm):
+    rig = SimulatedRig()
+    cameras = rig.cameras[0], nearer(rig.cameras[1], 0.6)
+    views = tuple(viewpoint_of(camera, rig) for camera in cameras)
+    fingers = tuple(
+        round_tip(camera, tip_mm, radius_mm, turn)
+        for camera, radius_mm, turn in zip(cameras, (first_mm, second_mm), (0.4, 1.0), strict=True)
+    )
+    assert fingers[1].half_width_px / second_mm > 1.3 * fingers[0].half_width_px / first_mm
+    ratio = width_ratio(views, fingers)
+    assert ratio == pytest.approx(np.log(first_mm / second_mm), abs=0.02)
+    assert width_ratio(views[::-1], fingers[::-1]) == pytest.approx(-ratio)
+
+
+def test_widths_are_not_compared_where_cameras_are_not_known():
+    rig = SimulatedRig()
+    view = viewpoint_of(rig.cameras[0], rig)
+    finger = round_tip(rig.cameras[0], TIP_MM, 8.0, 0.4)
+    nowhere = dataclasses.replace(view, centre=np.full(3, np.nan))
+    assert np.isnan(width_ratio((view, nowhere), (finger, finger)))
+    assert np.isnan(width_ratio((view, view), (finger, finger)))  # its rays have one direction
+    assert np.isnan(width_ratio((view, view), (finger, finger._replace(half_width_px=0.0))))
+
+
+def test_fingers_of_one_tip_that_are_seen_unlike_wide_are_two_and_give_no_point():
+    rig = SimulatedRig()
+    for half_width_px, is_one in ((7.0, True), (8.5, True), (14.0, False), (3.0, False)):
+        one = Following(rig.cameras[0], rig, TIP_MM, half_width_px=7.0)
+        other = Following(rig.cameras[1], rig, TIP_MM, half_width_px=half_width_px)
+        compare_widths((one, other))
+        assert one.odd_width == pytest.approx(-other.odd_width)
+        assert np.sign(other.odd_width) == np.sign(half_width_px - 7.0) or is_one
+        assert (can_be_one((one, other)), are_two((one, other))) == (is_one, not is_one)
+
+
+def test_of_three_views_the_one_that_shows_another_width_is_the_odd_one():
+    rig = SimulatedRig()
+    cameras = (*rig.cameras, nearer(rig.cameras[1], 0.6))
+    widths = [round_tip(camera, TIP_MM, 8.0, 0.4).half_width_px for camera in cameras]
+    views = [
+        Following(camera, rig, TIP_MM, half_width_px=half_width_px)
+        for camera, half_width_px in zip(
+            cameras, (widths[0], 1.8 * widths[1], widths[2]), strict=True
+        )
+    ]
+    compare_widths(views)
+    assert max(abs(views[0].odd_width), abs(views[2].odd_width)) < 0.1
+    assert views[1].odd_width == pytest.approx(np.log(1.8), abs=0.1)
+
+
+def test_what_a_moment_shows_wider_is_hardly_odd_and_what_is_not_seen_not_at_all():
+    rig = SimulatedRig()
+    views = [Following(camera, rig, TIP_MM, half_width_px=7.0) for camera in rig.cameras]
+    compare_widths(views)
+    like = views[1].odd_width
+    blurred = Following(rig.cameras[1], rig, TIP_MM, half_width_px=11.0)
+    blurred.odd_width = like
+    compare_widths((views[0], blurred))
+    assert like < blurred.odd_width < like + 0.3 * np.log(11.0 / 7.0)
+    for _ in range(20):
+        compare_widths((views[0], blurred))
+    assert blurred.odd_width == pytest.approx(like + np.log(11.0 / 7.0), abs=0.02)
+    views[0].track = None
+    compare_widths((views[0], blurred))
+    assert views[0].odd_width is blurred.odd_width is None
+
+
+@pytest.mark.parametrize("odd_width", [0.0, 0.2, -0.2, 0.6, -0.6, 1.5])
+def test_a_line_is_as_unsure_as_flanks_of_another_width_can_put_it_off(odd_width):
+    rig = SimulatedRig()
+    track = Following(rig.cameras[0], rig, TIP_MM, half_width_px=7.0).track
+    known = measured_line(track, 0.0)
+    doubted = measured_line(track, 0.0, off_by_width(odd_width))
+    # One flank where the other view has it, the other where this one does.
+    off_px = abs(7.0 - 7.0 * np.exp(-np.sign(odd_width) * max(abs(odd_width) - 0.25, 0.0)))
+    more = doubted.covariance - known.covariance
+    expected = np.diag([off_px**2, (off_px / 30.0) ** 2])
+    np.testing.assert_allclose(more, expected, rtol=1e-9, atol=1e-15)
+    assert (doubted.angle_rad, doubted.half_width_px) == (known.angle_rad, 7.0)
+
+
+# --- flanks that are none ------------------------------------------------------------------------
+
+FLAT_FINGER = SimpleNamespace(tip_px=(258.0, 120.0), angle_rad=0.0)
+
+
+def painted(sigmas_px: tuple[float, float], levels: tuple, blur_px: float = 0.0) -> Frame:
+    """A finger along u, 20 px wide, that ends like blurred steps at its upper and lower flank."""
+    v = np.arange(240.0)
+    upper = scipy.stats.norm.cdf((v - 110.0) / sigmas_px[0])
+    lower = scipy.stats.norm.sf((v - 130.0) / sigmas_px[1])
+    part = np.repeat((upper * lower)[:, None], 320, axis=1)
+    part[:, 259:] = 0.0
+    if blur_px > 0.0:
+        part = cv2.GaussianBlur(part, (0, 0), blur_px)
+    finger, table = (np.array(level, dtype=float) for level in levels)
+    picture = part[..., None] * finger + (1.0 - part[..., None]) * table
+    noise = np.random.default_rng(3).normal(0.0, 1.0, picture.shape)
+    return Frame(0, 0.0, np.clip(picture + noise, 0, 255).round().astype(np.uint8).squeeze())
+
+
+@pytest.mark.parametrize(("finger", "table"), [(150.0, 60.0), (40.0, 90.0)])
+@pytest.mark.parametrize("sigmas_px", [(1.0, 1.0), (1.0, 2.0), (2.0, 1.0)])
+def test_the_softer_flank_is_told(finger, table, sigmas_px):
+    told = softness(painted(sigmas_px, ([finger], [table])), FLAT_FINGER, 10.0)
+    # The normal of a finger along u points to larger v.
+    expected = (sigmas_px[1] ** 2 - sigmas_px[0] ** 2) / 10.0**2
+    assert told == pytest.approx(expected, abs=0.015)
+
+
+def test_a_softer_flank_seems_softer_however_soft():
+    told = [
+        softness(painted((1.0, sigma_px), ([60.0], [150.0])), FLAT_FINGER, 10.0)
+        for sigma_px in (1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 9.0)
+    ]
+    assert told == sorted(told)
+    assert told[-1] > 0.3**2
+
+
+def test_blur_softens_both_flanks_alike():
+    sharp, blurred = (
+        softness(painted((1.0, 2.0), ([150.0], [60.0]), blur_px), FLAT_FINGER, 10.0)
+        for blur_px in (0.0, 1.5)
+    )
+    assert blurred == pytest.approx(sharp, abs=0.015)
+
+
+def test_colours_tell_of_flanks_that_grey_levels_do_not():
+    # Red before green of the same grey level.
+    frame = painted((1.0, 2.0), ([60.0, 40.0, 128.0], [60.0, 85.0, 40.0]))
+    grey = Frame(0, 0.0, frame.grey())
+    assert softness(frame, FLAT_FINGER, 10.0) == pytest.approx(0.03, abs=0.015)
+    assert np.isnan(softness(grey, FLAT_FINGER, 10.0))
+
+
+def test_flanks_beyond_the_picture_tell_nothing():
+    frame = painted((1.0, 2.0), ([150.0], [60.0]))
+    outside = SimpleNamespace(tip_px=(20.0, 120.0), angle_rad=0.0)
+    assert np.isnan(softness(frame, outside, 10.0))
+
+
+def test_a_flank_that_shades_off_puts_the_axis_off_by_up_to_half_the_width():
+    assert off_by_softness(0.0) == off_by_softness(0.28**2) == 0.0
+    doubts = [off_by_softness(sign * s**2) for s in (0.3, 0.32, 0.34, 0.6) for sign in (1, -1)]
+    assert doubts[::2] == doubts[1::2] == sorted(doubts[::2])
+    assert 0.0 < doubts[0] < doubts[-1] == 1.0
+
+
+def test_a_finger_in_plain_view_is_not_doubted():
+    rig = Rig.load(DESK / "rig.toml")
+    with ExitStack() as stack:
+        sources = [stack.enter_context(open_source(view.source)) for view in rig.views]
+        pointer = Pointer(rig)
+        seen = [
+            o
+            for pair in islice(read_views(sources), DESK_FRAMES)
+            for step in pointer.update(pair)
+            for o in step.observations
+        ]
+    assert sum(o.track.finger_line is not None for o in seen) > DESK_FRAMES
+    assert [o.off for o in seen] == [0.0] * len(seen)
+
+
+def test_people_and_tables_are_told_of_a_flank_that_is_not_the_fingers():
+    rig = Rig.load(DESK / "rig.toml")
+    with ExitStack() as stack:
+        sources = [stack.enter_context(open_source(view.source)) for view in rig.views]
+        pointer = Pointer(rig)
+        *_, last = (s for p in islice(read_views(sources), 20) for s in pointer.update(p))
+    sure = last.observations[0]
+    unsure = dataclasses.replace(sure, off=0.5)
+    assert "up to 0.5 half-widths off" in unsure.reasons[-1]
+    assert "half-widths" not in sure.reasons[-1]
+    rows = sure.track_row(), unsure.track_row()
+    assert rows[0].tip_u == rows[1].tip_u
+    off_px = 0.5 * unsure.finger.half_width_px
+    assert rows[1].sigma_offset_px == pytest.approx(np.hypot(rows[0].sigma_offset_px, off_px))
+    assert rows[1].sigma_angle_rad > rows[0].sigma_angle_rad
+
+
+def test_a_hand_whose_lit_side_has_the_colour_of_the_table_gives_no_sure_line():
+    # The lower half of the finger shades off into the table; what shows is half a finger.
+    view = HandView(
+        SimpleNamespace(
+            name="one",
+            reference_points_px=((40, 30), (280, 30), (280, 210), (40, 210)),
+            reference_covariances=lambda sigma_px: sigma_px**2 * np.eye(2),
+            lens=None,
+            start=None,
+        ),
+        ((0, 0), (100, 0), (100, 100), (0, 100)),
+        None,
+        0.5,
+    )
+    line = SimpleNamespace(**vars(FLAT_FINGER), anchor_px=(228.0, 120.0))
+    found = SimpleNamespace(
+        track=SimpleNamespace(
+            finger_line=line, shape_vector=[10.0], shape_names=("half_width [px]",)
+        )
+    )
+    for sigma_px, least, most in ((1.0, 0.0, 0.0), (9.0, 0.2, 1.0)):
+        view.search.found, view._softer = found, None
+        view.look_at_flanks(painted((1.0, sigma_px), ([60.0], [150.0])))
+        assert least <= view.off <= most

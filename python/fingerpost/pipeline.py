@@ -30,7 +30,14 @@ from fingerpost.capture import Frame, open_views, read_views
 from fingerpost.checks import in_range
 from fingerpost.config import Rig
 from fingerpost.errors import FingerpostError, InvalidInputError
-from fingerpost.finding import HandView, Shared, find_hand, how_flat, measured_line
+from fingerpost.finding import (
+    HandView,
+    Shared,
+    compare_widths,
+    find_hand,
+    how_flat,
+    measured_line,
+)
 from fingerpost.pointing import (
     BARE_HAND,
     FingerLine,
@@ -47,6 +54,9 @@ from fingerpost.references import ReferenceWatch
 
 DEFAULT_REFERENCE_SIGMA_PX = 0.5
 """Standard deviation of a reference point that a person clicked or a line fit gave [px]."""
+
+TOLD_OFF = 0.05
+"""From so many half-widths on, people are told that the axis may be off."""
 
 # Standard deviations of reference points whose squares are something beside everything else [px].
 _REFERENCE_SIGMAS_PX = (1e-6, 1e6)
@@ -78,6 +88,8 @@ class Observation:
         Whether the camera has moved and it is not known where to.
     plane_view
         How the view saw the plane; of a camera that is adrift, when that was known last.
+    off
+        How far the finger's axis may be off for what is no noise [half-widths].
     """
 
     view: str
@@ -89,12 +101,13 @@ class Observation:
     moved_px: float = 0.0
     is_adrift: bool = False
     plane_view: PlaneView | None = None
+    off: float = 0.0
 
     @classmethod
     def of(cls, view: HandView, frame: Frame | None, watch: ReferenceWatch) -> Observation:
         """Return what a view saw in the frame that it and the watch have had last."""
         tracker = view.tracker
-        camera = watch.moved_px, watch.is_adrift, view.plane_view
+        camera = watch.moved_px, watch.is_adrift, view.plane_view, view.off
         if frame is None or tracker is None:
             return cls(view.name, frame, None, np.empty((0, 2)), None, view.missing, *camera)
         contour_px, searched = tracker.contour(), tracker.search_lines()
@@ -112,7 +125,7 @@ class Observation:
             return Status.LOST
         if self.track is None:
             return self.missing
-        line = measured_line(self.track, self.frame.time_s)
+        line = measured_line(self.track, self.frame.time_s, self.off)
         if line is not None:
             return Status.ILL_CONDITIONED if self.is_adrift else line
         return Status.ACQUIRING if self.track.status == "acquiring" else Status.LOST
@@ -135,20 +148,21 @@ class Observation:
             return ("refused: it lies on the table",)
         if self.track is None:
             return ("no hand is followed: looked for everywhere",)
-        return _verdict(self.track), _details(self.track, self.search)
+        return _verdict(self.track), _details(self.track, self.search, self.off)
 
     def track_row(self) -> TrackRow | None:
         """Return the row of `tracks.csv`; None without a frame."""
         if self.frame is None:
             return None
         cells: dict[str, float] = {}
-        line = self.track.finger_line if self.track is not None else None
+        line = measured_line(self.track, self.frame.time_s, self.off)
         status = "tracking" if line is not None else str(self.finger)
         if line is not None:
             sigma_offset_px, sigma_angle_rad = np.sqrt(np.diag(line.covariance)).tolist()
+            tip_u, tip_v = line.tip_px.tolist()
             cells = {
-                "tip_u": line.tip_px[0],
-                "tip_v": line.tip_px[1],
+                "tip_u": tip_u,
+                "tip_v": tip_v,
                 "angle_rad": line.angle_rad,
                 "sigma_angle_rad": sigma_angle_rad,
                 "sigma_offset_px": sigma_offset_px,
@@ -182,7 +196,7 @@ def _verdict(track: Track) -> str:
     return f"refused: {reasons.get(told.refusal or '', 'no fit that could be a finger')}"
 
 
-def _details(track: Track, search: SearchMarks) -> str:
+def _details(track: Track, search: SearchMarks, off: float) -> str:
     """Say what the lines of the last search found, and what else is known of the fit."""
     lines, agree = len(search.agrees), int(search.agrees.sum())
     hits = int(np.isfinite(search.edges_px).all(axis=1).sum())
@@ -193,6 +207,8 @@ def _details(track: Track, search: SearchMarks) -> str:
         details.append(f"bend {np.degrees(track.diagnostics.bend_rad):.0f}°")
     if track.finger_line is not None:
         details.append(f"line from {track.finger_line.source}")
+        if off >= TOLD_OFF:
+            details.append(f"a flank is not the finger's: up to {off:.1f} half-widths off")
     return "   ".join(details)
 
 
@@ -411,9 +427,12 @@ class Pointer:
             view.observe(frame)
         if any(view.is_searching for view in self.views):
             find_hand(self.views, frames)
+        for view, frame in zip(self.views, frames, strict=True):
+            view.settle()
+            view.look_at_flanks(frame)
+        compare_widths(self.views)
         shared = Shared()
         for view in self.views:
-            view.settle()
             view.doubt([other for other in self.views if other is not view], shared)
         observations = tuple(
             Observation.of(view, frame, watch)

@@ -15,8 +15,8 @@ has moved (`views`). A template that waits for the hand may lock on to the table
 from fingerpost.finding.finger import Sighting, measured_line
 from fingerpost.finding.hand_view import HandView
 from fingerpost.finding.look import flatness, widening
-from fingerpost.finding.one_finger import Shared, are_one, are_two, can_be_one
-from fingerpost.finding.pairs import Viewpoint, pair_scores
+from fingerpost.finding.one_finger import Shared, are_one, are_two, can_be_one, compare_widths
+from fingerpost.finding.pairs import Viewpoint, pair_scores, width_ratio
 from fingerpost.finding.search import HandSearch
 from fingerpost.finding.views import find_hand, how_flat
 
@@ -29,10 +29,12 @@ __all__ = [
     "are_one",
     "are_two",
     "can_be_one",
+    "compare_widths",
     "find_hand",
     "flatness",
     "how_flat",
     "measured_line",
     "pair_scores",
     "widening",
+    "width_ratio",
 ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -43,6 +44,12 @@ def followed(track: Track | None) -> list[Sighting]:
     return [Sighting(line.tip_px, line.angle_rad, HALF_WIDTH * length)]
 
 
+def followed_as_wide(track: Track | None) -> Sighting | None:
+    """Return the finger that a view follows, as wide as the fit has it; None without such a fit."""
+    seen, half_width_px = followed(track), track and fitted_half_width_px(track)
+    return seen[0]._replace(half_width_px=half_width_px) if seen and half_width_px else None
+
+
 def fitted_half_width_px(track: Track) -> float | None:
     """Return half a finger's width; None without a fit in a shape space that has one."""
     shape = track.shape_vector
@@ -51,19 +58,86 @@ def fitted_half_width_px(track: Track) -> float | None:
     return float(shape[track.shape_names.index(HALF_WIDTH_NAME)])
 
 
-def measured_line(track: Track | None, time_s: float) -> pointing.FingerLine | None:
-    """Return the line of the finger that a view follows, to point with; None if it shows none."""
+LIKE_WIDTH = 0.25
+"""By what logarithm a finger's width may differ from view to view: a finger is not round, and a
+blurred one looks wider. A real finger's differs by more in 3 frames of 100."""
+
+SOFTER = (0.29, 0.35)
+"""How much softer the one flank of a finger is than the other, from where it may be none, and from
+where it is none [half-widths]: mostly below 0.2 of real and rendered fingers in the shade, and 0.28
+at most. A hand of the table's brightness, which shows where it turns from the light and not where
+it ends, has 0.3 to 0.38."""
+
+
+def off_by_width(odd_width: float) -> float:
+    """Return how far a finger's axis may be off if another view shows the finger unlike wide.
+
+    One flank at least is not the finger's then, but that of a shadow beside it, of the thumb, of
+    the table, or a crease of the skin. The axis is off by as much as half the width is.
+
+    Parameters
+    ----------
+    odd_width
+        Logarithm of how many times as wide the finger is here; see
+        `fingerpost.finding.pairs.width_ratio`.
+
+    Returns
+    -------
+    float
+        [half-widths]
+    """
+    unlike = math.copysign(max(abs(odd_width) - LIKE_WIDTH, 0.0), odd_width)
+    return abs(1.0 - math.exp(-unlike))
+
+
+def off_by_softness(softer: float) -> float:
+    """Return how far a finger's axis may be off if one flank is that much softer than the other.
+
+    Parameters
+    ----------
+    softer
+        See `fingerpost.finding.look.softness` [half-widths²].
+
+    Returns
+    -------
+    float
+        [half-widths]
+    """
+    low, high = SOFTER
+    return min(max((math.sqrt(abs(softer)) - low) / (high - low), 0.0), 1.0)
+
+
+def measured_line(
+    track: Track | None, time_s: float, off: float = 0.0
+) -> pointing.FingerLine | None:
+    """Return the line of the finger that a view follows, to point with; None if it shows none.
+
+    Parameters
+    ----------
+    track
+        What the tracker made of a frame.
+    time_s
+        The frame's time [s].
+    off
+        How far the axis may be off for what is no noise [half-widths]: aside by that, and turned by
+        that over half the length that it was measured on.
+    """
     if track is None or track.finger_line is None:
         return None
-    line = track.finger_line
+    line, half_width_px = track.finger_line, fitted_half_width_px(track) or 0.0
+    half_length_px = line.half_length_px or math.dist(line.tip_px, line.anchor_px)
+    covariance = line.covariance
+    if off > 0.0:
+        off_px = off * half_width_px
+        covariance = covariance + np.diag([off_px**2, (off_px / half_length_px) ** 2])
     return pointing.FingerLine(
         np.array(line.anchor_px),
         line.angle_rad,
-        line.covariance,
+        covariance,
         np.array(line.tip_px),
         time_s,
-        line.half_length_px,
-        fitted_half_width_px(track) or 0.0,
+        half_length_px,
+        half_width_px,
     )
 
 

@@ -13,10 +13,17 @@ from numpy.typing import NDArray
 from fingerpost._core import Background, ContourTracker, FingerLine, StartPose, Template, Track
 from fingerpost.capture import Frame
 from fingerpost.config import View
-from fingerpost.finding.finger import hand_region, is_left_behind
+from fingerpost.finding.finger import (
+    fitted_half_width_px,
+    hand_region,
+    is_left_behind,
+    off_by_softness,
+    off_by_width,
+)
 from fingerpost.finding.first_hand import FirstHand
 from fingerpost.finding.foreground import is_background
 from fingerpost.finding.length import Lengthening
+from fingerpost.finding.look import softness
 from fingerpost.finding.one_finger import Shared
 from fingerpost.finding.pairs import Viewpoint
 from fingerpost.finding.search import HandSearch
@@ -46,6 +53,10 @@ though it moves as one does, but its shadow. Fingers of 22 recordings did for on
 
 FLAT_EVERY = 4
 """One frame in so many is asked for that, and every one once it has looked so."""
+
+SOFT_EVERY = 4
+SOFT_RATE = 0.5
+"""One frame in so many tells how soft the flanks are; it counts that much of what is known."""
 
 STOOD_FRAMES = 8
 """What has stood still for so many frames while another view's finger has moved is no finger."""
@@ -100,6 +111,10 @@ class HandView:
         self._flat_frames = 0
         self.missing = Status.ACQUIRING
         """What it is while it follows nothing: looking for its first hand, or for a lost one."""
+        self.odd_width: float | None = None
+        """Logarithm of how many times as wide it has shown the finger lately as the view that
+        agrees best; None where that is not known."""
+        self._softer: float | None = None
         self._lengthening: Lengthening | None = None
         self._first_hand: FirstHand | None = None
         if view.start is not None:
@@ -158,6 +173,15 @@ class HandView:
     def track(self) -> Track | None:
         """What the view's tracker, or the trial that is believed, made of the last frame."""
         return self.search.found.track if self.search.found is not None else self._track
+
+    @property
+    def off(self) -> float:
+        """How far the finger's axis may be off for what is no noise [half-widths]."""
+        by_width, by_softness = (
+            off_by_width(self.odd_width or 0.0),
+            off_by_softness(self._softer or 0.0),
+        )
+        return float(np.hypot(by_width, by_softness))
 
     @property
     def hand(self) -> tuple[NDArray[np.float64], NDArray[np.float64], float] | None:
@@ -294,6 +318,19 @@ class HandView:
             self.missing = Status.LOST
             self.search.rest()
 
+    def look_at_flanks(self, frame: Frame | None) -> None:
+        """Learn from some frames whether the finger that is followed is outlined on both sides."""
+        if frame is None or (self._softer is not None and self._frames % SOFT_EVERY):
+            return
+        track = self.track
+        half_width_px = track and fitted_half_width_px(track)
+        if track is None or track.finger_line is None or not half_width_px:
+            return
+        now = softness(frame, track.finger_line, half_width_px)
+        if np.isfinite(now):
+            before = now if self._softer is None else self._softer
+            self._softer = before + SOFT_RATE * (now - before)
+
     def doubt(self, others: Sequence[HandView], shared: Shared) -> None:
         """Count frames in which no other view shows what this one follows; let go after some.
 
@@ -367,7 +404,7 @@ class HandView:
         """Follow nothing any more, and look everywhere."""
         self._tracker, self._track, self._doubts, self._is_table = None, None, 0, False
         self._alone_frames, self._flat_frames = 0, 0
-        self._lengthening = None
+        self._lengthening, self._softer = None, None
         self._latest.clear()
         self.missing = Status.LOST
         self.search.rest()

@@ -1,4 +1,7 @@
-"""What the pixels about a finger tell: whether it lies in the plane, and has a hand behind."""
+"""What the pixels about a finger tell.
+
+Whether it lies in the plane, has a hand behind it, and is outlined on both sides.
+"""
 
 from __future__ import annotations
 
@@ -140,6 +143,69 @@ def widening(frame: Frame, line: FingerLine, half_width_px: float) -> float:
         alike.append(np.convolve(part, np.full(4, 0.25), mode="valid"))
     behind, left, right = alike
     return float(np.minimum(behind, np.maximum(left, right)).max())
+
+
+ALONG = -np.linspace(1.2, 5.0, 9)
+ACROSS = np.linspace(-0.65, 0.65, 11)
+INSIDE, OUTSIDE = ACROSS < -0.33, ACROSS > 0.33
+"""Where the flanks are looked at: behind the tip, and across the flank [half-widths]."""
+
+FLANK_SEEN = 7
+"""Rows of a flank that tell how soft it is."""
+
+
+def softness(frame: Frame, line: FingerLine, half_width_px: float) -> float:
+    """Tell how much softer the one flank of a finger is than the other.
+
+    An outline is as sharp as the picture. A flank that shades off, before a table as bright as
+    where it is lit, or where a soft shadow ends, is none; blur by motion or by the lens softens
+    both flanks.
+
+    Parameters
+    ----------
+    frame
+        What shows it: its colours, if it has any.
+    line, half_width_px
+        The finger's axis, and half its width [px].
+
+    Returns
+    -------
+    float
+        Difference of the variances of the two flanks, each taken for a blurred step, positive if
+        that on the side of the normal (−sin, cos) is the softer [half-widths²]. A flank is looked
+        at to 0.65 half-widths on either side: softer ones than 0.15 seem less soft than they are,
+        and none softer than about 0.35. NaN where either hardly shows.
+    """
+    colours = frame.colour()
+    image = frame.grey() if colours is None else colours
+    e = np.array([np.cos(line.angle_rad), np.sin(line.angle_rad)])
+    n = np.array([-e[1], e[0]])
+    variances = []
+    for side in (1.0, -1.0):
+        places = ALONG[:, None, None] * e + side * (1.0 + ACROSS)[:, None] * n
+        levels = _shown(image, line.tip_px + half_width_px * places)
+        variances.append(_variance(levels.reshape(*levels.shape[:2], -1)))
+    return variances[0] - variances[1]
+
+
+def _variance(levels: Array) -> float:
+    """Return the variance of the step that rows of levels (rows, across, channels) show.
+
+    Rows count by the square of their contrast: so much the mean of their profiles, each in parts of
+    its own contrast, owes to them.
+    """
+    levels = levels[np.isfinite(levels).all(axis=(1, 2))]
+    behind = levels[:, OUTSIDE].mean(axis=1)
+    contrast = levels[:, INSIDE].mean(axis=1) - behind
+    weight = float(np.square(contrast).sum())
+    if len(levels) < FLANK_SEEN or weight < len(levels) * NOISE_GREY**2:
+        return np.nan
+    # Less what is behind, which is the same all across.
+    profile = np.einsum("rac,rc->a", levels, contrast) / weight
+    fall = np.maximum(-np.diff(profile), 0.0)
+    at = 0.5 * (ACROSS[1:] + ACROSS[:-1])
+    mean = (fall * at).sum() / fall.sum()
+    return float((fall * np.square(at - mean)).sum() / fall.sum())
 
 
 def _shown(image: NDArray[np.uint8], places: Array) -> Array:

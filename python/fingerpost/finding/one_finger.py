@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
+from itertools import combinations
 from typing import Protocol
 
 from fingerpost._core import Track
-from fingerpost.finding.finger import followed, measured_line
-from fingerpost.finding.pairs import OTHER_TIP, Viewpoint, same_tip
-from fingerpost.pointing import PlaneView, Status, indicated_point
+from fingerpost.finding.finger import followed, followed_as_wide, measured_line
+from fingerpost.finding.pairs import OTHER_TIP, Viewpoint, same_tip, width_ratio
+from fingerpost.pointing import FingerLine, PlaneView, Status, indicated_point
+
+WIDTH_RATE = 0.2
+"""What a frame counts in how much wider a view shows the finger: a blurred moment tells little."""
+
+OTHER_WIDTH = 0.6
+"""Fingers whose widths differ by this logarithm are two, or one not seen for what it is. One
+finger's differ by 0.45 at most in the recordings."""
 
 
 class FollowingView(Protocol):
@@ -22,13 +31,36 @@ class FollowingView(Protocol):
     def track(self) -> Track | None:
         """What its tracker made of the last frame."""
 
+    @property
+    def off(self) -> float:
+        """How far the finger's axis may be off for what is no noise [half-widths]."""
+
+    odd_width: float | None
+    """Logarithm of how many times as wide it has shown the finger lately as the view that agrees
+    best; None where that is not known."""
+
 
 Pair = tuple[FollowingView, FollowingView]
 
 
-def gives_point(views: Sequence[PlaneView], tracks: Sequence[Track | None]) -> bool:
-    """Tell whether tracks of two views give a point; so they do while one shows no finger."""
-    lines = [measured_line(track, time_s=0.0) for track in tracks]
+def compare_widths(views: Sequence[FollowingView]) -> None:
+    """Tell every view how much wider it shows the finger than the view that agrees best with it."""
+    ratios: list[list[float]] = [[] for _ in views]
+    for i, j in combinations(range(len(views)), 2):
+        ratio = _followed_width_ratio((views[i], views[j]))
+        if math.isfinite(ratio):
+            ratios[i].append(ratio)
+            ratios[j].append(-ratio)
+    for view, known in zip(views, ratios, strict=True):
+        now = min(known, key=abs, default=None)
+        if now is None or view.odd_width is None:
+            view.odd_width = now
+        else:
+            view.odd_width += WIDTH_RATE * (now - view.odd_width)
+
+
+def gives_point(views: Sequence[PlaneView], lines: Sequence[FingerLine | None]) -> bool:
+    """Tell whether lines of two views give a point; so they do while one shows no finger."""
     fingers = [line for line in lines if line is not None]
     if len(fingers) < len(views):
         return True
@@ -37,7 +69,10 @@ def gives_point(views: Sequence[PlaneView], tracks: Sequence[Track | None]) -> b
 
 def can_be_one(views: Pair) -> bool:
     """Tell whether what two views follow may be one finger; so it is while one follows nothing."""
-    return gives_point([v.viewpoint.plane_view for v in views], [v.track for v in views])
+    if _is_odd(views):
+        return False
+    lines = [measured_line(view.track, 0.0, view.off) for view in views]
+    return gives_point([view.viewpoint.plane_view for view in views], lines)
 
 
 def are_one(views: Pair) -> bool:
@@ -49,13 +84,15 @@ def are_one(views: Pair) -> bool:
 def are_two(views: Pair) -> bool:
     """Tell whether two views follow different fingers.
 
-    Then their lines give no point, and their tips are hardly one; a hand that points nowhere has
-    one tip.
+    Then their lines give no point, and their tips are hardly one or as wide; a hand that points
+    nowhere has one tip.
     """
     if can_be_one(views):
         return False
     same = _same_followed_tip(views)
-    return same is not None and same < OTHER_TIP
+    if same is None:
+        return False
+    return same < OTHER_TIP or _is_odd(views)
 
 
 def _same_followed_tip(views: Pair) -> float | None:
@@ -64,6 +101,19 @@ def _same_followed_tip(views: Pair) -> float | None:
     if not (first and second):
         return None
     return float(same_tip((views[0].viewpoint, views[1].viewpoint), (first, second))[0, 0])
+
+
+def _is_odd(views: Pair) -> bool:
+    """Tell whether a view shows a finger of a width that no other view shows it to have."""
+    return any(abs(view.odd_width or 0.0) > OTHER_WIDTH for view in views)
+
+
+def _followed_width_ratio(views: Pair) -> float:
+    """Return the logarithm of how many times as wide the first shows its finger; NaN if unknown."""
+    first, second = (followed_as_wide(view.track) for view in views)
+    if first is None or second is None:
+        return math.nan
+    return width_ratio((views[0].viewpoint, views[1].viewpoint), (first, second))
 
 
 class Shared:

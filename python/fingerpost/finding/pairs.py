@@ -6,8 +6,10 @@ of its tip, and the rays through the tip meet in one point above the plane.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -174,11 +176,7 @@ class _OnPlane:
         # A foot far from where one works costs score; one beyond the horizon, all of it.
         away = np.linalg.norm(foot - view.plane_points.mean(axis=0), axis=-1) / view.plane_size
         near = np.exp(-0.5 * np.square(away / FOOT_SPREAD))
-        # What a ray to the finger sees of it across, not what that covers of the plane aslant.
         ray = viewpoint.centre - np.pad(foot, ((0, 0), (0, 1)))
-        breadth = np.pad(right - left, ((0, 0), (0, 1)))
-        e = ray / np.linalg.norm(ray, axis=-1, keepdims=True)
-        breadth -= (breadth * e).sum(axis=-1, keepdims=True) * e
         return cls(
             tip_px=tip,
             direction=direction,
@@ -189,7 +187,7 @@ class _OnPlane:
             line=np.cross(_homogeneous(back), _homogeneous(tip)) @ view.image_from_plane,
             foot=foot,
             width=np.linalg.norm(right - left, axis=-1),
-            breadth=np.linalg.norm(breadth, axis=-1),
+            breadth=_breadth(*(right - left).T, *ray.T),
             ray=ray,
         )
 
@@ -282,12 +280,8 @@ class _Tips:
         p, q = np.broadcast_arrays(first.ray, second.ray)
         between = np.zeros_like(p)
         between[..., :2] = second.foot - first.foot
-        pp, qq, pq = ((x * y).sum(axis=-1) for x, y in ((p, p), (q, q), (p, q)))
-        pd, qd = ((x * between).sum(axis=-1) for x in (p, q))
-        # The points of two rays that are nearest to each other; those of one direction have none.
-        determinant = pp * qq - pq**2
-        determinant = np.where(determinant > SAME_DIRECTION * pp * qq, determinant, np.nan)
-        s, t = (qq * pd - pq * qd) / determinant, (pq * pd - pp * qd) / determinant
+        components = (np.moveaxis(x, -1, 0) for x in (p, q, between))
+        s, t = _nearest(*(tuple(x) for x in components))
         nearest = s[..., None] * p, between + t[..., None] * q
         foot = np.pad(first.foot, ((0, 0), (0, 0), (0, 1)))
         return cls(
@@ -309,6 +303,88 @@ class _Tips:
         """Return how far points of the plane are from the tips [half-widths]; 0 if not known."""
         away = np.linalg.norm(self.places - np.pad(point, ((0, 0), (0, 0), (0, 1))), axis=-1)
         return np.asarray(np.nan_to_num(away / np.sqrt(self.widths[0] * self.widths[1])))
+
+
+def width_ratio(views: tuple[Viewpoint, Viewpoint], fingers: tuple[Sighting, Sighting]) -> float:
+    """Tell how much wider one view shows a finger to be than another one does.
+
+    A finger is about as wide from every side, where it is: at its tip, above the plane.
+
+    Parameters
+    ----------
+    views, fingers
+        How two views see the plane, and the finger in each.
+
+    Returns
+    -------
+    float
+        Logarithm of the ratio of the first's width to the second's; NaN where that is not known.
+    """
+    (foot, ray, breadth), (other_foot, other_ray, other_breadth) = (
+        _ray(view, finger) for view, finger in zip(views, fingers, strict=True)
+    )
+    between = other_foot[0] - foot[0], other_foot[1] - foot[1], 0.0
+    s, t = _nearest(ray, other_ray, between)
+    width, other_width = abs(breadth * (1.0 - s)), abs(other_breadth * (1.0 - t))
+    if not (width > 0.0 and other_width > 0.0):
+        return math.nan
+    return math.log(width / other_width)
+
+
+def _ray(
+    view: Viewpoint, finger: Sighting
+) -> tuple[tuple[float, float], tuple[float, float, float], float]:
+    """Return where a view shows a tip on the plane, the ray from there, and the breadth."""
+    (u, v), half_width_px = finger.tip_px, finger.half_width_px
+    across = (
+        -0.5 * half_width_px * math.sin(finger.angle_rad),
+        0.5 * half_width_px * math.cos(finger.angle_rad),
+    )
+    shown = [(u, v), (u - across[0], v - across[1]), (u + across[0], v + across[1])]
+    foot, left, right = view.plane_view.back_project(shown).tolist()
+    x, y, z = view.centre.tolist()
+    ray = x - foot[0], y - foot[1], z
+    return (foot[0], foot[1]), ray, _breadth(right[0] - left[0], right[1] - left[1], *ray)
+
+
+# What follows is written in components, which are floats for the one finger of a frame and arrays
+# for the many of a search.
+Numbers = Any
+
+
+def _breadth(across_x: Numbers, across_y: Numbers, x: Numbers, y: Numbers, z: Numbers) -> Numbers:
+    """Return what a ray sees across, not what that covers of the plane aslant."""
+    along = across_x * x + across_y * y
+    # Rounding may leave less than nothing of what points at the camera.
+    return abs(across_x**2 + across_y**2 - along**2 / (x**2 + y**2 + z**2)) ** 0.5
+
+
+def _nearest(
+    first: Sequence[Numbers], second: Sequence[Numbers], between: Sequence[Numbers]
+) -> tuple[Numbers, Numbers]:
+    """Return how far along two rays their nearest points are, NaN for those of one direction.
+
+    Parameters
+    ----------
+    first, second
+        The rays' components; their lengths are the unit.
+    between
+        Components of the way from the first's foot to the second's.
+    """
+    pp, qq, pq, pd, qd = (
+        a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+        for a, b in (
+            (first, first),
+            (second, second),
+            (first, second),
+            (first, between),
+            (second, between),
+        )
+    )
+    determinant = pp * qq - pq**2
+    # NaN beyond a comparison that fails, for floats and arrays alike.
+    determinant = np.where(determinant > SAME_DIRECTION * pp * qq, determinant, np.nan)
+    return (qq * pd - pq * qd) / determinant, (pq * pd - pp * qd) / determinant
 
 
 def _positive(widths: Array) -> Array:

@@ -10,7 +10,13 @@ import numpy as np
 
 from fingerpost._core import Candidate
 from fingerpost.capture import Frame
-from fingerpost.finding.finger import Array, Sighting, fitted_half_width_px, followed
+from fingerpost.finding.finger import (
+    Array,
+    Sighting,
+    followed,
+    followed_as_wide,
+    measured_line,
+)
 from fingerpost.finding.look import flatness
 from fingerpost.finding.one_finger import FollowingView, gives_point
 from fingerpost.finding.pairs import pair_scores
@@ -195,7 +201,8 @@ def _point_at_plane(
     A thumb leads up and away from the plane: its lines meet behind it, or hardly meet.
     """
     tracks = [trials[k].track if k in trials else views[k].track for k in pair]
-    return gives_point([views[k].viewpoint.plane_view for k in pair], tracks)
+    lines = [measured_line(track, time_s=0.0) for track in tracks]
+    return gives_point([views[k].viewpoint.plane_view for k in pair], lines)
 
 
 def how_flat(
@@ -206,13 +213,9 @@ def how_flat(
     See `flatness`, and `find_hand` for the arguments; `k` is the view's place among all.
     """
     track = views[k].track
-    seen = followed(track)
-    if track is None or not seen:
-        return None
-    half_width_px = fitted_half_width_px(track)
-    if half_width_px is not None:
-        seen = [seen[0]._replace(half_width_px=half_width_px)]
-    return float(_flatness(views, frames, k, seen)[0])
+    as_wide = followed_as_wide(track)
+    seen = followed(track) if as_wide is None else [as_wide]
+    return float(_flatness(views, frames, k, seen)[0]) if seen else None
 
 
 def _flatness(
