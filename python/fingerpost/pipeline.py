@@ -208,7 +208,8 @@ def _details(track: Track, search: SearchMarks, off: float) -> str:
     if track.finger_line is not None:
         details.append(f"line from {track.finger_line.source}")
         if off >= TOLD_OFF:
-            details.append(f"a flank is not the finger's: up to {off:.1f} half-widths off")
+            # First, for a picture has room for about half of this.
+            details.insert(0, f"a flank is not the finger's: up to {off:.1f} half-widths off")
     return "   ".join(details)
 
 
