@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Mapping, Sequence
 from functools import partial
@@ -114,6 +115,7 @@ class HandView:
         self.odd_width: float | None = None
         """Logarithm of how many times as wide it has shown the finger lately as the view that
         agrees best; None where that is not known."""
+        # How much softer one flank has been lately than the other; None where that is not known.
         self._softer: float | None = None
         self._lengthening: Lengthening | None = None
         self._first_hand: FirstHand | None = None
@@ -177,11 +179,8 @@ class HandView:
     @property
     def off(self) -> float:
         """How far the finger's axis may be off for what is no noise [half-widths]."""
-        by_width, by_softness = (
-            off_by_width(self.odd_width or 0.0),
-            off_by_softness(self._softer or 0.0),
-        )
-        return float(np.hypot(by_width, by_softness))
+        by_width = off_by_width(self.odd_width or 0.0)
+        return math.hypot(by_width, off_by_softness(self._softer or 0.0))
 
     @property
     def hand(self) -> tuple[NDArray[np.float64], NDArray[np.float64], float] | None:
@@ -323,10 +322,11 @@ class HandView:
         if frame is None or (self._softer is not None and self._frames % SOFT_EVERY):
             return
         track = self.track
-        half_width_px = track and fitted_half_width_px(track)
-        if track is None or track.finger_line is None or not half_width_px:
+        line = track.finger_line if track is not None else None
+        half_width_px = fitted_half_width_px(track) if track is not None else None
+        if line is None or half_width_px is None:
             return
-        now = softness(frame, track.finger_line, half_width_px)
+        now = softness(frame, line, half_width_px)
         if np.isfinite(now):
             before = now if self._softer is None else self._softer
             self._softer = before + SOFT_RATE * (now - before)

@@ -116,27 +116,18 @@ def widening(frame: Frame, line: FingerLine, half_width_px: float) -> float:
         The part of what lies behind it and beside its flanks, on the better side, that looks like
         the finger, 0 to 1: an index finger is at the edge of its hand.
     """
-    colours = frame.colour()
-    image = frame.grey() if colours is None else colours
-    e = np.array([np.cos(line.angle_rad), np.sin(line.angle_rad)])
-    n = np.array([-e[1], e[0]])
-
-    def levels(along: Array, across: Array) -> Array:
-        places = along[:, None, None] * e + across[:, None] * n
-        return _shown(image, line.tip_px + half_width_px * places)
-
-    inside = levels(-np.linspace(1.0, 4.0, 12), np.linspace(-0.5, 0.5, 5))
-    inside = inside.reshape(-1, inside.shape[2] if inside.ndim == 3 else 1)
+    finger = frame, line, half_width_px
+    inside = _levels(*finger, -np.linspace(1.0, 4.0, 12), np.linspace(-0.5, 0.5, 5))
+    channels = inside.shape[2]
+    inside = inside.reshape(-1, channels)
     inside = inside[np.isfinite(inside).all(axis=1)]
     if len(inside) < INSIDE_SEEN:
         return 0.0
-    channels = inside.shape[1]
     covariance = np.atleast_2d(np.cov(inside, rowvar=False)) + NOISE_GREY**2 * np.eye(channels)
     rows = -np.linspace(*WIDENS, 12)
     alike = []
     for across in ((-0.6, 0.6), (-3.2, -1.7), (1.7, 3.2)):
-        differs = levels(rows, np.linspace(*across, 4)).reshape(len(rows), 4, channels)
-        differs -= inside.mean(axis=0)
+        differs = _levels(*finger, rows, np.linspace(*across, 4)) - inside.mean(axis=0)
         square = (differs @ np.linalg.inv(covariance) * differs).sum(axis=-1)
         # NaN, outside of the picture, is not alike.
         part = (square < ALIKE[channels]).mean(axis=1)
@@ -176,16 +167,11 @@ def softness(frame: Frame, line: FingerLine, half_width_px: float) -> float:
         at to 0.65 half-widths on either side: softer ones than 0.15 seem less soft than they are,
         and none softer than about 0.35. NaN where either hardly shows.
     """
-    colours = frame.colour()
-    image = frame.grey() if colours is None else colours
-    e = np.array([np.cos(line.angle_rad), np.sin(line.angle_rad)])
-    n = np.array([-e[1], e[0]])
-    variances = []
-    for side in (1.0, -1.0):
-        places = ALONG[:, None, None] * e + side * (1.0 + ACROSS)[:, None] * n
-        levels = _shown(image, line.tip_px + half_width_px * places)
-        variances.append(_variance(levels.reshape(*levels.shape[:2], -1)))
-    return variances[0] - variances[1]
+    one, other = (
+        _variance(_levels(frame, line, half_width_px, ALONG, side * (1.0 + ACROSS)))
+        for side in (1.0, -1.0)
+    )
+    return one - other
 
 
 def _variance(levels: Array) -> float:
@@ -206,6 +192,23 @@ def _variance(levels: Array) -> float:
     at = 0.5 * (ACROSS[1:] + ACROSS[:-1])
     mean = (fall * at).sum() / fall.sum()
     return float((fall * np.square(at - mean)).sum() / fall.sum())
+
+
+def _levels(
+    frame: Frame, line: FingerLine, half_width_px: float, along: Array, across: Array
+) -> Array:
+    """Return the levels about a finger, its colours if it has any: (along, across, channels).
+
+    `along` is the way from the tip in the finger's direction, `across` that to its normal's side
+    [half-widths]; NaN outside the picture.
+    """
+    colours = frame.colour()
+    image = frame.grey() if colours is None else colours
+    e = np.array([np.cos(line.angle_rad), np.sin(line.angle_rad)])
+    n = np.array([-e[1], e[0]])
+    places = along[:, None, None] * e + across[:, None] * n
+    levels = _shown(image, line.tip_px + half_width_px * places)
+    return levels.reshape(len(along), len(across), -1)
 
 
 def _shown(image: NDArray[np.uint8], places: Array) -> Array:

@@ -9,12 +9,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from fingerpost.finding.finger import Array, Sighting
 from fingerpost.pointing import PlaneView
+from fingerpost.uncertainty import Numbers
 
 FARTHEST = 20.0
 """The longest focal length [picture widths]."""
@@ -349,7 +349,6 @@ def _ray(
 
 # What follows is written in components, which are floats for the one finger of a frame and arrays
 # for the many of a search.
-Numbers = Any
 
 
 def _breadth(across_x: Numbers, across_y: Numbers, x: Numbers, y: Numbers, z: Numbers) -> Numbers:
