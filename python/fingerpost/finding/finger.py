@@ -36,18 +36,17 @@ class Sighting(NamedTuple):
 
 
 def followed(track: Track | None) -> list[Sighting]:
-    """Return the finger that a view follows, if it shows in this frame."""
+    """Return the finger that a view follows, if it shows in this frame.
+
+    It is as wide as the fit has it, or as a usual finger where the fit has no width.
+    """
     line = track.finger_line if track is not None else None
-    if line is None:
+    if track is None or line is None:
         return []
-    length = 2.0 * float(np.hypot(*np.subtract(line.tip_px, line.anchor_px)))
-    return [Sighting(line.tip_px, line.angle_rad, HALF_WIDTH * length)]
-
-
-def followed_as_wide(track: Track | None) -> Sighting | None:
-    """Return the finger that a view follows, as wide as the fit has it; None without such a fit."""
-    seen, half_width_px = followed(track), track and fitted_half_width_px(track)
-    return seen[0]._replace(half_width_px=half_width_px) if seen and half_width_px else None
+    half_width_px = fitted_half_width_px(track)
+    if half_width_px is None:
+        half_width_px = HALF_WIDTH * 2.0 * math.dist(line.tip_px, line.anchor_px)
+    return [Sighting(line.tip_px, line.angle_rad, half_width_px)]
 
 
 def fitted_half_width_px(track: Track) -> float | None:

@@ -8,7 +8,7 @@ from itertools import combinations
 from typing import Protocol
 
 from fingerpost._core import Track
-from fingerpost.finding.finger import followed, followed_as_wide, measured_line
+from fingerpost.finding.finger import fitted_half_width_px, followed, measured_line
 from fingerpost.finding.pairs import OTHER_TIP, Viewpoint, same_tip, width_ratio
 from fingerpost.pointing import FingerLine, PlaneView, Status, indicated_point
 
@@ -110,10 +110,13 @@ def _is_odd(views: Pair) -> bool:
 
 def _followed_width_ratio(views: Pair) -> float:
     """Return the logarithm of how many times as wide the first shows its finger; NaN if unknown."""
-    first, second = (followed_as_wide(view.track) for view in views)
-    if first is None or second is None:
+    tracks = [view.track for view in views]
+    if any(track is None or fitted_half_width_px(track) is None for track in tracks):
         return math.nan
-    return width_ratio((views[0].viewpoint, views[1].viewpoint), (first, second))
+    first, second = (followed(track) for track in tracks)
+    if not (first and second):
+        return math.nan
+    return width_ratio((views[0].viewpoint, views[1].viewpoint), (first[0], second[0]))
 
 
 class Shared:

@@ -14,7 +14,6 @@ from fingerpost.finding.finger import (
     Array,
     Sighting,
     followed,
-    followed_as_wide,
     measured_line,
 )
 from fingerpost.finding.look import flatness
@@ -212,9 +211,7 @@ def how_flat(
 
     See `flatness`, and `find_hand` for the arguments; `k` is the view's place among all.
     """
-    track = views[k].track
-    as_wide = followed_as_wide(track)
-    seen = followed(track) if as_wide is None else [as_wide]
+    seen = followed(views[k].track)
     return float(_flatness(views, frames, k, seen)[0]) if seen else None
 
 
