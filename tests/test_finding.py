@@ -17,7 +17,7 @@ import fingerpost as fp
 from fingerpost._core import Background as LearnedBackground
 from fingerpost._core import HandFinder, StartPose
 from fingerpost.capture import Frame, open_source, read_views
-from fingerpost.config import Rig
+from fingerpost.config import Rig, Start, View
 from fingerpost.errors import InvalidInputError
 from fingerpost.finding import (
     HandSearch,
@@ -34,7 +34,7 @@ from fingerpost.finding import (
     pair_scores,
     width_ratio,
 )
-from fingerpost.finding.finger import off_by_softness, off_by_width
+from fingerpost.finding.finger import HALF_WIDTH, followed, off_by_softness, off_by_width
 from fingerpost.finding.first_hand import FirstHand
 from fingerpost.finding.look import softness, widening
 from fingerpost.finding.trial import Trial, belief
@@ -428,11 +428,16 @@ def test_no_fingers_make_no_pairs():
     assert pair_scores(viewpoints(rig), ([], sightings(rig, OVER_THE_TABLE))).shape == (0, 2)
 
 
-def tried_out(rig: SimulatedRig) -> tuple:
-    """A search, the trial of its best candidate, and the first view's picture that shows it."""
+def tried_out(rig: SimulatedRig, known_length: float | None = None) -> tuple:
+    """A search, the trial of its best candidate, and the first view's picture that shows it.
+
+    The view has lost a finger, if the length of the template that had followed it is known.
+    """
     motion = Trajectory.hold(OVER_THE_TABLE, 0.1)
     image = rig.render(motion, time_s=0.0, rng=np.random.default_rng(SEED)).images[0]
     search, frame = HandSearch(), Frame(0, 0.0, image)
+    if known_length is not None:
+        search.remember_length(known_length)
     search.look(frame)
     search.judge(frame, np.zeros(len(search.candidates)), np.zeros(0))
     assert search.try_out(search.candidates[0], frame)
@@ -469,6 +474,21 @@ def test_a_found_finger_is_seen_at_length_once_a_frame_shows_it_all():
         trial.lengthen(Frame(k, k / FPS, image))
     assert trial.lengthening.is_long
     assert np.ptp(trial.tracker.contour() @ ahead) > 1.2 * short_px
+
+
+@pytest.mark.parametrize(
+    ("known_length", "is_long"), [(None, False), (7.0, False), (5.0, True), (3.0, True)]
+)
+def test_a_finger_that_is_found_again_may_be_as_short_as_it_was(known_length, is_long):
+    _, trial, image = tried_out(SCENES["plain"], known_length)
+    followed_by_a_stub(trial, image, 5.0)
+    line = trial.track.finger_line
+    ahead = np.array([np.cos(line.angle_rad), np.sin(line.angle_rad)])
+    v, u = np.indices(image.shape)
+    behind_px = np.stack([line.tip_px[0] - u, line.tip_px[1] - v], axis=-1) @ ahead
+    covered = np.where(behind_px > 3.5 * trial.half_width_px, np.median(image), image)
+    trial.lengthen(Frame(0, 0.0, covered.astype(np.uint8)))
+    assert trial.lengthening.is_long is is_long
 
 
 def test_a_found_finger_is_as_long_as_its_whole_width_says():
@@ -555,6 +575,23 @@ def test_what_was_there_all_the_while_is_a_hand_if_it_moves_with_another_views(
     worth, has_held = belief(0.8, [trial], False, is_backed=is_backed)
     assert has_held
     assert (worth > 0.0) == (not is_late or (has_moved and is_backed))
+
+
+@pytest.mark.parametrize("has_come", [False, True])
+@pytest.mark.parametrize("score", [0.4, 0.7, 1.0])
+def test_what_moves_is_believed_sooner_where_another_view_follows_a_hand(has_come, score):
+    def frames_needed(*, is_backed: bool, has_moved: bool) -> int:
+        for frames in range(1, 30):
+            trial = SimpleNamespace(
+                has_come=has_come, hand=1.0, is_late=False, has_moved=has_moved, frames=frames
+            )
+            if belief(score, [trial], False, is_backed=is_backed)[1]:
+                return frames
+        raise AssertionError
+
+    usual = frames_needed(is_backed=False, has_moved=True)
+    assert 2 <= frames_needed(is_backed=True, has_moved=True) < usual
+    assert frames_needed(is_backed=True, has_moved=False) == usual
 
 
 def test_options_of_the_search_are_checked():
@@ -792,6 +829,58 @@ def test_views_that_follow_one_finger_or_two_are_told(other_tip_mm, turn, one_fi
     for views in ((one, other), (other, one)):
         assert are_one(views) is one_finger
         assert are_two(views) is two_fingers
+
+
+def test_a_followed_finger_is_as_wide_as_its_fit_or_as_a_usual_one():
+    rig = SimulatedRig()
+    (fitted,) = followed(Following(rig.cameras[0], rig, TIP_MM, half_width_px=4.5).track)
+    assert fitted.half_width_px == 4.5
+    (usual,) = followed(Following(rig.cameras[0], rig, TIP_MM).track)
+    assert usual.half_width_px == pytest.approx(HALF_WIDTH * 60.0)  # twice from anchor to tip
+    assert followed(None) == []
+
+
+MISSED = ("tracking", "agreement")
+BENT = ("tracking", "misfit")
+WAITS = ("acquiring", "no-fit")
+
+
+@pytest.mark.parametrize(
+    ("frames", "is_searching"),
+    [
+        ([], False),
+        ([MISSED], False),
+        ([MISSED, MISSED], True),
+        ([MISSED, None, MISSED], False),
+        ([BENT] * 5, False),
+        ([WAITS] * 5, False),
+        ([BENT] * 3 + [("lost", "misfit")] * 2, True),
+    ],
+)
+def test_a_finger_that_is_not_seen_is_soon_looked_for_everywhere(frames, is_searching):
+    """None stands for a frame in which it is seen; the others for what the tracker says of them."""
+    rig = SimulatedRig()
+    shown = rig.cameras[0].project(on_table(rig.plane_points))
+    start = Start(tip_px=(320.0, 240.0), angle_deg=90.0, length_px=70.0, thumb="none")
+    points_px = tuple(map(tuple, shown.tolist()))
+    told = View(name="cam", source="cam.mkv", reference_points_px=points_px, start=start)
+    view = HandView(told, rig.plane_points, None, 0.5)
+    seen = Following(rig.cameras[0], rig, TIP_MM, half_width_px=7.0).track
+    seen.status, seen.diagnostics = "tracking", SimpleNamespace(refusal=None)
+    image = np.zeros((480, 640), np.uint8)
+    view.view_frame(Frame(0, 0.0, image))
+    for k, told in enumerate([None, *frames]):
+        track = seen
+        if told is not None:
+            status, refusal = told
+            track = SimpleNamespace(
+                finger_line=None,
+                status=status,
+                diagnostics=SimpleNamespace(refusal=refusal),
+                shape_vector=None,
+            )
+        view.follow(Frame(k, k / FPS, image), track)
+    assert view.is_searching is is_searching
 
 
 # --- fingers that two views show unlike wide -----------------------------------------------------

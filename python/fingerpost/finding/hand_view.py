@@ -23,7 +23,7 @@ from fingerpost.finding.finger import (
 )
 from fingerpost.finding.first_hand import FirstHand
 from fingerpost.finding.foreground import is_background
-from fingerpost.finding.length import Lengthening
+from fingerpost.finding.length import Lengthening, length_px
 from fingerpost.finding.look import softness
 from fingerpost.finding.one_finger import Shared
 from fingerpost.finding.pairs import Viewpoint
@@ -58,6 +58,10 @@ FLAT_EVERY = 4
 SOFT_EVERY = 4
 SOFT_RATE = 0.5
 """One frame in so many tells how soft the flanks are; it counts that much of what is known."""
+
+MISSED_FRAMES = 2
+"""A finger that was not seen for so many frames is looked for everywhere, for its tracker may still
+wait for it where it was."""
 
 STOOD_FRAMES = 8
 """What has stood still for so many frames while another view's finger has moved is no finger."""
@@ -110,6 +114,7 @@ class HandView:
         self._is_backed = False
         self._frames = 0
         self._flat_frames = 0
+        self._missed_frames = 0
         self.missing = Status.ACQUIRING
         """What it is while it follows nothing: looking for its first hand, or for a lost one."""
         self.odd_width: float | None = None
@@ -139,7 +144,7 @@ class HandView:
         # What has been found beside what is followed alone is not yet proven.
         if self.search.found is not None:
             return True
-        return self._track is not None and self._track.status == "lost"
+        return self._missed_frames >= MISSED_FRAMES
 
     @property
     def _misses_hand(self) -> bool:
@@ -215,6 +220,7 @@ class HandView:
 
     def follow(self, frame: Frame, track: Track) -> None:
         """Take over what the tracker made of the view's frame."""
+        self._count_missed(track)
         self._track = track
         if self._lengthening is not None and self._tracker is not None:
             self._tracker, self._track = self._lengthening.look(
@@ -225,6 +231,20 @@ class HandView:
         # What leaves the table for the hand that has come has not moved like one.
         if track.finger_line is not None and self.is_sure:
             self._latest.append(track.finger_line)
+
+    def _count_missed(self, track: Track) -> None:
+        """Count the frames in which what was followed is not seen."""
+        is_bent = track.status == "tracking" and track.diagnostics.refusal == "misfit"
+        is_missed = track.finger_line is None and track.status != "acquiring" and not is_bent
+        if is_missed and self._missed_frames == 0 and self._tracker is not None:
+            self._remember_length(self._tracker)
+        self._missed_frames = self._missed_frames + 1 if is_missed else 0
+
+    def _remember_length(self, tracker: ContourTracker) -> None:
+        """Look for no longer a finger than what was followed to the last frame."""
+        half_width_px = fitted_half_width_px(self._track) if self._track is not None else None
+        if self._latest and half_width_px is not None:
+            self.search.remember_length(length_px(tracker, self._latest[-1]) / half_width_px)
 
     @property
     def may_follow_table(self) -> bool:
@@ -403,7 +423,7 @@ class HandView:
     def _let_go(self) -> None:
         """Follow nothing any more, and look everywhere."""
         self._tracker, self._track, self._doubts, self._is_table = None, None, 0, False
-        self._alone_frames, self._flat_frames = 0, 0
+        self._alone_frames, self._flat_frames, self._missed_frames = 0, 0, 0
         self._lengthening, self._softer = None, None
         self._latest.clear()
         self.missing = Status.LOST

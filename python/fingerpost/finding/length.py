@@ -25,6 +25,10 @@ LONG = 7.0
 """What a found finger is followed by at least, in half-widths, unless a longer template than what
 follows already is seen whole: a stub may have taken one flank for another's."""
 
+AS_LONG = 0.9
+"""A template is as long as another one if it is as long as this part of that: one that has found a
+hand again need be no longer than the one that had followed it."""
+
 LONGER = 1.1
 """One that is not longer by this factor than what follows already is not worth a change."""
 
@@ -48,11 +52,17 @@ class Lengthening:
         Makes a tracker that follows a finger from a pose on, of half a width [px].
     half_width_px
         Half the width that the finger was found with.
+    known_length
+        How long the template was that followed the finger before it was lost [half-widths], if it
+        was.
     """
 
-    def __init__(self, template_at: TemplateAt, half_width_px: float) -> None:
+    def __init__(
+        self, template_at: TemplateAt, half_width_px: float, known_length: float | None = None
+    ) -> None:
         self.is_long = False
         """Whether the template is as long as a finger."""
+        self._long = LONG if known_length is None else min(LONG, AS_LONG * known_length)
         self._template_at = template_at
         self._half_width_px = half_width_px
         self._longer: ContourTracker | None = None
@@ -92,8 +102,8 @@ class Lengthening:
         longest = self._longest(tracker, track, line, frame)
         self._frames, self._interval = 0, 2 * self._interval if longest is None else 1
         if not self.is_long:
-            length = _length_px(tracker, line) / self._half_width_px
-            self.is_long, self._interval = length >= LONG or longest is not None, 1
+            length = length_px(tracker, line) / self._half_width_px
+            self.is_long, self._interval = length >= self._long or longest is not None, 1
             return longest or (tracker, track)
         self._longer = longest[0] if longest is not None else None
         return tracker, track
@@ -104,7 +114,7 @@ class Lengthening:
         """Return the longest template that a frame shows all of; None unless it is longer."""
         self._half_width_px = fitted_half_width_px(track) or self._half_width_px
         # The width may be another by now: a short template lies near the tip, where it is slim.
-        least = LONGER * _length_px(tracker, line) / self._half_width_px
+        least = LONGER * length_px(tracker, line) / self._half_width_px
         lengths = [length for length in LENGTHS if length > least]
         self._is_longest = not lengths
         for length in lengths:
@@ -133,7 +143,7 @@ SEEN_PART = 0.85
 """The part of a template's length that its outline covers; the rest is in the fist."""
 
 
-def _length_px(tracker: ContourTracker, line: FingerLine) -> float:
+def length_px(tracker: ContourTracker, line: FingerLine) -> float:
     """Return the length of the template that follows a finger."""
     ahead = np.array([np.cos(line.angle_rad), np.sin(line.angle_rad)])
     return float(np.ptp(tracker.contour() @ ahead)) / SEEN_PART

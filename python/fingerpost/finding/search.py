@@ -75,6 +75,7 @@ class HandSearch:
         self._worth = np.empty(0)
         self._known_frames = 0
         self._unbelieved_frames = 0
+        self._known_length: float | None = None
 
     def look_behind(self, frame: Frame) -> Background:
         """Return what is behind the hand, as this frame shows it."""
@@ -95,6 +96,10 @@ class HandSearch:
         """Learn anew what is behind the hand: the hand itself may have been learned there."""
         self.background.clear()
         self._known_frames = 0
+
+    def remember_length(self, length: float) -> None:
+        """Take a template of this length, in half-widths, to be long enough for the finger."""
+        self._known_length = length
 
     def look(self, frame: Frame) -> None:
         """Go on with the trials, and find what else could be tried."""
@@ -174,7 +179,7 @@ class HandSearch:
                 foreground=candidate.foreground,
                 hand=widening(frame, line, candidate.half_width_px),
                 is_late=is_late,
-                lengthening=Lengthening(self._tracker_at, half_width_px),
+                lengthening=Lengthening(self._tracker_at, half_width_px, self._known_length),
             )
         )
         return True

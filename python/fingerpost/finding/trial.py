@@ -201,6 +201,10 @@ FRAMES_TO_TRUST = {True: (3.0, 10.0), False: (5.0, 14.0)}
 """Frames that both trials of a pair must have held, if its score is 1 and if it is 0: for a pair
 that has come into view, and for one that may have been there all the time."""
 
+FRAMES_TO_TRUST_BACKED = {True: (2.0, 6.0), False: (4.0, 8.5)}
+"""The same of a trial that moves, where the other view follows a hand for good: the search has but
+to find that hand in this one."""
+
 LEAST_SCORE = 0.35
 """The least score of a pair that is believed: in 46 rendered scenes true pairs have 0.41 and more
 by the time they have held for long enough, and false ones 0.26 at most."""
@@ -238,7 +242,9 @@ def belief(
     worth = score if has_come else 0.5 * score
     if stays:
         return STAYS * worth, True
-    least, most = FRAMES_TO_TRUST[has_come]
+    moves_along = is_backed and all(trial.has_moved for trial in trials)
+    frames_to_trust = FRAMES_TO_TRUST_BACKED if moves_along else FRAMES_TO_TRUST
+    least, most = frames_to_trust[has_come]
     too_new = min(trial.frames for trial in trials) < score * least + (1.0 - score) * most
     too_late = not has_come and any(
         trial.is_late and not (is_backed and trial.has_moved) for trial in trials
