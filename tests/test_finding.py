@@ -37,8 +37,15 @@ from fingerpost.finding import (
 from fingerpost.finding.finger import HALF_WIDTH, followed, off_by_softness, off_by_width
 from fingerpost.finding.first_hand import FirstHand
 from fingerpost.finding.look import softness, widening
+from fingerpost.finding.pairs import reaches_farther
 from fingerpost.finding.trial import Trial, belief
-from fingerpost.finding.views import are_left_standing, views_with_mover
+from fingerpost.finding.views import (
+    Pair,
+    are_left_standing,
+    is_behind,
+    views_with_mover,
+    worthiest_first,
+)
 from fingerpost.pipeline import Pointer
 from fingerpost.pointing import PlaneView, Status
 from fingerpost.rehearsal import described
@@ -569,10 +576,8 @@ def test_a_pair_that_stands_gives_way_to_what_moves_on_in_either_view():
 def test_what_was_there_all_the_while_is_a_hand_if_it_moves_with_another_views(
     is_late: bool, has_moved: bool, is_backed: bool
 ):
-    trial = SimpleNamespace(
-        has_come=False, hand=1.0, is_late=is_late, has_moved=has_moved, frames=30
-    )
-    worth, has_held = belief(0.8, [trial], False, is_backed=is_backed)
+    trial = SimpleNamespace(has_come=False, is_late=is_late, has_moved=has_moved, frames=30)
+    worth, has_held = belief(0.8, [trial], False, hand=1.0, is_backed=is_backed)
     assert has_held
     assert (worth > 0.0) == (not is_late or (has_moved and is_backed))
 
@@ -583,9 +588,9 @@ def test_what_moves_is_believed_sooner_where_another_view_follows_a_hand(has_com
     def frames_needed(*, is_backed: bool, has_moved: bool) -> int:
         for frames in range(1, 30):
             trial = SimpleNamespace(
-                has_come=has_come, hand=1.0, is_late=False, has_moved=has_moved, frames=frames
+                has_come=has_come, is_late=False, has_moved=has_moved, frames=frames
             )
-            if belief(score, [trial], False, is_backed=is_backed)[1]:
+            if belief(score, [trial], False, hand=1.0, is_backed=is_backed)[1]:
                 return frames
         raise AssertionError
 
@@ -838,6 +843,149 @@ def test_a_followed_finger_is_as_wide_as_its_fit_or_as_a_usual_one():
     (usual,) = followed(Following(rig.cameras[0], rig, TIP_MM).track)
     assert usual.half_width_px == pytest.approx(HALF_WIDTH * 60.0)  # twice from anchor to tip
     assert followed(None) == []
+
+
+# --- which digit of a hand points --------------------------------------------------------------
+
+AIM_MM = np.array([200.0, 40.0, 0.0])
+INDEX_MM = 95.0
+THUMB_MM = 60.0
+HALF_WIDTH_MM = 8.0
+SKIN = (110.0, 140.0, 190.0)
+
+
+def thumb_mm(spread_deg: float, roll_deg: float) -> tuple[np.ndarray, np.ndarray]:
+    """Tip of a thumb beside the finger at `TIP_MM`, and where it points on the table.
+
+    It stands off by one angle, and is turned about the finger by the other: aside, down or up.
+    """
+    spread, roll = np.radians([spread_deg, roll_deg])
+    ahead = (AIM_MM - TIP_MM) / np.linalg.norm(AIM_MM - TIP_MM)
+    aside = np.cross(ahead, (0.0, 0.0, 1.0))
+    aside /= np.linalg.norm(aside)
+    off = np.cos(roll) * aside + np.sin(roll) * np.cross(ahead, aside)
+    along = np.cos(spread) * ahead + np.sin(spread) * off
+    tip_mm = TIP_MM - INDEX_MM * ahead + 2.0 * HALF_WIDTH_MM * off + THUMB_MM * along
+    return tip_mm, tip_mm - along * tip_mm[2] / along[2]
+
+
+def digit(camera: Camera, tip_mm: np.ndarray, aim_mm: np.ndarray, colour=SKIN) -> Sighting:
+    tip, aim = camera.project(np.array([tip_mm, aim_mm]))
+    angle_rad = float(np.arctan2(*(aim - tip)[::-1]))
+    half_width_px = round_tip(camera, tip_mm, HALF_WIDTH_MM, 0.0).half_width_px
+    return Sighting(tuple(tip), angle_rad, half_width_px, 0.9, np.nan, colour)
+
+
+def digits(rig: SimulatedRig, tip_mm: np.ndarray, aim_mm: np.ndarray, colour=SKIN) -> tuple:
+    return tuple(digit(camera, tip_mm, aim_mm, colour) for camera in rig.cameras)
+
+
+@pytest.mark.parametrize("spread_deg", [10.0, 40.0, 70.0])
+@pytest.mark.parametrize("roll_deg", [0.0, 30.0, 90.0, 180.0])
+def test_an_index_finger_reaches_farther_than_a_thumb(spread_deg, roll_deg):
+    rig = SimulatedRig()
+    views = tuple(viewpoint_of(camera, rig) for camera in rig.cameras)
+    index = digits(rig, TIP_MM, AIM_MM)
+    thumb = digits(rig, *thumb_mm(spread_deg, roll_deg))
+    assert reaches_farther(views, thumb, index)
+    assert not reaches_farther(views, index, thumb)
+    assert not reaches_farther(views, index, index)
+
+
+def test_what_is_no_digit_of_a_hand_reaches_nowhere():
+    rig = SimulatedRig()
+    views = tuple(viewpoint_of(camera, rig) for camera in rig.cameras)
+    index, thumb = digits(rig, TIP_MM, AIM_MM), thumb_mm(40.0, 0.0)
+    assert reaches_farther(views, digits(rig, *thumb), index)
+    shadow = tuple(0.2 * level for level in SKIN)
+    assert not reaches_farther(views, digits(rig, *thumb, shadow), index)
+    away_mm = TIP_MM - 2.0 * (AIM_MM - TIP_MM)
+    assert not reaches_farther(views, digits(rig, away_mm, AIM_MM), index)
+    nowhere = dataclasses.replace(views[1], centre=np.full(3, np.nan))
+    assert not reaches_farther((views[0], nowhere), digits(rig, *thumb), index)
+    unknown = (np.nan,) * 3
+    assert reaches_farther(views, digits(rig, *thumb, unknown), index)
+
+
+def tried_digit(seen: Sighting, hand: float, *, has_come: bool = True) -> SimpleNamespace:
+    return SimpleNamespace(
+        seen=seen,
+        hand=hand,
+        has_come=has_come,
+        frames=30,
+        is_late=False,
+        has_moved=True,
+        stands=False,
+        moves_on=False,
+    )
+
+
+def trying(viewpoint: Viewpoint, *trials: SimpleNamespace) -> SimpleNamespace:
+    """A view that tries some fingers, and follows none."""
+    search = SimpleNamespace(
+        trials=list(trials), found=None, trial_sightings=lambda: [trial.seen for trial in trials]
+    )
+    return SimpleNamespace(
+        viewpoint=viewpoint, search=search, track=None, is_searching=True, is_sure=True
+    )
+
+
+@pytest.mark.parametrize("has_come", [False, True])
+@pytest.mark.parametrize("thumb_in", [(0, 1), (0,), (1,)])
+def test_a_thumb_does_not_point_beside_an_index_finger(thumb_in, has_come):
+    """However well it is seen, in both views or in one, and though its hand hides the other's."""
+    rig = SimulatedRig()
+    index = digits(rig, TIP_MM, AIM_MM)
+    # Under the finger: each view's thumb may be the other one's index finger, too.
+    thumb = digits(rig, *thumb_mm(20.0, 90.0))
+    views = []
+    for k, camera in enumerate(rig.cameras):
+        hand = 0.2 if k in thumb_in else 1.0
+        trials = [tried_digit(index[k]._replace(score=0.75), hand, has_come=has_come)]
+        if k in thumb_in:
+            trials.append(tried_digit(thumb[k]._replace(score=0.9), 1.0, has_come=has_come))
+        views.append(trying(viewpoint_of(camera, rig), *trials))
+    first, *_ = worthiest_first(views)
+    pair, _, has_held = first
+    assert has_held
+    assert [pair.trials[k] for k in (0, 1)] == [view.search.trials[0] for view in views]
+
+
+def test_what_reaches_farther_goes_first_if_it_is_as_likely_and_has_come_as_well():
+    rig = SimulatedRig()
+    index = tried_digit(digit(rig.cameras[0], TIP_MM, AIM_MM), 1.0)
+    thumb = tried_digit(digit(rig.cameras[0], *thumb_mm(20.0, 90.0)), 1.0)
+    other = digit(rig.cameras[1], TIP_MM, AIM_MM)
+
+    def pair(trial: SimpleNamespace, score: float, view: int = 0) -> Pair:
+        return Pair((view, 2), (trial.seen, other), {view: trial}, score)
+
+    assert is_behind([], pair(thumb, 0.9), pair(index, 0.5))
+    assert not is_behind([], pair(index, 0.9), pair(thumb, 0.9))
+    assert not is_behind([], pair(thumb, 0.9), pair(thumb, 0.9))
+    assert not is_behind([], pair(thumb, 0.9), pair(index, 0.4))
+    assert not is_behind([], pair(thumb, 0.9), pair(index, 0.9, view=1))
+    index.has_come = False
+    assert not is_behind([], pair(thumb, 0.9), pair(index, 0.9))
+    thumb.has_come = False
+    assert is_behind([], pair(thumb, 0.9), pair(index, 0.9))
+
+
+def test_what_moves_on_is_no_background_though_it_was_learned_for_one():
+    search, rng = HandSearch(), np.random.default_rng(SEED)
+    for k in range(12):
+        frame = Frame(k, k / FPS, rng.integers(90, 110, (48, 64), dtype=np.uint8))
+        search.look_behind(frame)
+        search.learn(frame, None)
+    told = {"place": ((30.0, 20.0), 0.0, 5.0), "score": 0.9, "foreground": 0.1}
+    candidate = SimpleNamespace(colour=SKIN)
+    search.trials = [
+        SimpleNamespace(**told, candidate=candidate, moves_on=moves_on)
+        for moves_on in (False, True)
+    ]
+    stands, moves = search.trial_sightings()
+    assert stands.foreground == 0.1
+    assert np.isnan(moves.foreground)
 
 
 MISSED = ("tracking", "agreement")

@@ -6,6 +6,8 @@ views, turned into constraint lines on the plane, must meet at a point that lies
 where one may point (`pairs`). And what both views show must not lie in the plane: marks, pens and
 shadows on the table map to one and the same line, while a finger above it maps to two (`look`).
 
+Of two digits of a hand, which both pass all this, the one that reaches farther from the arm points.
+
 A hand that one view has lost is looked for beside its tracker, which may still wait for it where it
 was. It need be found no longer than it was, and what moves with a hand that another view follows is
 believed sooner than what no view has followed.

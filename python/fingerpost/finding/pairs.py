@@ -305,6 +305,72 @@ class _Tips:
         return np.asarray(np.nan_to_num(away / np.sqrt(self.widths[0] * self.widths[1])))
 
 
+FARTHER = 2.0
+DIGITS_APART = 20.0
+"""A digit reaches farther than another one of its hand by so many half-widths at least, and their
+tips are no farther apart than this."""
+
+DIGIT_COLOUR = 0.7
+"""The mean logarithm of the ratio of two digits' colours is below this: the sides of a hand in the
+light and in the shade are alike, as 0.5 at most, and a shadow is darker."""
+
+
+def reaches_farther(
+    views: tuple[Viewpoint, Viewpoint],
+    one: tuple[Sighting, Sighting],
+    other: tuple[Sighting, Sighting],
+) -> bool:
+    """Tell whether of two digits of a hand the other reaches farther from the arm than the one.
+
+    Both lead away from the arm; the index finger does so farther than the thumb, whether that is
+    held up, aside or along.
+
+    Parameters
+    ----------
+    views
+        How two views see the plane.
+    one, other
+        The digits in the two views.
+
+    Returns
+    -------
+    bool
+        Whether it does by `FARTHER` at least, above the plane and along the mean of the directions
+        to where both point; not if they are no digits of one hand, or the cameras are not known.
+    """
+    first, second = _carried(views, ((one[0], other[0]), (one[1], other[1])))
+    tips, (point, _) = _Tips.of(first, second), _meeting(first.line, second.line)
+    both = [0, 1], [0, 1]
+    place = tips.places[both]
+    widths = np.array([width[both] for width in tips.widths])
+    alike = all(_are_alike(*digits) for digits in zip(one, other, strict=True))
+    ahead = np.pad(point[both], ((0, 0), (0, 1))) - place
+    return alike and _is_farther(place, ahead, float(np.exp(np.log(widths).mean())))
+
+
+def reaches_farther_in_view(one: Sighting, other: Sighting) -> bool:
+    """Tell the same by what a single view shows; see `reaches_farther`."""
+    tip_px = np.array([one.tip_px, other.tip_px])
+    angle_rad = np.array([one.angle_rad, other.angle_rad])
+    ahead = np.column_stack([np.cos(angle_rad), np.sin(angle_rad)])
+    half_width_px = math.sqrt(one.half_width_px * other.half_width_px)
+    return _are_alike(one, other) and _is_farther(tip_px, ahead, half_width_px)
+
+
+def _are_alike(one: Sighting, other: Sighting) -> bool:
+    """Tell whether two digits may be of one hand by their colours; so they may if unknown."""
+    ratio = np.log((np.array(one.colour) + DARK) / (np.array(other.colour) + DARK))
+    return not np.abs(ratio).mean() > DIGIT_COLOUR
+
+
+def _is_farther(tips: Array, ahead: Array, half_width: float) -> bool:
+    """Tell whether the second of two digits (2, D) reaches farther from the arm than the first."""
+    ahead = ahead / np.linalg.norm(ahead, axis=-1, keepdims=True)
+    mean, apart = ahead.sum(axis=0), (tips[1] - tips[0]) / half_width
+    lead_one_way = ahead[0] @ ahead[1] > 0.0 and np.linalg.norm(apart) < DIGITS_APART
+    return bool(lead_one_way and apart @ mean > FARTHER * np.linalg.norm(mean))
+
+
 def width_ratio(views: tuple[Viewpoint, Viewpoint], fingers: tuple[Sighting, Sighting]) -> float:
     """Tell how much wider one view shows a finger to be than another one does.
 

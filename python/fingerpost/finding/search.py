@@ -216,7 +216,10 @@ class HandSearch:
         """Return what is seen of the trials, one for each, or was in the last frame."""
         return [
             Sighting(
-                *trial.place, trial.score, self._if_known(trial.foreground), trial.candidate.colour
+                *trial.place,
+                trial.score,
+                np.nan if trial.moves_on else self._if_known(trial.foreground),
+                trial.candidate.colour,
             )
             for trial in self.trials
         ]

@@ -218,7 +218,7 @@ STAYS = 1.25
 
 
 def belief(
-    score: float, trials: Sequence[Trial], stays: bool, *, is_backed: bool
+    score: float, trials: Sequence[Trial], stays: bool, *, hand: float, is_backed: bool
 ) -> tuple[float, bool]:
     """Return how much a pair with these trials is worth, 0 if nothing, and if it has held enough.
 
@@ -232,13 +232,15 @@ def belief(
         One, where the other view follows its finger for good, or two.
     stays
         Whether the pair is the one that is believed already.
+    hand
+        How far the fingers widen to a hand, in the view where they do so less, 0 to 1.
     is_backed
         Whether the other view's finger is a hand's: then one that has moved with it is no part of
         the background, though the background may have been learned with the hand in it.
     """
     has_come = all(trial.has_come for trial in trials)
     if not has_come:
-        score *= min(min(trial.hand for trial in trials) / HAND_SEEN, 1.0)
+        score *= min(hand / HAND_SEEN, 1.0)
     worth = score if has_come else 0.5 * score
     if stays:
         return STAYS * worth, True

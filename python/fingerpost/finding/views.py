@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence, Set
+from dataclasses import dataclass
 from itertools import combinations
 from typing import Protocol
 
@@ -18,9 +19,9 @@ from fingerpost.finding.finger import (
 )
 from fingerpost.finding.look import flatness
 from fingerpost.finding.one_finger import FollowingView, gives_point
-from fingerpost.finding.pairs import pair_scores
+from fingerpost.finding.pairs import pair_scores, reaches_farther, reaches_farther_in_view
 from fingerpost.finding.search import HandSearch
-from fingerpost.finding.trial import Trial, belief, precedence
+from fingerpost.finding.trial import LEAST_SCORE, Trial, belief, precedence
 
 
 class SearchingView(FollowingView, Protocol):
@@ -105,29 +106,39 @@ def _best_first(scores: Array) -> Iterator[tuple[int, int]]:
         yield int(row), int(column)
 
 
+@dataclass(frozen=True, eq=False, slots=True)
+class Pair:
+    """A finger that two views may both show: a trial in either, or in one that the other backs.
+
+    Attributes
+    ----------
+    views
+        The views' places among all.
+    seen
+        The finger in each of them.
+    trials
+        The trials, by view.
+    score
+        How well it fits together, 0 to 1.
+    """
+
+    views: tuple[int, int]
+    seen: tuple[Sighting, Sighting]
+    trials: dict[int, Trial]
+    score: float
+
+    @property
+    def hand(self) -> float:
+        """How far its fingers widen to a hand, in the view where they do so less, 0 to 1."""
+        return min(trial.hand for trial in self.trials.values())
+
+
 def _believe(views: Sequence[SearchingView], frames: Sequence[Frame | None]) -> None:
     """Let views follow the best pairs of trials that have held long enough."""
-    pairs: list[tuple[float, tuple[int, int], dict[int, Trial], bool, bool]] = []
-    with_mover = views_with_mover(views)
-    for i, j in combinations(range(len(views)), 2):
-        if not (views[i].is_searching or views[j].is_searching):
-            continue
-        (tried_i, seen_i), (tried_j, seen_j) = _tried(views[i]), _tried(views[j])
-        scores = pair_scores((views[i].viewpoint, views[j].viewpoint), (seen_i, seen_j))
-        for a, b in _best_first(scores):
-            both = ((i, tried_i[a]), (j, tried_j[b]))
-            trials = {k: trial for k, trial in both if trial is not None}
-            if not trials or are_left_standing(trials, with_mover):
-                continue
-            stays = all(views[k].search.found is trial for k, trial in trials.items())
-            is_backed = any(views[k].is_sure for k in (i, j) if k not in trials)
-            tried = list(trials.values())
-            worth, has_held = belief(float(scores[a, b]), tried, stays, is_backed=is_backed)
-            if worth > 0.0:
-                pairs.append((worth, (i, j), trials, stays, has_held))
     taken: dict[int, Trial] = {}
     believed: dict[int, Trial] = {}
-    for _, pair, trials, stays, has_held in sorted(pairs, key=lambda pair: -pair[0]):
+    for pair, stays, has_held in worthiest_first(views):
+        trials = pair.trials
         if any(taken.get(k, trial) is not trial for k, trial in trials.items()):
             continue
         if has_held:
@@ -136,7 +147,7 @@ def _believe(views: Sequence[SearchingView], frames: Sequence[Frame | None]) -> 
                 if frame is not None and k not in taken:
                     trial.lengthen(frame)
             is_long = all(trial.lengthening.is_long for trial in trials.values())
-            if is_long and not stays and not _point_at_plane(views, trials, pair):
+            if is_long and not stays and not _point_at_plane(views, trials, pair.views):
                 continue
             if is_long:
                 believed.update(trials)
@@ -144,6 +155,73 @@ def _believe(views: Sequence[SearchingView], frames: Sequence[Frame | None]) -> 
     for k, (view, frame) in enumerate(zip(views, frames, strict=True)):
         if frame is not None:
             view.search.believe(believed.get(k))
+
+
+def worthiest_first(views: Sequence[SearchingView]) -> list[tuple[Pair, bool, bool]]:
+    """Return the pairs that are worth something; whether each stays, and has held long enough.
+
+    Of two digits of a hand the one that reaches farther points, though a thumb does so as well, and
+    is the better seen of the two at times. The hand behind either is that of both.
+    """
+    pairs = _possible_pairs(views)
+    behind = {one: [p for p in pairs if is_behind(views, p, one)] for one in pairs}
+    told: dict[Pair, tuple[float, bool, bool]] = {}
+    for pair in pairs:
+        (i, j), trials = pair.views, pair.trials
+        stays = all(views[k].search.found is trial for k, trial in trials.items())
+        worth, has_held = belief(
+            pair.score,
+            list(trials.values()),
+            stays,
+            hand=max(p.hand for p in (pair, *behind[pair])),
+            is_backed=any(views[k].is_sure for k in (i, j) if k not in trials),
+        )
+        if worth > 0.0:
+            told[pair] = worth, stays, has_held
+    outdone = {p for pair in told for p in behind[pair]}
+    foremost = [pair for pair in told if pair not in outdone]
+    return [(pair, *told[pair][1:]) for pair in sorted(foremost, key=lambda pair: -told[pair][0])]
+
+
+def _possible_pairs(views: Sequence[SearchingView]) -> list[Pair]:
+    """Return the pairs of trials, and of trials and followed fingers, that may be the hand."""
+    pairs = []
+    with_mover = views_with_mover(views)
+    for i, j in combinations(range(len(views)), 2):
+        if not (views[i].is_searching or views[j].is_searching):
+            continue
+        (tried_i, seen_i), (tried_j, seen_j) = _tried(views[i]), _tried(views[j])
+        scores = pair_scores((views[i].viewpoint, views[j].viewpoint), (seen_i, seen_j))
+        for a, b in _best_first(np.where(scores < LEAST_SCORE, 0.0, scores)):
+            both = ((i, tried_i[a]), (j, tried_j[b]))
+            trials = {k: trial for k, trial in both if trial is not None}
+            if trials and not are_left_standing(trials, with_mover):
+                pairs.append(Pair((i, j), (seen_i[a], seen_j[b]), trials, float(scores[a, b])))
+    return pairs
+
+
+LIKELY = 0.5
+"""How well another pair must fit together to go before one that is behind it, in parts of how well
+that does."""
+
+
+def is_behind(views: Sequence[SearchingView], pair: Pair, other: Pair) -> bool:
+    """Tell whether another pair of the same two views is a digit of the hand that reaches farther.
+
+    Where both pairs have the same trial in one view, or it follows its finger for good, the other
+    view tells. What was there from the start goes before nothing that has come.
+    """
+    if other.views != pair.views or other.trials.keys() != pair.trials.keys():
+        return False
+    differ = [k for k in pair.trials if pair.trials[k] is not other.trials[k]]
+    has_come = all(other.trials[k].has_come or not pair.trials[k].has_come for k in differ)
+    if not differ or not has_come or other.score < LIKELY * pair.score:
+        return False
+    if len(differ) == len(pair.views):
+        i, j = pair.views
+        return reaches_farther((views[i].viewpoint, views[j].viewpoint), pair.seen, other.seen)
+    place = pair.views.index(differ[0])
+    return reaches_farther_in_view(pair.seen[place], other.seen[place])
 
 
 def views_with_mover(views: Sequence[SearchingView]) -> set[int]:
