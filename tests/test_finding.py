@@ -462,17 +462,24 @@ def followed_by_a_stub(trial, image: np.ndarray, half_widths: float) -> None:
     trial.track = trial.tracker.update(image, 0.0)
 
 
+def covered_behind_the_tip(trial, image: np.ndarray, half_widths: float) -> Frame:
+    """The picture with what the trial follows hidden from so far behind its tip on."""
+    line = trial.track.finger_line
+    ahead = np.array([np.cos(line.angle_rad), np.sin(line.angle_rad)])
+    v, u = np.indices(image.shape)
+    behind_px = np.stack([line.tip_px[0] - u, line.tip_px[1] - v], axis=-1) @ ahead
+    is_hidden = behind_px > half_widths * trial.half_width_px
+    return Frame(0, 0.0, np.where(is_hidden, np.median(image), image).astype(np.uint8))
+
+
 def test_a_found_finger_is_seen_at_length_once_a_frame_shows_it_all():
     rig = SCENES["plain"]
     search, trial, image = tried_out(rig)
     followed_by_a_stub(trial, image, 5.0)
     line = trial.track.finger_line
     ahead = np.array([np.cos(line.angle_rad), np.sin(line.angle_rad)])
-    v, u = np.indices(image.shape)
-    behind_px = np.stack([line.tip_px[0] - u, line.tip_px[1] - v], axis=-1) @ ahead
-    covered = np.where(behind_px > 3.5 * trial.half_width_px, np.median(image), image)
     short_px = np.ptp(trial.tracker.contour() @ ahead)
-    trial.lengthen(Frame(0, 0.0, covered.astype(np.uint8)))
+    trial.lengthen(covered_behind_the_tip(trial, image, 3.5))
     assert not trial.lengthening.is_long
     assert np.ptp(trial.tracker.contour() @ ahead) == short_px
     # The second look is two frames after the first that has failed.
@@ -489,12 +496,7 @@ def test_a_found_finger_is_seen_at_length_once_a_frame_shows_it_all():
 def test_a_finger_that_is_found_again_may_be_as_short_as_it_was(known_length, is_long):
     _, trial, image = tried_out(SCENES["plain"], known_length)
     followed_by_a_stub(trial, image, 5.0)
-    line = trial.track.finger_line
-    ahead = np.array([np.cos(line.angle_rad), np.sin(line.angle_rad)])
-    v, u = np.indices(image.shape)
-    behind_px = np.stack([line.tip_px[0] - u, line.tip_px[1] - v], axis=-1) @ ahead
-    covered = np.where(behind_px > 3.5 * trial.half_width_px, np.median(image), image)
-    trial.lengthen(Frame(0, 0.0, covered.astype(np.uint8)))
+    trial.lengthen(covered_behind_the_tip(trial, image, 3.5))
     assert trial.lengthening.is_long is is_long
 
 
