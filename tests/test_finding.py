@@ -40,7 +40,7 @@ from fingerpost.finding.look import softness, widening
 from fingerpost.finding.pairs import reaches_farther
 from fingerpost.finding.trial import Trial, belief
 from fingerpost.finding.views import (
-    Pair,
+    TriedPair,
     are_left_standing,
     is_behind,
     views_with_mover,
@@ -948,7 +948,7 @@ def test_a_thumb_does_not_point_beside_an_index_finger(thumb_in, has_come):
             trials.append(tried_digit(thumb[k]._replace(score=0.9), 1.0, has_come=has_come))
         views.append(trying(viewpoint_of(camera, rig), *trials))
     first, *_ = worthiest_first(views)
-    pair, _, has_held = first
+    pair, has_held = first
     assert has_held
     assert [pair.trials[k] for k in (0, 1)] == [view.search.trials[0] for view in views]
 
@@ -959,8 +959,8 @@ def test_what_reaches_farther_goes_first_if_it_is_as_likely_and_has_come_as_well
     thumb = tried_digit(digit(rig.cameras[0], *thumb_mm(20.0, 90.0)), 1.0)
     other = digit(rig.cameras[1], TIP_MM, AIM_MM)
 
-    def pair(trial: SimpleNamespace, score: float, view: int = 0) -> Pair:
-        return Pair((view, 2), (trial.seen, other), {view: trial}, score)
+    def pair(trial: SimpleNamespace, score: float, view: int = 0) -> TriedPair:
+        return TriedPair((view, 2), (trial.seen, other), {view: trial}, score, stays=False)
 
     assert is_behind([], pair(thumb, 0.9), pair(index, 0.5))
     assert not is_behind([], pair(index, 0.9), pair(thumb, 0.9))

@@ -241,7 +241,7 @@ class HandView:
         self._missed_frames = self._missed_frames + 1 if is_missed else 0
 
     def _remember_length(self, tracker: ContourTracker) -> None:
-        """Look for no longer a finger than what was followed to the last frame."""
+        """Be content with a finger as short as what was followed until the last frame."""
         half_width_px = fitted_half_width_px(self._track) if self._track is not None else None
         if self._latest and half_width_px is not None:
             self.search.remember_length(length_px(tracker, self._latest[-1]) / half_width_px)

@@ -365,7 +365,9 @@ def _are_alike(one: Sighting, other: Sighting) -> bool:
 
 def _is_farther(tips: Array, ahead: Array, half_width: float) -> bool:
     """Tell whether the second of two digits (2, D) reaches farther from the arm than the first."""
-    ahead = ahead / np.linalg.norm(ahead, axis=-1, keepdims=True)
+    # A tip that touches the plane where it points leads nowhere.
+    lengths = np.linalg.norm(ahead, axis=-1, keepdims=True)
+    ahead = ahead / np.maximum(lengths, np.finfo(float).tiny)
     mean, apart = ahead.sum(axis=0), (tips[1] - tips[0]) / half_width
     lead_one_way = ahead[0] @ ahead[1] > 0.0 and np.linalg.norm(apart) < DIGITS_APART
     return bool(lead_one_way and apart @ mean > FARTHER * np.linalg.norm(mean))

@@ -107,7 +107,7 @@ def _best_first(scores: Array) -> Iterator[tuple[int, int]]:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Pair:
+class TriedPair:
     """A finger that two views may both show: a trial in either, or in one that the other backs.
 
     Attributes
@@ -120,12 +120,15 @@ class Pair:
         The trials, by view.
     score
         How well it fits together, 0 to 1.
+    stays
+        Whether it is the one that is believed already.
     """
 
     views: tuple[int, int]
     seen: tuple[Sighting, Sighting]
     trials: dict[int, Trial]
     score: float
+    stays: bool
 
     @property
     def hand(self) -> float:
@@ -137,7 +140,7 @@ def _believe(views: Sequence[SearchingView], frames: Sequence[Frame | None]) -> 
     """Let views follow the best pairs of trials that have held long enough."""
     taken: dict[int, Trial] = {}
     believed: dict[int, Trial] = {}
-    for pair, stays, has_held in worthiest_first(views):
+    for pair, has_held in worthiest_first(views):
         trials = pair.trials
         if any(taken.get(k, trial) is not trial for k, trial in trials.items()):
             continue
@@ -147,7 +150,7 @@ def _believe(views: Sequence[SearchingView], frames: Sequence[Frame | None]) -> 
                 if frame is not None and k not in taken:
                     trial.lengthen(frame)
             is_long = all(trial.lengthening.is_long for trial in trials.values())
-            if is_long and not stays and not _point_at_plane(views, trials, pair.views):
+            if is_long and not pair.stays and not _point_at_plane(views, trials, pair.views):
                 continue
             if is_long:
                 believed.update(trials)
@@ -157,33 +160,31 @@ def _believe(views: Sequence[SearchingView], frames: Sequence[Frame | None]) -> 
             view.search.believe(believed.get(k))
 
 
-def worthiest_first(views: Sequence[SearchingView]) -> list[tuple[Pair, bool, bool]]:
-    """Return the pairs that are worth something; whether each stays, and has held long enough.
+def worthiest_first(views: Sequence[SearchingView]) -> list[tuple[TriedPair, bool]]:
+    """Return the pairs that are worth something, and whether each has held long enough.
 
     Of two digits of a hand the one that reaches farther points, though a thumb does so as well, and
     is the better seen of the two at times. The hand behind either is that of both.
     """
     pairs = _possible_pairs(views)
     behind = {one: [p for p in pairs if is_behind(views, p, one)] for one in pairs}
-    told: dict[Pair, tuple[float, bool, bool]] = {}
+    told: dict[TriedPair, tuple[float, bool]] = {}
     for pair in pairs:
-        (i, j), trials = pair.views, pair.trials
-        stays = all(views[k].search.found is trial for k, trial in trials.items())
         worth, has_held = belief(
             pair.score,
-            list(trials.values()),
-            stays,
+            list(pair.trials.values()),
+            pair.stays,
             hand=max(p.hand for p in (pair, *behind[pair])),
-            is_backed=any(views[k].is_sure for k in (i, j) if k not in trials),
+            is_backed=any(views[k].is_sure for k in pair.views if k not in pair.trials),
         )
         if worth > 0.0:
-            told[pair] = worth, stays, has_held
+            told[pair] = worth, has_held
     outdone = {p for pair in told for p in behind[pair]}
     foremost = [pair for pair in told if pair not in outdone]
-    return [(pair, *told[pair][1:]) for pair in sorted(foremost, key=lambda pair: -told[pair][0])]
+    return [(pair, told[pair][1]) for pair in sorted(foremost, key=lambda pair: -told[pair][0])]
 
 
-def _possible_pairs(views: Sequence[SearchingView]) -> list[Pair]:
+def _possible_pairs(views: Sequence[SearchingView]) -> list[TriedPair]:
     """Return the pairs of trials, and of trials and followed fingers, that may be the hand."""
     pairs = []
     with_mover = views_with_mover(views)
@@ -192,11 +193,16 @@ def _possible_pairs(views: Sequence[SearchingView]) -> list[Pair]:
             continue
         (tried_i, seen_i), (tried_j, seen_j) = _tried(views[i]), _tried(views[j])
         scores = pair_scores((views[i].viewpoint, views[j].viewpoint), (seen_i, seen_j))
-        for a, b in _best_first(np.where(scores < LEAST_SCORE, 0.0, scores)):
+        for a, b in _best_first(scores):
             both = ((i, tried_i[a]), (j, tried_j[b]))
             trials = {k: trial for k, trial in both if trial is not None}
-            if trials and not are_left_standing(trials, with_mover):
-                pairs.append(Pair((i, j), (seen_i[a], seen_j[b]), trials, float(scores[a, b])))
+            if not trials or are_left_standing(trials, with_mover):
+                continue
+            score, seen = float(scores[a, b]), (seen_i[a], seen_j[b])
+            stays = all(views[k].search.found is trial for k, trial in trials.items())
+            # One that is believed already may do worse for a while.
+            if score >= LEAST_SCORE or stays:
+                pairs.append(TriedPair((i, j), seen, trials, score, stays))
     return pairs
 
 
@@ -205,7 +211,7 @@ LIKELY = 0.5
 that does."""
 
 
-def is_behind(views: Sequence[SearchingView], pair: Pair, other: Pair) -> bool:
+def is_behind(views: Sequence[SearchingView], pair: TriedPair, other: TriedPair) -> bool:
     """Tell whether another pair of the same two views is a digit of the hand that reaches farther.
 
     Where both pairs have the same trial in one view, or it follows its finger for good, the other
