@@ -38,6 +38,8 @@ SPEED = ("--speed", "0.1")
 STOPPED_S = 0.3
 """A stop that a process decides on is seen within this; the stop itself takes 20 ms."""
 
+PATIENT = ("--max-age", "3")
+"""A crowded machine may keep frames waiting, which is itself a reason to stop."""
 
 PATIENCE_S = 20.0
 """For what a crowded machine may delay: the start of a process, say."""
@@ -245,7 +247,7 @@ def commands(path: Path) -> list[dict[str, str]]:
 
 
 class Travelling:
-    """A command whose arm is on its way."""
+    """A command whose arm is on its way; options given replace its own."""
 
     def __init__(self, rig, folder, *options, command="follow", terminal=False):
         self.log = folder / "commands.csv"
@@ -257,9 +259,10 @@ class Travelling:
         self.arm.__enter__()
         self.guided = Guided(
             self._command,
-            *self._arguments,
             *("--url", self.arm.url + "&reply_s=0.3&resync_s=0.5", "--arm", "--log", self.log),
             *SPEED,
+            *PATIENT,
+            *self._arguments,
             terminal=self._terminal,
         )
         return self
