@@ -3,6 +3,7 @@
 The command runs as a process of its own; nothing of it is known here but its bytes on the line.
 """
 
+import re
 import time
 
 import pytest
@@ -44,7 +45,8 @@ def test_fixes_that_stop_coming_stop_the_arm(hand_film, tmp_path):
             assert time.monotonic() - stalled_s < MAX_AGE_S + 5 / FPS + STOPPED_S
             run.arm.assert_stopped(aborts, STOPPED_S)
             assert run.guided.end() == 1
-    assert "s old" in run.reasons()[0]
+    # The streams need not stop showing frames at once; what is told is the one that stopped first.
+    assert re.search(r"(fix is|no finger line for) [0-9.]+ s( old)?;", run.reasons()[0])
     assert "no new frame" in run.guided.said()
 
 
