@@ -167,7 +167,11 @@ def test_the_command_prints_the_port_and_serves_until_it_is_interrupted():
 
 @pytest.mark.parametrize(
     ("redirection", "said"),
-    [("<&-", []), (r"< <(printf '\xff\nimpact\n'; sleep 60)", ["\ufffd", "impact"])],
+    [
+        ("<&-", []),
+        # What sleeps must not keep the emulator's own standard error open.
+        (r"< <(printf '\xff\nimpact\n'; exec sleep 60 2>&-)", ["\ufffd", "impact"]),
+    ],
 )
 def test_it_serves_with_standard_input_closed_or_full_of_noise(tmp_path, redirection, said):
     command = f"exec {sys.executable} -m fingerpost robot emulate acl {redirection}"
