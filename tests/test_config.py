@@ -2,6 +2,8 @@
 
 import math
 import re
+import subprocess
+import sys
 import tomllib
 from pathlib import Path
 
@@ -262,6 +264,28 @@ def test_a_directory_is_no_rig_file(tmp_path, name):
 def test_a_source_that_is_no_text_is_not_written(tmp_path):
     with pytest.raises(RigError, match="a source is no text in UTF-8"):
         rig_of(view(source="a\udcff.mp4")).save(tmp_path / "rig.toml")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_disk_that_is_full_leaves_the_rig_that_was_there(tmp_path):
+    path, other = tmp_path / "rig.toml", tmp_path / "rig.toml.part"
+    rig_of(view()).save(path)
+    old = path.read_bytes()
+    other.write_text("somebody's own", encoding="utf-8")
+    program = """
+import resource, sys
+from fingerpost import Rig
+rig = Rig.load(sys.argv[1])
+resource.setrlimit(resource.RLIMIT_FSIZE, (100, 100))
+rig.save(sys.argv[1])
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", program, path], check=False, capture_output=True, text=True
+    )
+    assert f"{path}: cannot be written: File too large" in done.stderr
+    assert path.read_bytes() == old
+    assert other.read_text(encoding="utf-8") == "somebody's own"
+    assert sorted(tmp_path.iterdir()) == [path, other]
 
 
 def test_a_rig_is_not_written_to_a_directory(tmp_path):

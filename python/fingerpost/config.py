@@ -8,6 +8,7 @@ class per table, one attribute per key.
 
 from __future__ import annotations
 
+import contextlib
 import difflib
 import json
 import os
@@ -417,7 +418,7 @@ class Rig(_Table, kw_only=True, frozen=True):
         text = msgspec.structs.replace(self, views=tuple(views)).dumps()
         if not path.name or os.path.isdir(path):  # noqa: PTH112 - a name may be too long to exist
             raise RigError(f"{path}: cannot be written: it is a directory, not a file")
-        part = path.with_name(f"{path.name}.part")
+        part = part_of(path)
         try:
             part.write_text(text, encoding="utf-8")
             part.replace(path)  # at no moment is the old rig gone and the new one not there
@@ -425,6 +426,9 @@ class Rig(_Table, kw_only=True, frozen=True):
             raise RigError(f"{path}: cannot be written: {error.strerror}") from error
         except UnicodeEncodeError as error:
             raise RigError(f"{path}: cannot be written: a source is no text in UTF-8") from error
+        finally:
+            with contextlib.suppress(OSError):
+                part.unlink()  # what could not be written in full
 
     def dumps(self) -> str:
         """Return the rig as TOML, with its sources as they are."""
@@ -449,6 +453,11 @@ _TABLES: dict[str, type[_Table]] = {
     "view.start": Start,
     "robot": RobotTable,
 }
+
+
+def part_of(path: Path) -> Path:
+    """Return the name under which `Rig.save` writes first: one that no other program uses."""
+    return path.with_name(f"{path.name}.{os.getpid()}.part")
 
 
 def _tables(path: Path) -> dict[str, Any]:

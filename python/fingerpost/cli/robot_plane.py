@@ -199,6 +199,8 @@ def plane(
 
 def _need_file(path: Path) -> None:
     """See that the new rig can be written, by writing what `Rig.save` would write first."""
+    from fingerpost.config import part_of
+
     problem = ""
     try:
         if path.is_dir():
@@ -206,7 +208,7 @@ def _need_file(path: Path) -> None:
         elif path.exists() and not path.is_file():
             problem = "it is no file"
         else:
-            part = path.with_name(f"{path.name}.part")
+            part = part_of(path)
             part.touch()
             part.unlink()
     except OSError as error:
