@@ -65,18 +65,18 @@ STOP_S = 0.020
 """A stop reaches the controller's port within this."""
 
 
-class LateStopError(AssertionError):
-    """A stop came too late."""
+class CrowdedError(AssertionError):
+    """What has failed may be due to a crowded machine."""
 
 
 def assert_in_time(called_s: float, arrived_s: float) -> None:
     """Assert that a stop arrived in time."""
     if arrived_s - called_s > STOP_S:
-        raise LateStopError(f"the stop took {1000 * (arrived_s - called_s):.1f} ms")
+        raise CrowdedError(f"the stop took {1000 * (arrived_s - called_s):.1f} ms")
 
 
 def best_of_three(test):
-    """Let a test of a stop's time fail only if it fails three times.
+    """Let a test fail with `CrowdedError` only if it does so three times.
 
     A crowded machine may leave any thread waiting for longer than 20 ms now and then; a stop that
     stands behind a lock or a queue is late every time.
@@ -85,7 +85,7 @@ def best_of_three(test):
     @functools.wraps(test)
     def repeated(*arguments, **fields):
         for _ in range(2):
-            with contextlib.suppress(LateStopError):
+            with contextlib.suppress(CrowdedError):
                 return test(*arguments, **fields)
         return test(*arguments, **fields)
 

@@ -3,11 +3,13 @@
 The command runs as a process of its own; nothing of it is known here but its bytes on the line.
 """
 
-import re
+import tempfile
 import time
+from pathlib import Path
 
 import pytest
 from guided_process import FPS, STOPPED_S, JpegStreams, Travelling, cut_film, write_rig
+from robot_rig import CrowdedError, best_of_three
 
 MAX_AGE_S = 0.3
 """Of a fix to move on."""
@@ -30,14 +32,16 @@ def test_a_hand_that_is_lost_stops_the_arm(hand_film, tmp_path):
     assert "holding: fix is lost" in run.guided.said()
 
 
+@best_of_three
 def test_fixes_that_stop_coming_stop_the_arm(hand_film, tmp_path):
+    folder = Path(tempfile.mkdtemp(dir=tmp_path))
     films = [
         [path.read_bytes() for path in sorted((hand_film / view).glob("*.jpg"))[:40]]
         for view in ("left", "right")
     ]
     with JpegStreams(films) as streams:
-        rig = write_rig(tmp_path, hand_film, streams.urls, z_m=(0.03, 0.4))
-        with Travelling(rig, tmp_path, "--max-age", MAX_AGE_S) as run:
+        rig = write_rig(folder, hand_film, streams.urls, z_m=(0.03, 0.4))
+        with Travelling(rig, folder, "--max-age", MAX_AGE_S) as run:
             aborts = run.travel()
             streams.stalled = True
             stalled_s = time.monotonic()
@@ -45,8 +49,9 @@ def test_fixes_that_stop_coming_stop_the_arm(hand_film, tmp_path):
             assert time.monotonic() - stalled_s < MAX_AGE_S + 5 / FPS + STOPPED_S
             run.arm.assert_stopped(aborts, STOPPED_S)
             assert run.guided.end() == 1
-    # The streams need not stop showing frames at once; what is told is the one that stopped first.
-    assert re.search(r"(fix is|no finger line for) [0-9.]+ s( old)?;", run.reasons()[0])
+    if "are bridged" in run.reasons()[0]:
+        raise CrowdedError(run.reasons()[0])  # a frame came late by itself
+    assert "s old" in run.reasons()[0]
     assert "no new frame" in run.guided.said()
 
 
