@@ -181,7 +181,7 @@ class View(_Table, kw_only=True, frozen=True):
     lens_parameters
         The key `lens`: the view's lens, if known.
     start
-        Where the template waits for the hand; None to find the hand.
+        Where the template waits for the hand, which is found elsewhere, too; None to find it.
     """
 
     name: str

@@ -8,6 +8,9 @@ shadows on the table map to one and the same line, while a finger above it maps 
 
 Of two digits of a hand, which both pass all this, the one that reaches farther from the arm points.
 
+A template that waits for the hand takes it where it is held up to it; a hand that comes elsewhere
+is found as without one.
+
 A hand that one view has lost is looked for beside its tracker, which may still wait for it where it
 was. It need be found no longer than it was, and what moves with a hand that another view follows is
 believed sooner than what no view has followed.

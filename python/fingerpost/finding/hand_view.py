@@ -59,6 +59,10 @@ SOFT_EVERY = 4
 SOFT_RATE = 0.5
 """One frame in so many tells how soft the flanks are; it counts that much of what is known."""
 
+WAITED_FRAMES = 3
+"""A hand that has not come to its template within so many frames may come elsewhere. One that is
+there already has settled in as many; sooner, the search would cost it the first frames."""
+
 MISSED_FRAMES = 2
 """A finger that was not seen for so many frames is looked for everywhere, for its tracker may still
 wait for it where it was."""
@@ -70,8 +74,9 @@ STOOD_FRAMES = 8
 class HandView:
     """One view of the hand: its tracker, its search for the hand, and how it sees the plane.
 
-    A view with a start pose waits there for the hand until it has followed one. A view without,
-    and any view that has lost the hand, looks everywhere; see `fingerpost.finding`.
+    A view with a start pose waits there for the hand until it has followed one, and where that does
+    not come at once looks everywhere beside it, as a view without does, and any that has lost the
+    hand; see `fingerpost.finding`.
 
     Parameters
     ----------
@@ -115,6 +120,7 @@ class HandView:
         self._frames = 0
         self._flat_frames = 0
         self._missed_frames = 0
+        self._waited_frames = 0
         self.missing = Status.ACQUIRING
         """What it is while it follows nothing: looking for its first hand, or for a lost one."""
         self.odd_width: float | None = None
@@ -136,15 +142,16 @@ class HandView:
     def is_searching(self) -> bool:
         """Whether the hand may be anywhere: it is neither followed for good nor waited for.
 
-        A hand that another view has seen come, or follows alone, has passed a template that still
-        waits for it; and what is followed here alone may be none.
+        A hand that does not come to its template may come elsewhere; one that another view has seen
+        come, or follows alone, has passed what is followed here, which may be none, as may what is
+        followed here alone.
         """
         if self._tracker is None or self._misses_hand or self._is_alone_for_long:
             return True
         # What has been found beside what is followed alone is not yet proven.
         if self.search.found is not None:
             return True
-        return self._missed_frames >= MISSED_FRAMES
+        return self._missed_frames >= MISSED_FRAMES or self._waited_frames >= WAITED_FRAMES
 
     @property
     def _misses_hand(self) -> bool:
@@ -221,6 +228,7 @@ class HandView:
     def follow(self, frame: Frame, track: Track) -> None:
         """Take over what the tracker made of the view's frame."""
         self._count_missed(track)
+        self._waited_frames = self._waited_frames + 1 if track.status == "acquiring" else 0
         self._track = track
         if self._lengthening is not None and self._tracker is not None:
             self._tracker, self._track = self._lengthening.look(
