@@ -207,6 +207,28 @@ def test_a_view_that_stands_still_while_the_hand_moves_in_another_is_let_go():
     assert not any(points[stuck_from + LET_GO_WITHIN :])
 
 
+@pytest.mark.parametrize("view", [0, 1])
+def test_a_finger_that_moves_towards_a_camera_which_sees_it_stand_is_not_let_go(view):
+    rig = SCENES["plain"]
+    camera, other = rig.cameras[view], rig.cameras[1 - view]
+    tip_mm = np.array(OVER_THE_TABLE.tip_mm)
+    towards_mm = camera.centre_mm - tip_mm
+    near_mm = tip_mm + 80.0 * towards_mm / np.linalg.norm(towards_mm)
+    near = dataclasses.replace(OVER_THE_TABLE, tip_mm=tuple(near_mm.tolist()))
+    motion = (
+        Trajectory.through([AWAY, OVER_THE_TABLE], 1.2)
+        .then(Trajectory.hold(OVER_THE_TABLE, 0.8))
+        .then(Trajectory.through([OVER_THE_TABLE, near], 0.4))
+        .then(Trajectory.hold(near, 0.3))
+    )
+    steps, _ = played(rig, motion, int(motion.duration_s * FPS))
+    ends_mm = np.array([tip_mm, near_mm])
+    moved_px = [np.linalg.norm(np.ptp(seen.project(ends_mm), axis=0)) for seen in (camera, other)]
+    assert moved_px[0] < 1.0 < 25.0 < moved_px[1]
+    moves_from = int(1.9 * FPS)
+    assert [s.index for s in steps[moves_from:] if s.fix.point is None] == []
+
+
 def test_what_comes_to_a_template_takes_the_place_of_nothing_that_moves(monkeypatch):
     # The thumb of a hand that passes its own template may come there, too.
     for question, answer in (("has_come", True), ("has_come_whole", True), ("stands_out", False)):

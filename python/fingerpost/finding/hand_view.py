@@ -379,7 +379,7 @@ class HandView:
         if (
             self._table_frames >= BACKGROUND_FRAMES
             or self._doubts >= DOUBTED_FRAMES
-            or self._is_left_behind(others)
+            or self._is_left_behind(others, shared)
         ):
             self._let_go()
 
@@ -389,14 +389,17 @@ class HandView:
             shared.are_two(self, other) or not other._shows_finger for other in others
         )
 
-    def _is_left_behind(self, others: Sequence[HandView]) -> bool:
+    def _is_left_behind(self, others: Sequence[HandView], shared: Shared) -> bool:
         """Whether another view's finger has moved while what is followed here has stood still.
 
-        A finger may move towards a camera that sees it still, for once; it is soon found again.
+        A finger that moves towards a camera stands still there, but its tip stays one with that of
+        the other view.
         """
-        latest = [view._latest for view in (self, *others) if len(view._latest) == STOOD_FRAMES]
         return len(self._latest) == STOOD_FRAMES and any(
-            is_left_behind(self._latest, other) for other in latest
+            len(other._latest) == STOOD_FRAMES
+            and is_left_behind(self._latest, other._latest)
+            and not shared.share_tip(self, other)
+            for other in others
         )
 
     def _is_backed_by(self, others: Sequence[HandView], shared: Shared) -> bool:

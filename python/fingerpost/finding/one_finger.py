@@ -19,6 +19,11 @@ OTHER_WIDTH = 0.6
 """Fingers whose widths differ by this logarithm are two, or one not seen for what it is. One
 finger's differ by 0.45 at most in the recordings."""
 
+SURELY_ONE = 0.99
+"""Tips of which one stands still while the other moves are one point with this, by `same_tip`: a
+finger that moves towards a camera keeps 0.9999. What an edge of the table holds on to falls below
+within a few half-widths, whichever way the finger has gone."""
+
 
 class FollowingView(Protocol):
     """What is asked here of a view."""
@@ -95,6 +100,12 @@ def are_two(views: Pair) -> bool:
     return same < OTHER_TIP or _is_odd(views)
 
 
+def share_tip(views: Pair) -> bool:
+    """Tell whether two views follow fingers of one tip, as surely as geometry can tell."""
+    same = _same_followed_tip(views)
+    return same is not None and same >= SURELY_ONE
+
+
 def _same_followed_tip(views: Pair) -> float | None:
     """Return how well the tips that two views follow may be one; None unless both follow one."""
     first, second = (followed(view.track) for view in views)
@@ -136,6 +147,10 @@ class Shared:
     def are_two(self, one: FollowingView, other: FollowingView) -> bool:
         """See `are_two`."""
         return self._judged(are_two, one, other)
+
+    def share_tip(self, one: FollowingView, other: FollowingView) -> bool:
+        """See `share_tip`."""
+        return self._judged(share_tip, one, other)
 
     def _judged(
         self, judge: Callable[[Pair], bool], one: FollowingView, other: FollowingView
