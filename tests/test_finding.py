@@ -36,6 +36,7 @@ from fingerpost.finding import (
 )
 from fingerpost.finding.finger import HALF_WIDTH, followed, off_by_softness, off_by_width
 from fingerpost.finding.first_hand import FirstHand
+from fingerpost.finding.foreground import may_have_come
 from fingerpost.finding.look import softness, widening
 from fingerpost.finding.pairs import reaches_farther
 from fingerpost.finding.trial import Trial, belief
@@ -205,6 +206,21 @@ def test_a_view_that_stands_still_while_the_hand_moves_in_another_is_let_go():
     assert frames > stuck_from + LET_GO_WITHIN + 3
     assert all(points[stuck_from - 5 : stuck_from])
     assert not any(points[stuck_from + LET_GO_WITHIN :])
+
+
+@pytest.mark.parametrize("scene", ["plain", "a hand of a few pixels"])
+def test_something_may_have_come_where_the_background_is_not_known_or_covered(scene):
+    rig, rng = SCENES[scene], np.random.default_rng(SEED)
+    behind = LearnedBackground()
+    for k in range(30):
+        table = Frame(k, k / FPS, rig.render(AWAY, rng=rng).images[0])
+        behind.look(table.grey(), table.colour())
+        assert may_have_come(behind, table) is not behind.is_known
+        behind.learn(table.grey(), table.colour())
+    assert behind.is_known
+    hand = Frame(30, 30 / FPS, rig.render(OVER_THE_TABLE, rng=rng).images[0])
+    behind.look(hand.grey(), hand.colour())
+    assert may_have_come(behind, hand)
 
 
 @pytest.mark.parametrize("view", [0, 1])

@@ -22,6 +22,27 @@ def has_come(background: Background, frame: Frame, start: StartPose) -> bool:
     return _likely(background, frame, places.reshape(-1, 2)) > COME_PART
 
 
+GRID = 40, 30
+STANDS_OUT = 0.5
+COME_PLACES = 2
+"""Something may have come if so many of the places of a grid over the picture (across, down) are
+foreground to that part: a hand with its arm covers more, be it ever so small."""
+
+
+def may_have_come(background: Background, frame: Frame) -> bool:
+    """Tell whether anything stands before the background; so it may where that is not known."""
+    if not background.is_known:
+        return True
+    height_px, width_px = frame.image.shape[:2]
+    u, v = (
+        (np.arange(n) + 0.5) * (size / n)
+        for n, size in zip(GRID, (width_px, height_px), strict=True)
+    )
+    places = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
+    likely = background.foreground(frame.grey(), places, colour=frame.colour())
+    return int((likely > STANDS_OUT).sum()) >= COME_PLACES
+
+
 COME_WHOLE = 0.8
 """A finger of which this much is foreground has come into view as a whole."""
 

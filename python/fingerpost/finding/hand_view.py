@@ -22,7 +22,7 @@ from fingerpost.finding.finger import (
     off_by_width,
 )
 from fingerpost.finding.first_hand import FirstHand
-from fingerpost.finding.foreground import is_background
+from fingerpost.finding.foreground import is_background, may_have_come
 from fingerpost.finding.length import Lengthening, length_px
 from fingerpost.finding.look import softness
 from fingerpost.finding.one_finger import Shared
@@ -60,8 +60,8 @@ SOFT_RATE = 0.5
 """One frame in so many tells how soft the flanks are; it counts that much of what is known."""
 
 WAITED_FRAMES = 3
-"""A hand that has not come to its template within so many frames may come elsewhere. One that is
-there already has settled in as many; sooner, the search would cost it the first frames."""
+"""What has come within so many frames, and not to the template, may be a hand elsewhere. One that
+is at the template has settled in as many; sooner, the search would cost it the first frames."""
 
 MISSED_FRAMES = 2
 """A finger that was not seen for so many frames is looked for everywhere, for its tracker may still
@@ -228,7 +228,7 @@ class HandView:
     def follow(self, frame: Frame, track: Track) -> None:
         """Take over what the tracker made of the view's frame."""
         self._count_missed(track)
-        self._waited_frames = self._waited_frames + 1 if track.status == "acquiring" else 0
+        self._count_waited(frame, track)
         self._track = track
         if self._lengthening is not None and self._tracker is not None:
             self._tracker, self._track = self._lengthening.look(
@@ -239,6 +239,12 @@ class HandView:
         # What leaves the table for the hand that has come has not moved like one.
         if track.finger_line is not None and self.is_sure:
             self._latest.append(track.finger_line)
+
+    def _count_waited(self, frame: Frame, track: Track) -> None:
+        """Count the frames in which a hand may be there, but not where a template waits for it."""
+        is_waiting = track.status == "acquiring"
+        may_be_elsewhere = is_waiting and may_have_come(self.search.background, frame)
+        self._waited_frames = self._waited_frames + 1 if may_be_elsewhere else 0
 
     def _count_missed(self, track: Track) -> None:
         """Count the frames in which what was followed is not seen."""
