@@ -105,9 +105,9 @@ def played(
     rig: SimulatedRig, motion: Trajectory, frames: int, start: Start | None = None
 ) -> tuple[list, list]:
     """Steps of a pointer with one start pose for all views, or without, and what was true."""
-    told_of = described(rig)
-    views = tuple(replace(view, start=start) for view in told_of.views)
-    pointer, rng = Pointer(replace(told_of, views=views)), np.random.default_rng(SEED)
+    without = described(rig)
+    views = tuple(replace(view, start=start) for view in without.views)
+    pointer, rng = Pointer(replace(without, views=views)), np.random.default_rng(SEED)
     told, truth = [], []
     for k in range(frames):
         shot = rig.render(motion, time_s=k / FPS, rng=rng)

@@ -181,7 +181,7 @@ class View(_Table, kw_only=True, frozen=True):
     lens_parameters
         The key `lens`: the view's lens, if known.
     start
-        Where the template waits for the hand, which is found elsewhere, too; None to find it.
+        Where a template waits for the hand, if one does; a hand elsewhere is found all the same.
     """
 
     name: str

@@ -22,27 +22,6 @@ def has_come(background: Background, frame: Frame, start: StartPose) -> bool:
     return _likely(background, frame, places.reshape(-1, 2)) > COME_PART
 
 
-GRID = 40, 30
-STANDS_OUT = 0.5
-COME_PLACES = 2
-"""Something may have come if so many of the places of a grid over the picture (across, down) are
-foreground to that part: a hand with its arm covers more, be it ever so small."""
-
-
-def may_have_come(background: Background, frame: Frame) -> bool:
-    """Tell whether anything stands before the background; so it may where that is not known."""
-    if not background.is_known:
-        return True
-    height_px, width_px = frame.image.shape[:2]
-    u, v = (
-        (np.arange(n) + 0.5) * (size / n)
-        for n, size in zip(GRID, (width_px, height_px), strict=True)
-    )
-    places = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
-    likely = background.foreground(frame.grey(), places, colour=frame.colour())
-    return int((likely > STANDS_OUT).sum()) >= COME_PLACES
-
-
 COME_WHOLE = 0.8
 """A finger of which this much is foreground has come into view as a whole."""
 
@@ -61,7 +40,23 @@ def has_come_whole(background: Background, frame: Frame, line: FingerLine) -> bo
 
 
 IN_FOREGROUND = 0.5
-"""A finger that is foreground to at least this part has come into view."""
+"""What is foreground to at least this part has come into view."""
+
+
+GRID = 40, 30
+COME_PLACES = 2
+"""Something may have come if so many places of a grid over the picture (across, down) are in the
+foreground: a hand with its arm covers more, be it ever so small."""
+
+
+def may_have_come(background: Background, frame: Frame) -> bool:
+    """Tell whether anything stands before the background; so it may where that is not known."""
+    if not background.is_known:
+        return True
+    size_px = np.array(frame.image.shape[1::-1])
+    places = (np.indices(GRID).reshape(2, -1).T + 0.5) * (size_px / GRID)
+    likely = background.foreground(frame.grey(), places, colour=frame.colour())
+    return int((likely >= IN_FOREGROUND).sum()) >= COME_PLACES
 
 
 def stands_out(background: Background, frame: Frame, line: FingerLine) -> bool:

@@ -142,9 +142,9 @@ class HandView:
     def is_searching(self) -> bool:
         """Whether the hand may be anywhere: it is neither followed for good nor waited for.
 
-        A hand that does not come to its template may come elsewhere; one that another view has seen
-        come, or follows alone, has passed what is followed here, which may be none, as may what is
-        followed here alone.
+        What has come, and not to the template, may be a hand elsewhere. One that another view has
+        seen come, or follows alone, has passed a template that still waits for it; and what is
+        followed here alone may be none.
         """
         if self._tracker is None or self._misses_hand or self._is_alone_for_long:
             return True

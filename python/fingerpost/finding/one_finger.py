@@ -20,9 +20,9 @@ OTHER_WIDTH = 0.6
 finger's differ by 0.45 at most in the recordings."""
 
 SURELY_ONE = 0.99
-"""Tips of which one stands still while the other moves are one point with this, by `same_tip`: a
-finger that moves towards a camera keeps 0.9999. What an edge of the table holds on to falls below
-within a few half-widths, whichever way the finger has gone."""
+"""Tips of which one stands still while the other moves are one point with this, by `same_tip`: the
+median of one finger is 0.999 on real footage, and 0.9999 in rendered films. A view that holds on to
+an edge of the table falls below as the finger moves on from there."""
 
 
 class FollowingView(Protocol):
