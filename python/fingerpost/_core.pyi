@@ -1456,6 +1456,9 @@ class HandFinder:
     ) -> float | None:
         """Tell how like a finger a band is, by how its inside differs from what is about it.
 
+        Each half of a band that is lit from one side may differ by its colours, or by their
+        chromaticity alone.
+
         Parameters
         ----------
         image, colour

@@ -15,6 +15,7 @@
 //! Sources: Hinterstoisser et al. 2012 (LINEMOD) for spread orientations and their fast sums.
 
 use crate::background::{Background, ForegroundMap};
+use crate::discriminant::chromaticity;
 use crate::frame::Frame;
 use crate::image::GrayView;
 use crate::template::Thumb;
@@ -105,6 +106,14 @@ const UNLIKE_COLOUR: f64 = 6.0;
 const UNLIKE_GREY: f64 = 4.0;
 /// Standard deviation of the inside's colours that is always granted \[grey levels\].
 const COLOUR_FLOOR: f64 = 4.0;
+/// A finger is half-lit if one half of it is darker than this part of the other. What is not of two
+/// brightnesses has 0.8 and more.
+const HALF_LIT: f64 = 0.75;
+/// The inside is looked at over so much of the half-width to either side of the axis; a half of it begins
+/// this far from there, in parts of that.
+const ACROSS: f64 = 0.55;
+const WHOLE: (f64, f64) = (-1.0, 1.0);
+const HALF_FROM: f64 = 0.2;
 /// A visible finger is this long, in half-widths.
 const LENGTHS: (f64, f64) = (4.6, 12.0);
 /// Flanks that are seen over less than this tell nothing of the length, which is this then.
@@ -278,7 +287,8 @@ impl HandFinder {
     }
 
     /// How like a finger the inside of a band is by how it differs from what is about it, 0–1; its
-    /// edges, a fit has found. None if too little of that lies in the image.
+    /// edges, a fit has found. None if too little of that lies in the image. Each half of one that is lit
+    /// from one side may differ by its colours, or by their chromaticity alone.
     ///
     /// # Errors
     /// A place or direction that is not finite, a half-width that is not above 0.
@@ -293,8 +303,11 @@ impl HandFinder {
         Error::finite("angle [rad]", angle_rad)?;
         Error::within("half-width [px]", half_width_px, "above 0", |w| w > 0.0)?;
         let sight = Sight::new(frame, tip, angle_rad);
-        let inside = Inside::of(&sight, half_width_px);
-        Ok(inside.and_then(|inside| stands_out(&sight, &inside, half_width_px)))
+        Ok(Inside::of(&sight, half_width_px, WHOLE).and_then(|inside| {
+            let likeness = stands_out(&sight, &inside, half_width_px)?;
+            let half_lit = half_lit_stands_out(&sight, &inside, half_width_px);
+            Some(half_lit.map_or(likeness, |half_lit| half_lit.max(likeness)))
+        }))
     }
 
     /// Takes the frame apart into channels, and halves them until the coarsest level has one.
@@ -667,17 +680,25 @@ fn direction(angle_rad: f64) -> Vector2<f64> {
 }
 
 /// A frame as seen from a band: along its axis and across it, in px from its tip.
+#[derive(Debug, Clone, Copy)]
 struct Sight<'a> {
     frame: &'a Frame<'a>,
     tip: Point2<f64>,
     e: Vector2<f64>,
     n: Vector2<f64>,
+    /// Whether it sees chromaticities alone.
+    is_chromatic: bool,
 }
 
 impl<'a> Sight<'a> {
     fn new(frame: &'a Frame<'a>, tip: Point2<f64>, angle_rad: f64) -> Self {
         let e = direction(angle_rad);
-        Self { frame, tip, e, n: Vector2::new(-e.y, e.x) }
+        Self { frame, tip, e, n: Vector2::new(-e.y, e.x), is_chromatic: false }
+    }
+
+    /// The same for chromaticities; none without colours.
+    fn of_chromaticity(&self) -> Option<Self> {
+        self.frame.colour().map(|_| Self { is_chromatic: true, ..*self })
     }
 
     fn place(&self, along_px: f64, across_px: f64) -> Point2<f64> {
@@ -693,7 +714,9 @@ impl<'a> Sight<'a> {
         }
         let (x, y) = ((at.x + 0.5) as usize, (at.y + 0.5) as usize);
         match self.frame.colour() {
-            Some(colour) => colour.pixel(x, y).map(|p| Vector3::from(p.map(f64::from))),
+            Some(colour) => colour.pixel(x, y).map(|p| {
+                if self.is_chromatic { chromaticity(p) } else { Vector3::from(p.map(f64::from)) }
+            }),
             None => image.pixel(x, y).map(|g| Vector3::repeat(f64::from(g))),
         }
     }
@@ -739,15 +762,17 @@ struct Inside {
 }
 
 impl Inside {
-    /// The colours of a band's core; None if too little of it lies in the image.
-    fn of(sight: &Sight<'_>, half_width_px: f64) -> Option<Self> {
+    /// The colours of a band's core, from so far across it to so far, in parts of the core's half-width;
+    /// None if too little of it lies in the image.
+    fn of(sight: &Sight<'_>, half_width_px: f64, (from, to): (f64, f64)) -> Option<Self> {
         const ALONG: usize = 16;
-        const ACROSS: usize = 5;
+        const PLACES: usize = 5;
         let (mut count, mut sum, mut squares) = (0.0, Vector3::zeros(), Matrix3::zeros());
         for i in 0..ALONG {
             let along = -half_width_px * (0.6 + 3.0 * i as f64 / (ALONG - 1) as f64);
-            for j in 0..ACROSS {
-                let across = half_width_px * (0.55 * (2.0 * j as f64 / (ACROSS - 1) as f64 - 1.0));
+            for j in 0..PLACES {
+                let part = from + (to - from) * j as f64 / (PLACES - 1) as f64;
+                let across = half_width_px * ACROSS * part;
                 if let Some(colour) = sight.pixel(along, across) {
                     count += 1.0;
                     sum += colour;
@@ -755,7 +780,7 @@ impl Inside {
                 }
             }
         }
-        if count < 0.7 * (ALONG * ACROSS) as f64 {
+        if count < 0.7 * (ALONG * PLACES) as f64 {
             return None;
         }
         let mean = sum / count;
@@ -826,7 +851,7 @@ fn look_closely(frame: &Frame<'_>, map: &ForegroundMap, band: &Band) -> Option<L
     })?;
     sight.tip += sight.e * end;
 
-    let inside = Inside::of(&sight, half_width_px)?;
+    let inside = Inside::of(&sight, half_width_px, WHOLE)?;
     let score = band.score * stands_out(&sight, &inside, half_width_px)?;
     let band = Band { tip: sight.tip, angle_rad, half_width_px, ..*band };
     let foreground = inside_foreground(map, &band);
@@ -837,29 +862,65 @@ fn look_closely(frame: &Frame<'_>, map: &ForegroundMap, band: &Band) -> Option<L
 /// How far the inside of a band differs from what is beside it and ahead, and not from what is
 /// behind, 0–1.
 fn stands_out(sight: &Sight<'_>, inside: &Inside, w: f64) -> Option<f64> {
-    let beside = |side: f64| {
-        (0..12).flat_map(move |i| {
-            let along = -w * (1.0 + 2.6 * f64::from(i) / 11.0);
-            (0..4).map(move |j| (along, side * w * (1.35 + 0.16 * f64::from(j))))
-        })
-    };
-    let ahead = (0..9).flat_map(|i| {
+    let unlike = [
+        inside.unlike_part(sight, beside(w, -1.0))?,
+        inside.unlike_part(sight, beside(w, 1.0))?,
+        inside.unlike_part(sight, ahead(w))?,
+    ];
+    Some(finger_before_hand(sight, inside, w, unlike))
+}
+
+/// The same of a band that is lit from one side: what is beside it is compared with the half that is next to
+/// it, by colours and by chromaticity, and what is behind by chromaticity. None if it is no such band.
+fn half_lit_stands_out(sight: &Sight<'_>, inside: &Inside, w: f64) -> Option<f64> {
+    let chromatic = sight.of_chromaticity()?;
+    let halves = [(-1.0, -HALF_FROM), (HALF_FROM, 1.0)];
+    let [left, right] = halves.map(|half| Inside::of(sight, w, half));
+    let brightness = [left.as_ref()?, right.as_ref()?].map(|half| half.mean.sum());
+    if brightness[0].min(brightness[1]) > HALF_LIT * brightness[0].max(brightness[1]) {
+        return None;
+    }
+    let [chromatic_left, chromatic_right] = halves.map(|half| Inside::of(&chromatic, w, half));
+    let whole = Inside::of(&chromatic, w, WHOLE)?;
+    let unlike = [
+        left?
+            .unlike_part(sight, beside(w, -1.0))?
+            .max(chromatic_left?.unlike_part(&chromatic, beside(w, -1.0))?),
+        right?
+            .unlike_part(sight, beside(w, 1.0))?
+            .max(chromatic_right?.unlike_part(&chromatic, beside(w, 1.0))?),
+        inside.unlike_part(sight, ahead(w))?.max(whole.unlike_part(&chromatic, ahead(w))?),
+    ];
+    Some(finger_before_hand(&chromatic, &whole, w, unlike))
+}
+
+/// Places beside a band's flank.
+fn beside(w: f64, side: f64) -> impl Iterator<Item = (f64, f64)> {
+    (0..12).flat_map(move |i| {
+        let along = -w * (1.0 + 2.6 * f64::from(i) / 11.0);
+        (0..4).map(move |j| (along, side * w * (1.35 + 0.16 * f64::from(j))))
+    })
+}
+
+/// Places ahead of its tip.
+fn ahead(w: f64) -> impl Iterator<Item = (f64, f64)> {
+    (0..9).flat_map(move |i| {
         let (sin, cos) = (1.05 * (f64::from(i) / 4.0 - 1.0)).sin_cos();
         (0..4).map(move |j| {
             let r = w * (1.35 + 0.16 * f64::from(j));
             (r * cos - w, r * sin)
         })
-    });
-    let parts = [
-        inside.unlike_part(sight, beside(-1.0))?,
-        inside.unlike_part(sight, beside(1.0))?,
-        inside.unlike_part(sight, ahead)?,
-    ];
-    let least = parts.iter().copied().fold(1.0, f64::min);
-    let mean = parts.iter().sum::<f64>() / 3.0;
+    })
+}
+
+/// How like a finger a band is of which such parts of what is on its left, on its right and ahead are
+/// unlike it, 0–1: behind a finger is a hand.
+fn finger_before_hand(sight: &Sight<'_>, inside: &Inside, w: f64, unlike: [f64; 3]) -> f64 {
+    let least = unlike.iter().copied().fold(1.0, f64::min);
+    let mean = unlike.iter().sum::<f64>() / 3.0;
     let behind = 1.0 - inside.unlike_part(sight, hand_places(w)).unwrap_or(1.0);
     let hand = 1.0 - HAND_SAY * (1.0 - behind / HAND_PART).max(0.0);
-    Some((0.3 + 0.4 * least + 0.3 * mean) * hand)
+    (0.3 + 0.4 * least + 0.3 * mean) * hand
 }
 
 /// Places where a hand is, behind its finger.

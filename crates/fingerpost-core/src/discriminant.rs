@@ -7,6 +7,10 @@
 //! contours that were accepted; edges are then measured in its image instead of the grey one, where
 //! the hand is always the brighter side.
 //!
+//! A finger that a lamp lights from one side is of one colour and of two brightnesses, and what lies
+//! behind it may have the darker one. Then colours tell it by their *chromaticity* alone, the parts of
+//! their channels in the sum of all three, which light of one colour does not change.
+//!
 //! Source: Fisher 1936, The use of multiple measurements in taxonomic problems.
 
 use crate::Result;
@@ -32,6 +36,13 @@ const BETTER_THAN_GREY: f64 = 1.5;
 /// are shown [`LEAST_CONTRAST`] apart, so noise would be magnified 288 times, and the weights of a
 /// mixture, which go as 1 / separation, outgrow their integers below 0.03.
 const LEAST_SEPARATION: f64 = 1.0 / 16.0;
+/// The same of chromaticities: there is no brightness beside them that would tell more.
+const LEAST_CHROMATIC_SEPARATION: f64 = std::f64::consts::SQRT_2;
+/// Channels of a chromaticity add up to this \[grey levels\], as those of a middle grey do.
+const CHROMATICITY_SUM: f64 = 384.0;
+/// What is darker, three channels together, has less of all of them: rounding would be most of it
+/// \[grey levels\].
+const DARKEST_SUM: u32 = 24;
 /// Channels are mixed in fixed point with so many binary places.
 const PLACES: i32 = 12;
 
@@ -56,8 +67,8 @@ struct Counts {
 }
 
 impl Counts {
-    fn add(&mut self, colour: [u8; 3], grey: u8) {
-        let (colour, grey) = (colour.map(u64::from), u64::from(grey));
+    fn add(&mut self, colour: [u64; 3], grey: u8) {
+        let grey = u64::from(grey);
         self.pixels += 1;
         self.grey += grey;
         self.grey_squares += grey * grey;
@@ -125,6 +136,8 @@ pub struct Discriminant {
     anchor: Class,
     background: Class,
     mixture: Option<Mixture>,
+    /// Whether colours count by their chromaticity alone.
+    is_chromatic: bool,
 }
 
 /// A grey level from a colour: a weighted sum.
@@ -132,9 +145,28 @@ pub struct Discriminant {
 pub struct Mixture {
     weights: [i32; 3],
     offset: i32,
+    /// Whether it is that of a colour's chromaticity.
+    is_chromatic: bool,
+}
+
+/// A colour as bright as a middle grey: its chromaticity.
+pub(crate) fn chromaticity(colour: [u8; 3]) -> Vector3<f64> {
+    let sum = colour.iter().map(|&channel| u32::from(channel)).sum::<u32>();
+    Vector3::from(colour.map(f64::from)) * (CHROMATICITY_SUM / f64::from(sum.max(DARKEST_SUM)))
 }
 
 impl Discriminant {
+    /// One by which colours count by their chromaticity alone, however bright they are.
+    #[must_use]
+    pub fn of_chromaticity() -> Self {
+        Self { is_chromatic: true, ..Self::default() }
+    }
+
+    /// Forgets all.
+    pub fn forget(&mut self) {
+        *self = Self { is_chromatic: self.is_chromatic, ..Self::default() };
+    }
+
     /// Lets what was learned fade to a part `keep` of its weight, 0–1.
     pub fn fade(&mut self, keep: f64) {
         self.hand.fade(keep);
@@ -142,8 +174,11 @@ impl Discriminant {
     }
 
     /// Takes what was learned over into light that is `gain` times as bright, and works the mixture
-    /// out anew.
+    /// out anew. Chromaticities stay what they are.
     pub fn relight(&mut self, gain: f64) {
+        if self.is_chromatic {
+            return;
+        }
         for class in [&mut self.hand, &mut self.anchor, &mut self.background] {
             class.relight(gain);
         }
@@ -167,6 +202,11 @@ impl Discriminant {
         for &SidedPixel { x, y, is_hand } in pixels {
             let (x, y) = (x as usize, y as usize);
             if let (Some(colour), Some(grey)) = (colours.pixel(x, y), frame.image().pixel(x, y)) {
+                let colour = if self.is_chromatic {
+                    chromaticity(colour).map(|channel| channel.round() as u64).into()
+                } else {
+                    colour.map(u64::from)
+                };
                 counts[usize::from(is_hand)].add(colour, grey);
             }
         }
@@ -181,32 +221,56 @@ impl Discriminant {
 
     /// The mixture in whose image the hand is the brighter side; none if nothing was seen, the
     /// grey image shows the hand as well, or the means of hand and background are nearer than a
-    /// sixteenth of a standard deviation.
+    /// sixteenth of a standard deviation. That of chromaticities is compared with no grey image, and
+    /// none if the means are nearer than √2 standard deviations.
     #[must_use]
     pub fn mixture(&self) -> Option<&Mixture> {
         self.mixture.as_ref()
     }
 
-    fn fisher(&self) -> Option<Mixture> {
-        let (hand, background) = (self.hand.and(&self.anchor), &self.background);
-        if hand.weight < 1.0 || background.weight < 1.0 {
-            return None;
-        }
+    /// How far apart the means of hand and background are, in standard deviations of either; 0 if
+    /// nothing was seen.
+    #[must_use]
+    pub fn separation(&self) -> f64 {
+        self.direction().map_or(0.0, |(_, separation2)| separation2.max(0.0).sqrt())
+    }
+
+    /// All of the hand that is known; none unless something was seen of it and of the background.
+    fn hand(&self) -> Option<Class> {
+        let hand = self.hand.and(&self.anchor);
+        (hand.weight >= 1.0 && self.background.weight >= 1.0).then_some(hand)
+    }
+
+    /// Fisher's direction, and how far apart the classes are by it, which is their variance, too.
+    fn direction(&self) -> Option<(Vector3<f64>, f64)> {
+        let (hand, background) = (self.hand()?, &self.background);
         let scatter = 0.5 * (hand.covariance() + background.covariance())
             + Matrix3::identity() * LEAST_VARIANCE;
         let apart = hand.mean() - background.mean();
         let w = scatter.cholesky()?.solve(&apart);
-        let separation2 = apart.dot(&w);
+        Some((w, apart.dot(&w)))
+    }
+
+    /// Whether colours whose classes are so far apart show the hand well enough, and better than grey.
+    fn is_worth(&self, separation2: f64) -> bool {
+        let Some(hand) = self.hand() else { return false };
+        let background = &self.background;
+        if self.is_chromatic {
+            return separation2 >= LEAST_CHROMATIC_SEPARATION.powi(2);
+        }
         let grey_apart = hand.grey / hand.weight - background.grey / background.weight;
         let grey_scatter =
             0.5 * (hand.grey_variance() + background.grey_variance()) + LEAST_VARIANCE;
-        if separation2.is_nan()
-            || separation2 < LEAST_SEPARATION * LEAST_SEPARATION
-            || separation2 <= BETTER_THAN_GREY * grey_apart.powi(2) / grey_scatter
-        {
+        separation2 >= LEAST_SEPARATION.powi(2)
+            && separation2 > BETTER_THAN_GREY * grey_apart.powi(2) / grey_scatter
+    }
+
+    fn fisher(&self) -> Option<Mixture> {
+        let (hand, background) = (self.hand()?, &self.background);
+        let (w, separation2) = self.direction()?;
+        if !self.is_worth(separation2) {
             return None;
         }
-        // By w, the classes are separation2 apart, and so is their variance.
         let contrast = (CLASS_SIGMA * separation2.sqrt()).clamp(LEAST_CONTRAST, MOST_CONTRAST);
         let gain = contrast / separation2;
         let middle = 0.5 * (hand.mean() + background.mean());
@@ -216,10 +280,12 @@ impl Discriminant {
         let half = f64::from(1 << (PLACES - 1));
         let offset = ((128.0 - gain * w.dot(&middle)) * unit).round() + half;
         // Means taken over into other light may lie beyond a byte, and the sum beyond its integer.
-        let most = f64::from(u8::MAX) * weights.abs().sum() + offset.abs();
+        let most_channel = if self.is_chromatic { CHROMATICITY_SUM } else { f64::from(u8::MAX) };
+        let most = most_channel * weights.abs().sum() + offset.abs();
         (most <= f64::from(i32::MAX)).then(|| Mixture {
             weights: [0, 1, 2].map(|k| weights[k] as i32),
             offset: offset as i32,
+            is_chromatic: self.is_chromatic,
         })
     }
 }
@@ -320,12 +386,24 @@ fn hull(a: &[usize; 4], b: &[usize; 4]) -> [usize; 4] {
 }
 
 impl Mixture {
+    /// The grey level of a colour.
+    pub(crate) fn of(&self, colour: [u8; 3]) -> u8 {
+        let sum = if self.is_chromatic {
+            let weights = Vector3::from(self.weights.map(f64::from));
+            // The cast goes towards zero, and shifting rounds down; below zero both end at black.
+            weights.dot(&chromaticity(colour)) as i32
+        } else {
+            let [a, b, c] = self.weights;
+            let [x, y, z] = colour.map(i32::from);
+            a * x + b * y + c * z
+        };
+        ((sum + self.offset) >> PLACES).clamp(0, 255) as u8
+    }
+
     /// Mixes a row of interleaved colours.
     fn mix(&self, colours: &[u8], row: &mut [u8]) {
-        let [a, b, c] = self.weights;
         for (grey, colour) in row.iter_mut().zip(colours.as_chunks::<3>().0) {
-            let [x, y, z] = colour.map(i32::from);
-            *grey = ((a * x + b * y + c * z + self.offset) >> PLACES).clamp(0, 255) as u8;
+            *grey = self.of(*colour);
         }
     }
 }

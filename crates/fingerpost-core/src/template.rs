@@ -119,6 +119,14 @@ pub enum Part {
     Thumb,
 }
 
+impl Part {
+    /// Whether it is one of the finger's two flanks.
+    #[must_use]
+    pub fn is_flank(self) -> bool {
+        matches!(self, Self::LeftFlank | Self::RightFlank)
+    }
+}
+
 impl TemplateSample {
     /// The part of the outline that the sample belongs to.
     #[must_use]

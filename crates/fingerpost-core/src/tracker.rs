@@ -76,6 +76,7 @@ mod sagitta;
 mod scene;
 mod seek;
 mod settle;
+mod shade;
 mod shape;
 mod sides;
 mod standing;
@@ -225,6 +226,7 @@ impl ContourTracker {
             measure,
             moulded: Vec::with_capacity(samples.len()),
             looks: None,
+            shaded: None,
             taught_at_px: Vector2::zeros(),
             untaught_frames: 0,
             thumb_missed: 0,

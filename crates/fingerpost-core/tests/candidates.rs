@@ -193,6 +193,48 @@ fn a_band_is_like_a_finger_where_one_is() {
     }
 }
 
+/// Grey levels and colours of a hand that a lamp lights on one side of its finger's axis; the other side has
+/// two fifths of the light.
+fn half_lit(hand: &Hand, skin: [f64; 3], table: [f64; 3], noise: &mut Noise) -> (Picture, Vec<u8>) {
+    let aside = nalgebra::Vector2::new(-hand.direction().y, hand.direction().x);
+    let dark_side = HalfPlane::beyond(hand.tip_px, aside.y.atan2(aside.x) + PI, 0.0);
+    let channels = [0, 1, 2].map(|c| {
+        let [lit, dark] = [1.0, 0.4]
+            .map(|light| with_hand(Canvas::new(WIDTH, HEIGHT, table[c]), hand, light * skin[c]));
+        let shade = Canvas::new(WIDTH, HEIGHT, 0.0).paint(&dark_side, 1.0);
+        let mut both = lit;
+        for ((level, dark), part) in both.grey.iter_mut().zip(&dark.grey).zip(&shade.grey) {
+            *level += part * (dark - *level);
+        }
+        both.blur(0.9).take(2.0, noise).bytes
+    });
+    let [b, g, r] = channels;
+    let colours = b.iter().zip(&g).zip(&r).flat_map(|((&b, &g), &r)| [b, g, r]).collect();
+    (Picture { width: WIDTH, height: HEIGHT, bytes: g }, colours)
+}
+
+#[test]
+fn a_half_lit_band_is_like_a_finger_by_its_chromaticity() {
+    const SKIN: [f64; 3] = [90.0, 110.0, 160.0];
+    let mut noise = Noise::new(0x6861_6c66);
+    for k in 0..20 {
+        let hand = any_hand(Thumb::None, &mut noise);
+        let likeness = |table: [f64; 3], noise: &mut Noise| {
+            let (picture, colours) = half_lit(&hand, SKIN, table, noise);
+            let colour = ColourView::new(&colours, WIDTH, HEIGHT, 3 * WIDTH).unwrap();
+            let frame = Frame::coloured(picture.view(), colour).unwrap();
+            HandFinder::likeness(&frame, hand.tip_px, hand.angle_rad, hand.half_width_px)
+                .unwrap()
+                .unwrap()
+        };
+        let before_brown = likeness([41.0, 46.0, 54.0], &mut noise);
+        assert!(before_brown > 0.85, "{k}: {before_brown}");
+        // A table of the skin's own colour, as dark as its shade, leaves one flank alone.
+        let before_skin = likeness(SKIN.map(|c| 0.4 * c), &mut noise);
+        assert!(before_skin < 0.8 * before_brown, "{k}: {before_skin} of {before_brown}");
+    }
+}
+
 #[test]
 fn a_band_outside_of_the_image_is_like_nothing() {
     let picture = canvas().take(2.0, &mut Noise::new(0x6f75_7473));

@@ -4,7 +4,7 @@
 
 mod common;
 
-use common::{Canvas, HalfPlane, Hand, Noise, Picture};
+use common::{Canvas, HalfPlane, Hand, Noise, Picture, Shape};
 use fingerpost_core::discriminant::{Discriminant, DiscriminantImage, Mixture};
 use fingerpost_core::frame::{ColourView, Frame};
 use fingerpost_core::image::GrayView;
@@ -269,6 +269,52 @@ fn a_frame_without_colours_is_shown_as_it_is() {
     assert_eq!(shown.image(), &view);
 }
 
+/// A colour in so much light.
+fn lit(colour: [i32; 3], light: f64) -> [i32; 3] {
+    colour.map(|channel| (light * f64::from(channel)).round() as i32)
+}
+
+fn learned_by_chromaticity(hand: &[Colour], background: &[Colour]) -> Discriminant {
+    let mut discriminant = Discriminant::of_chromaticity();
+    for (colours, is_hand) in [(hand, true), (background, false)] {
+        with_frame(colours, colours.len(), |frame| {
+            (0..colours.len()).for_each(|x| discriminant.observe(frame, x as f64, 0.0, is_hand));
+        });
+    }
+    discriminant.learn();
+    discriminant
+}
+
+#[test]
+fn by_chromaticity_a_hand_is_shown_alike_in_light_and_in_shade() {
+    let spread = [[2, 1, 0], [0, 2, 1], [1, 0, 2]];
+    let [bright, dark] = [1.0, 0.5].map(|light| class(lit(SKIN, light), spread));
+    // As dark as the hand's shade.
+    let wood = class(lit(WOOD, 0.5), spread);
+    let told = learned_by_chromaticity(&[bright.clone(), dark.clone()].concat(), &wood);
+    let mixture = told.mixture().unwrap();
+    let [bright, dark, wood] = [bright, dark, wood].map(|colours| mean(&shown(mixture, &colours)));
+    assert!((bright - dark).abs() < 1.5, "{bright} {dark}");
+    assert!((bright - wood - 3.0 * told.separation()).abs() < 1.5, "{bright} {wood}");
+    // What is known holds in any light.
+    let mut relit = told.clone();
+    relit.relight(0.4);
+    assert_eq!(relit.mixture(), told.mixture());
+}
+
+#[test]
+fn by_chromaticity_brightness_alone_tells_nothing() {
+    let spread = [[2, 1, 0], [0, 2, 1], [1, 0, 2]];
+    let [bright, dark] = [1.0, 0.4].map(|light| class(lit(SKIN, light), spread));
+    assert!(learned(&bright, &dark).separation() > 10.0);
+    let told = learned_by_chromaticity(&bright, &dark);
+    assert!(told.mixture().is_none() && told.separation() < 0.5, "{}", told.separation());
+    // Black has none at all.
+    let black = vec![[0; 3]; 8];
+    assert!(learned_by_chromaticity(&black, &black).mixture().is_none());
+    assert_eq!(Discriminant::of_chromaticity().separation(), 0.0);
+}
+
 const WIDTH: usize = 240;
 const HEIGHT: usize = 150;
 const DARK: Colour = [60, 60, 60];
@@ -402,4 +448,65 @@ fn an_edge_that_is_plain_in_grey_is_not_left_to_a_mixture_that_hardly_shows_it()
     // By the mixture alone it is 1.15 mrad.
     let rms = (errors.iter().map(|e| e * e).sum::<f64>() / errors.len() as f64).sqrt();
     assert!(rms < 1e-3, "{rms}");
+}
+
+/// What of one shape lies in another.
+struct Part<'a>(&'a Hand, HalfPlane);
+
+impl Shape for Part<'_> {
+    fn depth(&self, point: Point2<f64>) -> (f64, Vector2<f64>) {
+        let (one, other) = (self.0.depth(point), self.1.depth(point));
+        if one.0 < other.0 { one } else { other }
+    }
+}
+
+/// Skin in full light, and a table that is as dark as skin in this part of it.
+const SHADED: f64 = 0.4;
+const TABLE: Colour = [47, 51, 54];
+
+/// A finger that a lamp lights from one side, over a table as dark as its other half. It turns from the
+/// light over a third of its width.
+fn half_lit(hand: &Hand, side: f64, noise: &mut Noise) -> (Picture, Vec<u8>) {
+    let aside = Vector2::new(-hand.angle_rad.sin(), hand.angle_rad.cos()) * side;
+    let away_rad = aside.y.atan2(aside.x);
+    photographed(noise, 2.0, |c| {
+        let skin = |light: f64| light * f64::from(HAND[c]);
+        let canvas = Canvas::new(WIDTH, HEIGHT, f64::from(TABLE[c])).paint(hand, skin(SHADED));
+        (0..6).fold(canvas, |canvas, step| {
+            let part = f64::from(step) / 5.0;
+            let at = hand.tip_px + aside * ((0.67 * part - 0.33) * hand.half_width_px);
+            let light = HalfPlane::beyond(at, away_rad, 0.0);
+            canvas.paint(&Part(hand, light), skin(SHADED + (1.0 - SHADED) * part))
+        })
+    })
+}
+
+#[test]
+fn a_finger_lit_from_one_side_is_followed_as_wide_as_it_is() {
+    assert!(grey(HAND.map(|c| (SHADED * f64::from(c)).round() as u8)).abs_diff(grey(TABLE)) <= 6);
+    let mut noise = Noise::new(0x7368_6164);
+    for side in [1.0, -1.0] {
+        let start = StartPose { tip_px: Point2::new(94.0, 90.0), angle_rad: -0.3, length_px: 70.0 };
+        let template = Template::pistol(Thumb::None).unwrap();
+        let mut tracker = ContourTracker::new(template, &start, TrackerOptions::default()).unwrap();
+        for k in 0..50 {
+            let gone = f64::from((k - 8).max(0)) * 2.0;
+            let tip = start.tip_px + Vector2::new(gone - 2.0, 1.0 - 0.3 * gone);
+            let hand = Hand::usual(Thumb::None, tip, -0.25, 70.0);
+            let (picture, colours) = half_lit(&hand, side, &mut noise);
+            let colour = ColourView::new(&colours, WIDTH, HEIGHT, 3 * WIDTH).unwrap();
+            let frame = Frame::coloured(picture.view(), colour).unwrap();
+            let track = tracker.update(&frame, f64::from(k) / 30.0).unwrap();
+            if k >= 7 {
+                let line = track.finger_line.unwrap_or_else(|| unreachable!("{side} {k}"));
+                let angle = (line.axis.angle_rad - hand.angle_rad).abs();
+                let offset = hand.offset_px(&line.axis.anchor).abs();
+                assert!(angle < 0.03 && offset < 0.6, "{side} {k}: {angle} {offset}");
+                // It tells that it is not as sure as a finger that grey levels show.
+                assert!(line.covariance[(0, 0)].sqrt() > 0.5, "{side} {k}");
+                let width = track.shape.unwrap().vector[3] / hand.half_width_px;
+                assert!((0.9..1.1).contains(&width), "{side} {k}: {width}");
+            }
+        }
+    }
 }

@@ -190,7 +190,9 @@ impl ContourTracker {
     /// Keeps the settled hand's dimensions and looks: tracking starts from them. None if they are not
     /// those of one finger, or the paper's template cannot take them on or explains them badly.
     fn freeze(&mut self, frame: &Scene<'_>, settled: &Found) -> Result<Option<Found>> {
+        self.hand.shaded = None;
         self.bed_in(frame, settled)?;
+        self.leave_shade(frame)?;
         let takes_length = self.takes_length && self.options.model == Model::Ribbon;
         if takes_length && !self.take_length(frame, settled)? {
             return Ok(None);
@@ -229,8 +231,11 @@ impl ContourTracker {
             self.options.acquire.reach_px(self.waiting.ribbon[3]).max(MOST_SLID * length_px);
         let (sin, cos) = settled.shape.placement()[2].sin_cos();
         let aside_px = (slid.y * cos - slid.x * sin).abs();
+        // One that has left the shade has become wider on one side.
+        let widened_px =
+            self.hand.shaded.map_or(0.0, |_| frozen.shape.width() - settled.shape.width());
         let stays = slid.xy().norm() <= most_px
-            && aside_px <= MOST_ASIDE * settled.shape.width()
+            && aside_px <= MOST_ASIDE * settled.shape.width() + widened_px.max(0.0)
             && slid[2].sin().abs() <= MOST_TURNED_RAD;
         let accepted = stays
             && frozen.is_accepted(&self.options.track.accept)

@@ -190,7 +190,7 @@ impl ContourTracker {
     /// Where the best shows less than a hand must show to be acquired, the mixture of colours that tells
     /// the hand from most of what was behind it may not tell it from what is behind it now: in the grey
     /// image the hand has an edge before what is darker and before what is lighter, and is believed to be
-    /// there if it shows as much as a followed hand must.
+    /// there if it shows as much as a followed hand must. One that is lit from one side shows less there.
     fn try_in_grey(
         &mut self,
         frame: &Scene<'_>,
@@ -200,7 +200,8 @@ impl ContourTracker {
     ) -> Result<()> {
         let TrackerOptions { acquire, track, .. } = &self.options;
         let (enough, least) = (acquire.accept.min_inliers, track.accept.min_inliers);
-        if self.hand.is_mixed() && choice.best.worth() < enough {
+        let is_mixed = self.hand.is_mixed() && self.hand.shaded.is_none();
+        if is_mixed && choice.best.worth() < enough {
             let grey =
                 self.way(frame, (approached, Scale::Fine, None, Lead::GreyEdges), foretold)?;
             let is_better = grey.worth() > choice.best.worth().max(least);

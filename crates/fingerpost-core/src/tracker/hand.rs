@@ -54,6 +54,8 @@ pub(super) struct Hand {
     pub(super) moulded: Vec<TemplateSample>,
     /// What it looks like, once it was seen.
     pub(super) looks: Option<Looks>,
+    /// The flank of its finger that is as dark as what is behind it, if it was acquired with one.
+    pub(super) shaded: Option<Part>,
     /// Where it was when they were last learned \[px\], and the frames that it was tracked since.
     pub(super) taught_at_px: Vector2<f64>,
     pub(super) untaught_frames: usize,

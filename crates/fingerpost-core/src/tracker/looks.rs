@@ -76,6 +76,9 @@ pub(super) struct Sight<'a> {
 pub(super) struct InGrey<'a> {
     pub polarity: Polarity,
     pub colours: &'a Appearance,
+    /// The flank that grey does not show, if there is one. The other one is lit: grey shows it
+    /// sharply, where its colours bleed.
+    pub shaded: Option<Part>,
 }
 
 impl Sight<'_> {
@@ -274,6 +277,9 @@ pub(super) struct Looks {
     sides: Option<Sides>,
     /// The pixels of one frame.
     pixels: Vec<SidedPixel>,
+    /// The flank that is as dark as what is behind it, if there is one; see
+    /// [`leave_shade`](super::ContourTracker::leave_shade).
+    shaded: Option<Part>,
 }
 
 impl Looks {
@@ -286,6 +292,16 @@ impl Looks {
             shades: coloured.then(|| Appearance::new(false)),
             sides: None,
             pixels: Vec::new(),
+            shaded: None,
+        }
+    }
+
+    /// The same of a finger that is lit from one side, if it is: of chromaticities, which do not show
+    /// where it turns from the light.
+    pub fn with_shaded(self, shaded: Option<Part>) -> Self {
+        match shaded {
+            Some(_) => Self { discriminant: Discriminant::of_chromaticity(), shaded, ..self },
+            None => self,
         }
     }
 
@@ -305,7 +321,7 @@ impl Looks {
     /// Forgets all.
     pub fn forget(&mut self) {
         self.plain.fade(0.0);
-        self.discriminant = Discriminant::default();
+        self.discriminant.forget();
         self.mixed.fade(0.0);
         self.finer = false;
         self.shades.iter_mut().for_each(|shades| shades.fade(0.0));
@@ -436,7 +452,7 @@ impl Looks {
         let known = if finer { &self.mixed } else { &self.plain };
         // In the discriminant's image the hand is the brighter side.
         let in_mixture = if mixture.is_some() { Polarity::Bright } else { polarity };
-        let in_grey = InGrey { polarity, colours: &self.plain };
+        let in_grey = InGrey { polarity, colours: &self.plain, shaded: self.shaded };
         let (cue, mixture, polarity) = match lead {
             Lead::Votes => (Cue::Votes(known), mixture.filter(|_| finer), in_mixture),
             Lead::HandEdges => (Cue::HandEdges(known), mixture, in_mixture),

@@ -151,7 +151,8 @@ impl Normals {
 
     /// A mixture of colours that shows most of a hand best may hardly show some of its edges, or what is
     /// close inside of them better. The hand's own edge in grey counts where it is the only one, or
-    /// further out and much plainer.
+    /// further out and much plainer. Of a finger that is lit from one side it counts on that flank, and
+    /// not on the other.
     fn search_in_grey(
         &mut self,
         scene: &Scene<'_>,
@@ -164,10 +165,14 @@ impl Normals {
         self.grey_lines.extend(self.lines.iter().map(|line| SearchLine { polarity, ..*line }));
         let (lines, grey) = (&self.grey_lines, &mut self.found_in_grey);
         self.search.search(scene, Cue::Edges, scale, lines, grey)?;
-        let found = self.found.iter_mut().zip(&mut self.in_grey);
-        for ((line, grey), (found, in_place)) in lines.iter().zip(grey).zip(found) {
+        let found = self.found.iter_mut().zip(&mut self.in_grey).zip(&self.parts);
+        for ((line, grey), ((found, in_place), part)) in lines.iter().zip(grey).zip(found) {
             let Ok(edge) = grey else { continue };
-            if found.is_ok_and(|other| !is_plainer(edge, &other)) {
+            let is_known = match in_grey.shaded {
+                Some(shaded) if part.is_flank() => *part == shaded,
+                _ => found.is_ok_and(|other| !is_plainer(edge, &other)),
+            };
+            if is_known {
                 continue;
             }
             if sight.is_own_in_grey(in_grey, scene, &at_edge(line, edge)) {

@@ -35,6 +35,11 @@ const SHARP_PX: f64 = 1.5;
 const FRAMES_A_LESSON: usize = 3;
 const STAYS: f64 = 0.5;
 
+/// A shaded flank is known from colours alone, which a camera records at half its resolution, and the lit
+/// one from grey levels: the contour may be so far aside, and turned by that over half the line's length
+/// \[px\].
+const SHADED_PX: f64 = 0.6;
+
 /// How much of the flanks of a finger counts.
 #[derive(Debug, Clone, Copy)]
 enum Flanks {
@@ -54,7 +59,10 @@ impl ContourTracker {
         accept: &AcceptOptions,
     ) -> Result<Track> {
         let refined = match self.hand.shape {
-            Shape::Ribbon(x) if self.options.refine => self.refine(frame, &x, found)?,
+            // No one image shows both flanks of a finger that is lit from one side.
+            Shape::Ribbon(x) if self.options.refine && self.hand.shaded.is_none() => {
+                self.refine(frame, &x, found)?
+            }
             _ => None,
         };
         if let Some(refined) = refined.filter(|_| has_own_pixels(found)) {
@@ -67,7 +75,7 @@ impl ContourTracker {
                 let shown = Shown { half_width_px: x[3], taper: x[4], length_px };
                 // A bend does the same to all lines. It makes one count less beside those of other frames,
                 // and as much of it as these average away is put back.
-                let misleads = self.sagitta.misleads();
+                let misleads = self.sagitta.misleads().hypot(self.shade_misleads(&line));
                 let line = self.sagitta.told(line, x[3]).misled_by_part(misleads);
                 let told = self.steady.follow(frame.image(), time_s, line, &shown);
                 let left = (told.spread() / line.spread()).min(1.0);
@@ -76,6 +84,12 @@ impl ContourTracker {
             _ => finger_line,
         };
         Ok(Track { finger_line, ..track(time_s, Status::Tracking, found, accept, None) })
+    }
+
+    /// How far a line may be off for a shaded flank, as a part of what it is measured on: not for noise,
+    /// so it is no less for many frames.
+    fn shade_misleads(&self, line: &FingerLine) -> f64 {
+        self.hand.shaded.map_or(0.0, |_| SHADED_PX / line.half_length_px)
     }
 
     /// The finger line by both looks at a frame, or by the one that can be believed.
@@ -257,8 +271,9 @@ impl ContourTracker {
         let (samples, finger) = (self.hand.fingers(&self.samples), self.hand.shape.silhouette());
         let keep = (1.0 - self.options.track.appearance_rate).powi(frames as i32);
         // The tracker of 1994 knows the finger as a whole.
+        let shaded = self.hand.shaded;
         let looks = self.hand.looks.get_or_insert_with(|| match self.options.model {
-            Model::Ribbon => Looks::new(coloured).with_sides(),
+            Model::Ribbon => Looks::new(coloured).with_sides().with_shaded(shaded),
             Model::Paper => Looks::new(coloured),
         });
         self.convergence.teach(looks, samples, frame, &finger, (keep, frames as f64))
