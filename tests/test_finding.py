@@ -37,6 +37,7 @@ from fingerpost.finding import (
 from fingerpost.finding.finger import HALF_WIDTH, followed, off_by_softness, off_by_width
 from fingerpost.finding.first_hand import FirstHand
 from fingerpost.finding.foreground import may_have_come
+from fingerpost.finding.length import Lengthening
 from fingerpost.finding.look import softness, widening
 from fingerpost.finding.pairs import reaches_farther
 from fingerpost.finding.trial import Trial, belief
@@ -573,6 +574,56 @@ def test_a_found_finger_is_as_long_as_its_whole_width_says():
     assert trial.half_width_px > 1.1 * slim_px
     # The outline of a template of nine half-widths; by the width near the tip it has less than 7.7.
     assert length_px > 8.0 * trial.half_width_px
+
+
+class SearchedLines:
+    """Lines of both flanks, all of whose edges agree."""
+
+    def __init__(self, length_px: float) -> None:
+        u = np.tile(np.linspace(100.0 - length_px, 100.0, 20), 2)
+        self.position_px = np.column_stack([u, np.full(40, 50.0)])
+        self.normal = np.repeat([[0.0, -1.0], [0.0, 1.0]], 20, axis=0)
+        self.agrees = np.ones(40, np.bool_)
+
+    def __len__(self) -> int:
+        return 40
+
+
+class Fitted:
+    """A template that has been fitted to a finger that points right, and says so of every frame."""
+
+    def __init__(self, length_px: float, half_width_px: float) -> None:
+        self.length_px = length_px
+        self.track = SimpleNamespace(
+            finger_line=SimpleNamespace(tip_px=(100.0, 50.0), angle_rad=0.0),
+            shape_vector=[half_width_px],
+            shape_names=("half_width [px]",),
+        )
+
+    def update(self, *_: object, **__: object) -> SimpleNamespace:
+        return self.track
+
+    def contour(self) -> np.ndarray:
+        return np.array([[100.0 - 0.85 * self.length_px, 50.0], [100.0, 50.0]])
+
+    def search_lines(self) -> SearchedLines:
+        return SearchedLines(self.length_px)
+
+
+@pytest.mark.parametrize(
+    ("part", "is_same"), [(1.0, True), (0.85, True), (1.4, True), (0.75, False), (0.5, False)]
+)
+def test_a_longer_template_that_shows_a_much_narrower_finger_follows_another(part, is_same):
+    def longer(start: StartPose, half_width_px: float) -> Fitted:
+        return Fitted(start.length_px, part * half_width_px)
+
+    stub = Fitted(40.0, 8.0)
+    frame = Frame(0, 0.0, np.zeros((8, 8), np.uint8))
+    lengthening = Lengthening(longer, 8.0)
+    tracker, track = lengthening.look(stub, stub.track, frame)
+    assert (tracker is not stub) is is_same
+    assert lengthening.is_long is is_same
+    assert track is tracker.track
 
 
 @pytest.mark.parametrize(
