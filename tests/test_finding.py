@@ -31,6 +31,7 @@ from fingerpost.finding import (
     first_hand,
     flatness,
     measured_line,
+    other_fingers,
     pair_scores,
     width_ratio,
 )
@@ -49,7 +50,7 @@ from fingerpost.finding.views import (
     worthiest_first,
 )
 from fingerpost.pipeline import Pointer
-from fingerpost.pointing import PlaneView, Status
+from fingerpost.pointing import FingerLine, PlaneView, Status
 from fingerpost.rehearsal import described
 from fingerpost.simulate import (
     Background,
@@ -943,6 +944,38 @@ def test_views_that_follow_one_finger_or_two_are_told(other_tip_mm, turn, one_fi
     for views in ((one, other), (other, one)):
         assert are_one(views) is one_finger
         assert are_two(views) is two_fingers
+
+
+def line_to(tip_mm: tuple, camera: Camera) -> FingerLine:
+    """A line from a tip over the table towards its middle."""
+    tip, aim = camera.project(np.array([tip_mm, (200.0, 260.0, 0.0)]))
+    angle_rad = float(np.arctan2(*(aim - tip)[::-1]))
+    anchor = tip - 30.0 * np.array([np.cos(angle_rad), np.sin(angle_rad)])
+    return FingerLine(anchor, angle_rad, np.diag([1e-4, 1e-7]), tip, 0.0, 30.0, 7.0)
+
+
+@pytest.mark.parametrize(
+    ("tips_mm", "others"),
+    [
+        ((TIP_MM, TIP_MM, TIP_MM), []),
+        ((TIP_MM, ANOTHER_MM, TIP_MM), [1]),
+        ((ANOTHER_MM, None, TIP_MM), [0, 2]),
+        ((TIP_MM, None, TIP_MM), []),
+        ((None, None, TIP_MM), []),
+        ((None, None, None), []),
+    ],
+)
+def test_a_view_whose_fingertip_no_other_view_has_follows_another_finger(tips_mm, others):
+    rig = SimulatedRig(Placement(azimuths_deg=(-20.0, 10.0, 40.0)))
+    views = [viewpoint_of(camera, rig) for camera in rig.cameras]
+    lines = [
+        Status.LOST if tip_mm is None else line_to(tip_mm, camera)
+        for tip_mm, camera in zip(tips_mm, rig.cameras, strict=True)
+    ]
+    assert other_fingers(views, lines) == others
+    # Where no camera is known, nothing tells.
+    nowhere = [dataclasses.replace(view, centre=np.full(3, np.nan)) for view in views]
+    assert other_fingers(nowhere, lines) == []
 
 
 def test_a_followed_finger_is_as_wide_as_its_fit_or_as_a_usual_one():

@@ -190,6 +190,25 @@ def as_configured(rig: SimulatedRig, motion: Trajectory) -> Rig:
     return described(rig, starts=[finger.start() for finger in fingers])
 
 
+def test_views_that_follow_different_fingers_give_no_point():
+    rig = SimulatedRig()
+    first = DevicePose.pointing_at((160.0, 180.0), azimuth_deg=20.0, slant_deg=50.0, hover_mm=60.0)
+    # Off the first one's epipolar lines; their lines cross in a point like any others.
+    second = dataclasses.replace(first, tip_mm=(*first.tip_mm[:2], first.tip_mm[2] + 90.0))
+    motions = [Trajectory.hold(pose, 1.0) for pose in (first, second)]
+    views = [as_configured(rig, motion).views[k] for k, motion in enumerate(motions)]
+    pointer = Pointer(msgspec.structs.replace(as_configured(rig, motions[0]), views=tuple(views)))
+    rng = np.random.default_rng(SEED)
+    images = [rig.render(motion, time_s=0.0, rng=rng).images[k] for k, motion in enumerate(motions)]
+    fixes = []
+    for k in range(15):
+        pair = [Frame(k, k / FPS, image) for image in images]
+        fixes += [step.fix for step in pointer.update(pair)]
+    assert Status.OK not in {fix.status for fix in fixes}
+    assert fixes[-1].status is Status.ILL_CONDITIONED
+    assert "its fingertip is not that of the other views" in fixes[-1].reason
+
+
 def test_views_that_are_captured_at_different_times_are_brought_to_one():
     skew_s = 0.4 / FPS
     motion = pointing_path()

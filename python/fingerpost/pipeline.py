@@ -37,6 +37,7 @@ from fingerpost.finding import (
     find_hand,
     how_flat,
     measured_line,
+    other_fingers,
 )
 from fingerpost.pointing import (
     BARE_HAND,
@@ -54,6 +55,9 @@ from fingerpost.references import ReferenceWatch
 
 DEFAULT_REFERENCE_SIGMA_PX = 0.5
 """Standard deviation of a reference point that a person clicked or a line fit gave [px]."""
+
+ANOTHER_FINGER = "its fingertip is not that of the other views"
+"""What is said of a view that follows another finger than all others."""
 
 TOLD_OFF = 0.05
 """From so many half-widths on, people are told that the axis may be off."""
@@ -515,7 +519,7 @@ class Pointer:
 
     def _step(self, pending: _Pending, without_frame: str) -> Step:
         """Point at the time of a frame; `without_frame` says why a view may not have reached it."""
-        told = [
+        told: list[FingerLine | _NoLine] = [
             history.at(pending.time_s, self._options) or _NoLine(Status.LOST, without_frame)
             for history in self._histories
         ]
@@ -523,6 +527,8 @@ class Pointer:
             history.plane_view_at(pending.time_s, view.plane_view)
             for history, view in zip(self._histories, self.views, strict=True)
         ]
+        for k in other_fingers([view.viewpoint for view in self.views], told):
+            told[k] = _NoLine(Status.ILL_CONDITIONED, ANOTHER_FINGER)
         fingers = [finger.status if isinstance(finger, _NoLine) else finger for finger in told]
         fix = indicated_point(fingers, plane_views, time_s=pending.time_s, options=self._options)
         for k, (finger, seen) in enumerate(zip(told, pending.observations, strict=True)):

@@ -24,7 +24,14 @@ has moved (`views`). A template that waits for the hand may lock on to the table
 from fingerpost.finding.finger import Sighting, measured_line
 from fingerpost.finding.hand_view import HandView
 from fingerpost.finding.look import flatness, widening
-from fingerpost.finding.one_finger import Shared, are_one, are_two, can_be_one, compare_widths
+from fingerpost.finding.one_finger import (
+    Shared,
+    are_one,
+    are_two,
+    can_be_one,
+    compare_widths,
+    other_fingers,
+)
 from fingerpost.finding.pairs import Viewpoint, pair_scores, width_ratio
 from fingerpost.finding.search import HandSearch
 from fingerpost.finding.views import find_hand, how_flat
@@ -43,6 +50,7 @@ __all__ = [
     "flatness",
     "how_flat",
     "measured_line",
+    "other_fingers",
     "pair_scores",
     "widening",
     "width_ratio",

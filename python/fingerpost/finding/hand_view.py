@@ -374,7 +374,9 @@ class HandView:
         if self._first_hand is None:
             is_alone = not any(shared.can_be_one(self, other) for other in others)
         else:
-            is_alone = all(shared.are_two(self, other) for other in others)
+            is_alone = all(
+                shared.have_two_tips(self, other) or shared.are_two(self, other) for other in others
+            )
         self._doubts = self._doubts + 1 if is_alone else 0
         self._alone_frames = self._alone_frames + 1 if self._is_alone(others, shared) else 0
         self._is_backed = self._is_backed_by(others, shared)

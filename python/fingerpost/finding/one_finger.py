@@ -8,7 +8,7 @@ from itertools import combinations
 from typing import Protocol
 
 from fingerpost._core import Track
-from fingerpost.finding.finger import fitted_half_width_px, followed, measured_line
+from fingerpost.finding.finger import Sighting, fitted_half_width_px, followed, measured_line
 from fingerpost.finding.pairs import OTHER_TIP, Viewpoint, same_tip, width_ratio
 from fingerpost.pointing import FingerLine, PlaneView, Status, indicated_point
 
@@ -94,10 +94,44 @@ def are_two(views: Pair) -> bool:
     """
     if can_be_one(views):
         return False
+    return have_two_tips(views) or (_same_followed_tip(views) is not None and _is_odd(views))
+
+
+def have_two_tips(views: Pair) -> bool:
+    """Tell whether the fingers that two views follow have different tips.
+
+    Lines of two fingers give a point, like any others.
+    """
     same = _same_followed_tip(views)
-    if same is None:
-        return False
-    return same < OTHER_TIP or _is_odd(views)
+    return same is not None and same < OTHER_TIP
+
+
+def other_fingers(viewpoints: Sequence[Viewpoint], lines: Sequence[object]) -> list[int]:
+    """Tell which views show another finger at one time than all others do, by its tip.
+
+    Parameters
+    ----------
+    viewpoints
+        Where the views are taken from.
+    lines
+        The finger line of each; anything else of one that shows none.
+
+    Returns
+    -------
+    list of int
+        Their places among the views; of two that show different fingers, both.
+    """
+    fingers = {
+        k: Sighting((line.tip_px[0], line.tip_px[1]), line.angle_rad, line.half_width_px)
+        for k, line in enumerate(lines)
+        if isinstance(line, FingerLine)
+    }
+    tips_are_one = {
+        (i, j): same_tip((viewpoints[i], viewpoints[j]), (fingers[i], fingers[j])) >= OTHER_TIP
+        for i, j in combinations(fingers, 2)
+    }
+    backed = {k for pair, is_one in tips_are_one.items() if is_one for k in pair}
+    return [k for k in fingers if len(fingers) > 1 and k not in backed]
 
 
 def share_tip(views: Pair) -> bool:
@@ -111,7 +145,7 @@ def _same_followed_tip(views: Pair) -> float | None:
     first, second = (followed(view.track) for view in views)
     if not (first and second):
         return None
-    return float(same_tip((views[0].viewpoint, views[1].viewpoint), (first, second))[0, 0])
+    return same_tip((views[0].viewpoint, views[1].viewpoint), (first[0], second[0]))
 
 
 def _is_odd(views: Pair) -> bool:
@@ -147,6 +181,10 @@ class Shared:
     def are_two(self, one: FollowingView, other: FollowingView) -> bool:
         """See `are_two`."""
         return self._judged(are_two, one, other)
+
+    def have_two_tips(self, one: FollowingView, other: FollowingView) -> bool:
+        """See `have_two_tips`."""
+        return self._judged(have_two_tips, one, other)
 
     def share_tip(self, one: FollowingView, other: FollowingView) -> bool:
         """See `share_tip`."""

@@ -236,25 +236,6 @@ HIGHEST = 4.0
 """No tip is higher above the plane than this [plane sizes]."""
 
 
-def same_tip(
-    views: tuple[Viewpoint, Viewpoint],
-    fingers: tuple[Sequence[Sighting], Sequence[Sighting]],
-) -> Array:
-    """Tell how well the tips of fingers of two views may be one point above the plane.
-
-    Parameters
-    ----------
-    views, fingers
-        As for `pair_scores`.
-
-    Returns
-    -------
-    (N, M)
-        0 to 1; 1 where it is not known.
-    """
-    return _Tips.of(*_carried(views, fingers)).same(views[0].plane_view.plane_size)
-
-
 @dataclass(frozen=True, eq=False, slots=True)
 class _Tips:
     """Where the tips of fingers of two views come nearest to one point above the plane.
@@ -293,11 +274,7 @@ class _Tips:
 
     def same(self, plane_size: float) -> Array:
         """Return how well two tips may be one point above the plane, 0 to 1; 1 if not known."""
-        height, miss = self.places[..., 2] / plane_size, self.misses / plane_size
-        allowed = MISS + MISS_PER_HEIGHT * np.abs(height)
-        fits = np.exp(-0.5 * np.square(miss / allowed))
-        fits = np.where((height > -MISS) & (height < HIGHEST), fits, 0.0)
-        return np.where(np.isfinite(height), fits, 1.0)
+        return np.asarray(_is_one(self.places[..., 2] / plane_size, self.misses / plane_size))
 
     def reach(self, point: Array) -> Array:
         """Return how far points of the plane are from the tips [half-widths]; 0 if not known."""
@@ -391,12 +368,42 @@ def width_ratio(views: tuple[Viewpoint, Viewpoint], fingers: tuple[Sighting, Sig
     (foot, ray, breadth), (other_foot, other_ray, other_breadth) = (
         _ray(view, finger) for view, finger in zip(views, fingers, strict=True)
     )
-    between = other_foot[0] - foot[0], other_foot[1] - foot[1], 0.0
-    s, t = _nearest(ray, other_ray, between)
+    s, t = _nearest(ray, other_ray, _between(foot, other_foot))
     width, other_width = abs(breadth * (1.0 - s)), abs(other_breadth * (1.0 - t))
     if not (width > 0.0 and other_width > 0.0):
         return math.nan
     return math.log(width / other_width)
+
+
+def same_tip(views: tuple[Viewpoint, Viewpoint], fingers: tuple[Sighting, Sighting]) -> float:
+    """Tell how well the tips of a finger of two views may be one point above the plane.
+
+    Parameters
+    ----------
+    views, fingers
+        As for `width_ratio`.
+
+    Returns
+    -------
+    float
+        0 to 1; 1 where it is not known.
+    """
+    (foot, ray, _), (other_foot, other_ray, _) = (
+        _ray(view, finger) for view, finger in zip(views, fingers, strict=True)
+    )
+    between = _between(foot, other_foot)
+    s, t = _nearest(ray, other_ray, between)
+    miss = math.hypot(*(b + t * q - s * p for b, p, q in zip(between, ray, other_ray, strict=True)))
+    height = 0.5 * (s * ray[2] + t * other_ray[2])
+    plane_size = views[0].plane_view.plane_size
+    return float(_is_one(height / plane_size, miss / plane_size))
+
+
+def _between(
+    foot: tuple[float, float], other_foot: tuple[float, float]
+) -> tuple[float, float, float]:
+    """Return the way from one place on the plane to another."""
+    return other_foot[0] - foot[0], other_foot[1] - foot[1], 0.0
 
 
 def _ray(
@@ -424,6 +431,13 @@ def _breadth(across_x: Numbers, across_y: Numbers, x: Numbers, y: Numbers, z: Nu
     along = across_x * x + across_y * y
     # Rounding may leave less than nothing of what points at the camera.
     return abs(across_x**2 + across_y**2 - along**2 / (x**2 + y**2 + z**2)) ** 0.5
+
+
+def _is_one(height: Numbers, miss: Numbers) -> Numbers:
+    """Return how well two rays through a tip meet in one [plane sizes]; 1 if that is not known."""
+    fits = np.exp(-0.5 * (miss / (MISS + MISS_PER_HEIGHT * abs(height))) ** 2)
+    fits = np.where((height > -MISS) & (height < HIGHEST), fits, 0.0)
+    return np.where(np.isfinite(height), fits, 1.0)
 
 
 def _nearest(
