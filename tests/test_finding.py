@@ -612,9 +612,10 @@ class Fitted:
 
 
 @pytest.mark.parametrize(
-    ("part", "is_same"), [(1.0, True), (0.85, True), (1.4, True), (0.75, False), (0.5, False)]
+    ("part", "is_same"),
+    [(1.0, True), (0.85, True), (1.4, True), (0.75, False), (0.5, False), (1.8, False)],
 )
-def test_a_longer_template_that_shows_a_much_narrower_finger_follows_another(part, is_same):
+def test_a_longer_template_that_shows_a_finger_of_another_width_follows_another(part, is_same):
     def longer(start: StartPose, half_width_px: float) -> Fitted:
         return Fitted(start.length_px, part * half_width_px)
 

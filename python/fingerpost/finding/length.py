@@ -39,10 +39,10 @@ flanks that grey hides, and with them the width."""
 SAME_TURN_RAD = 0.2
 """It leads nowhere else: a template turned by more has taken other edges for the finger's."""
 
-NARROWEST = 0.8
-"""Nor is the finger narrower than this part of what it was: of 101 longer templates on 30 films the
-finger is 0.92 to 1.23 times as wide, wider still where the shorter one had one flank for both, and
-0.63 to 0.79 times in four that had taken a fold, a shadow or one lit half for it."""
+AS_WIDE = 0.8, 1.6
+"""Nor is the finger so many times as wide as it was: of 101 longer templates on 30 films it is 0.92
+to 1.23 times as wide, up to 1.42 where the shorter one had followed half of it, and 0.63 to 0.79
+times in four that had taken a fold, a shadow or one lit half for it. A fist is twice as wide."""
 
 
 class Lengthening:
@@ -139,8 +139,9 @@ class Lengthening:
         other = seen.finger_line
         if other is None:
             return False
-        half_width_px = fitted_half_width_px(seen)
-        if half_width_px is not None and half_width_px < NARROWEST * self._half_width_px:
+        half_width_px = fitted_half_width_px(seen) or self._half_width_px
+        narrowest, widest = AS_WIDE
+        if not narrowest <= half_width_px / self._half_width_px <= widest:
             return False
         here, there = (
             StartPose(one.tip_px, one.angle_rad, self._half_width_px) for one in (line, other)
