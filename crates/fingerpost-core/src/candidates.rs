@@ -106,8 +106,7 @@ const UNLIKE_COLOUR: f64 = 6.0;
 const UNLIKE_GREY: f64 = 4.0;
 /// Standard deviation of the inside's colours that is always granted \[grey levels\].
 const COLOUR_FLOOR: f64 = 4.0;
-/// A finger is half-lit if one half of it is darker than this part of the other. What is not of two
-/// brightnesses has 0.8 and more.
+/// A finger is half-lit if one half of it is darker than this part of the other.
 const HALF_LIT: f64 = 0.75;
 /// The inside is looked at over so much of the half-width to either side of the axis; a half of it begins
 /// this far from there, in parts of that.
@@ -871,24 +870,26 @@ fn stands_out(sight: &Sight<'_>, inside: &Inside, w: f64) -> Option<f64> {
 }
 
 /// The same of a band that is lit from one side: what is beside it is compared with the half that is next to
-/// it, by colours and by chromaticity, and what is behind by chromaticity. None if it is no such band.
+/// it, by colours or by chromaticity, whichever tells more, and what is behind by chromaticity. None if it is
+/// no such band.
 fn half_lit_stands_out(sight: &Sight<'_>, inside: &Inside, w: f64) -> Option<f64> {
     let chromatic = sight.of_chromaticity()?;
-    let halves = [(-1.0, -HALF_FROM), (HALF_FROM, 1.0)];
-    let [left, right] = halves.map(|half| Inside::of(sight, w, half));
-    let brightness = [left.as_ref()?, right.as_ref()?].map(|half| half.mean.sum());
-    if brightness[0].min(brightness[1]) > HALF_LIT * brightness[0].max(brightness[1]) {
+    let half = |from: f64, to: f64| {
+        Some([Inside::of(sight, w, (from, to))?, Inside::of(&chromatic, w, (from, to))?])
+    };
+    let ([left, chromatic_left], [right, chromatic_right]) =
+        (half(-1.0, -HALF_FROM)?, half(HALF_FROM, 1.0)?);
+    let (one, other) = (left.mean.sum(), right.mean.sum());
+    if one.min(other) > HALF_LIT * one.max(other) {
         return None;
     }
-    let [chromatic_left, chromatic_right] = halves.map(|half| Inside::of(&chromatic, w, half));
     let whole = Inside::of(&chromatic, w, WHOLE)?;
     let unlike = [
-        left?
-            .unlike_part(sight, beside(w, -1.0))?
-            .max(chromatic_left?.unlike_part(&chromatic, beside(w, -1.0))?),
-        right?
+        left.unlike_part(sight, beside(w, -1.0))?
+            .max(chromatic_left.unlike_part(&chromatic, beside(w, -1.0))?),
+        right
             .unlike_part(sight, beside(w, 1.0))?
-            .max(chromatic_right?.unlike_part(&chromatic, beside(w, 1.0))?),
+            .max(chromatic_right.unlike_part(&chromatic, beside(w, 1.0))?),
         inside.unlike_part(sight, ahead(w))?.max(whole.unlike_part(&chromatic, ahead(w))?),
     ];
     Some(finger_before_hand(&chromatic, &whole, w, unlike))
