@@ -15,8 +15,7 @@
 //! Sources: Hinterstoisser et al. 2012 (LINEMOD) for spread orientations and their fast sums.
 
 use crate::background::{Background, ForegroundMap};
-use crate::discriminant::chromaticity;
-use crate::frame::Frame;
+use crate::frame::{Frame, chromaticity};
 use crate::image::GrayView;
 use crate::template::Thumb;
 use crate::{Error, Result};

@@ -14,7 +14,7 @@
 //! Source: Fisher 1936, The use of multiple measurements in taxonomic problems.
 
 use crate::Result;
-use crate::frame::{Frame, SidedPixel};
+use crate::frame::{CHROMATICITY_SUM, Frame, SidedPixel, chromaticity};
 use crate::image::GrayView;
 use nalgebra::{Matrix3, Point2, Vector3};
 
@@ -38,11 +38,6 @@ const BETTER_THAN_GREY: f64 = 1.5;
 const LEAST_SEPARATION: f64 = 1.0 / 16.0;
 /// The same of chromaticities: there is no brightness beside them that would tell more.
 const LEAST_CHROMATIC_SEPARATION: f64 = std::f64::consts::SQRT_2;
-/// Channels of a chromaticity add up to this \[grey levels\], as those of a middle grey do.
-const CHROMATICITY_SUM: f64 = 384.0;
-/// What is darker, three channels together, has less of all of them: rounding would be most of it
-/// \[grey levels\].
-const DARKEST_SUM: u32 = 24;
 /// Channels are mixed in fixed point with so many binary places.
 const PLACES: i32 = 12;
 
@@ -147,12 +142,6 @@ pub struct Mixture {
     offset: i32,
     /// Whether it is that of a colour's chromaticity.
     is_chromatic: bool,
-}
-
-/// A colour as bright as a middle grey: its chromaticity.
-pub(crate) fn chromaticity(colour: [u8; 3]) -> Vector3<f64> {
-    let sum = colour.iter().map(|&channel| u32::from(channel)).sum::<u32>();
-    Vector3::from(colour.map(f64::from)) * (CHROMATICITY_SUM / f64::from(sum.max(DARKEST_SUM)))
 }
 
 impl Discriminant {

@@ -61,6 +61,18 @@ impl<'a> ColourView<'a> {
     }
 }
 
+/// Channels of a chromaticity add up to this \[grey levels\], as those of a middle grey do.
+pub(crate) const CHROMATICITY_SUM: f64 = 384.0;
+/// What is darker, three channels together, has less of all of them: rounding would be most of it
+/// \[grey levels\].
+const DARKEST_SUM: u32 = 24;
+
+/// A colour as bright as a middle grey: its chromaticity.
+pub(crate) fn chromaticity(colour: [u8; 3]) -> Vector3<f64> {
+    let sum = colour.iter().map(|&channel| u32::from(channel)).sum::<u32>();
+    Vector3::from(colour.map(f64::from)) * (CHROMATICITY_SUM / f64::from(sum.max(DARKEST_SUM)))
+}
+
 /// What one view captured at one time.
 #[derive(Debug, Clone, Copy)]
 pub struct Frame<'a> {

@@ -18,11 +18,11 @@ use super::options::Model;
 use super::scene::Scene;
 use super::shape::Shape;
 use crate::Result;
-use crate::discriminant::Discriminant;
-use crate::frame::SidedPixel;
+use crate::discriminant::{Discriminant, Mixture};
+use crate::frame::{SidedPixel, chromaticity};
 use crate::shape_space::{Pose, RIBBON_DOF, RibbonVector, ShapeSpace};
 use crate::template::{Limb, Part, TemplateSample};
-use nalgebra::{Point2, Vector2};
+use nalgebra::{Point2, Vector2, Vector3};
 
 /// The finger is looked at from the middle of its round end back over this part of the template's
 /// length, pixel by pixel or in so many places: beside the rest is the hand.
@@ -40,6 +40,10 @@ const BEHIND_PX: i32 = 7;
 const TOLD: f64 = 3.0;
 const LIKE_FINGER: f64 = 0.65;
 const LIKE_BEHIND: f64 = 0.25;
+/// The chromaticity of what goes on beyond what has settled is no farther from that of the finger than this
+/// part of how far what is behind it is: of the skin in the shade, and not of something beside it that is
+/// even less like what is behind.
+const ALIKE: f64 = 0.35;
 /// Up to so far after where it ends it bleeds \[px\].
 const BLEEDS_PX: i32 = 3;
 /// A shaded flank is darker than this part of the lit half, and as dark as what is behind it, to within
@@ -120,14 +124,14 @@ impl ContourTracker {
             .collect();
         told.observe_all(frame, &sided, 1.0);
         told.learn();
-        let Some(mixture) = told.mixture().filter(|_| told.separation() >= TOLD) else {
+        let Some(mixture) = told.mixture().copied().filter(|_| told.separation() >= TOLD) else {
             return Ok(None);
         };
         let mut across = Across::new(first, last);
         for (out_px, SidedPixel { x, y, .. }) in pixels {
             let (x, y) = (x as usize, y as usize);
             if let (Some(colour), Some(grey)) = (colours.pixel(x, y), frame.image().pixel(x, y)) {
-                across.add(out_px, f64::from(grey), f64::from(mixture.of(colour)));
+                across.add(out_px, grey, colour, &mixture);
             }
         }
         Ok(Some(across))
@@ -218,12 +222,13 @@ fn widened(x: &RibbonVector, shaded: &Shaded) -> RibbonVector {
     wide
 }
 
-/// Sums over the pixels that are as far outward from a flank.
+/// Sums over the pixels that are as far outward from a flank, or means.
 #[derive(Debug, Clone, Copy, Default)]
-struct Sums {
+struct Seen {
     count: f64,
     grey: f64,
-    /// How like the finger their chromaticities are.
+    chromaticity: Vector3<f64>,
+    /// How like the finger that is, in the mixture that shows it best.
     like: f64,
 }
 
@@ -232,7 +237,7 @@ struct Sums {
 struct Across {
     /// How far outward the first sums are \[px\]; negative inside.
     first: i32,
-    sums: Vec<Sums>,
+    sums: Vec<Seen>,
 }
 
 impl Across {
@@ -243,25 +248,40 @@ impl Across {
     }
 
     fn new(first: i32, last: i32) -> Self {
-        Self { first, sums: vec![Sums::default(); (last - first + 1).max(0) as usize] }
+        Self { first, sums: vec![Seen::default(); (last - first + 1).max(0) as usize] }
     }
 
-    fn add(&mut self, out_px: i32, grey: f64, like: f64) {
+    fn add(&mut self, out_px: i32, grey: u8, colour: [u8; 3], mixture: &Mixture) {
         if let Some(sums) = self.sums.get_mut((out_px - self.first) as usize) {
             sums.count += 1.0;
-            sums.grey += grey;
-            sums.like += like;
+            sums.grey += f64::from(grey);
+            sums.chromaticity += chromaticity(colour);
+            sums.like += f64::from(mixture.of(colour));
         }
     }
 
-    /// Means of grey levels and likenesses from so far outward to so far, the last not included; none where
-    /// nothing was seen.
-    fn mean(&self, from_px: i32, to_px: i32) -> Option<(f64, f64)> {
+    /// Means from so far outward to so far, the last not included; none where nothing was seen.
+    fn mean(&self, from_px: i32, to_px: i32) -> Option<Seen> {
         let at = |px: i32| (px - self.first).clamp(0, self.sums.len() as i32) as usize;
         let seen = self.sums.get(at(from_px)..at(to_px))?;
-        let of = |value: fn(&Sums) -> f64| seen.iter().map(value).sum::<f64>();
-        let count = of(|sums| sums.count);
-        (count > 0.0).then(|| (of(|sums| sums.grey) / count, of(|sums| sums.like) / count))
+        let sum = seen.iter().fold(Seen::default(), |sum, seen| Seen {
+            count: sum.count + seen.count,
+            grey: sum.grey + seen.grey,
+            chromaticity: sum.chromaticity + seen.chromaticity,
+            like: sum.like + seen.like,
+        });
+        (sum.count > 0.0).then(|| Seen {
+            count: sum.count,
+            grey: sum.grey / sum.count,
+            chromaticity: sum.chromaticity / sum.count,
+            like: sum.like / sum.count,
+        })
+    }
+
+    /// Means over the finger, and over what is behind it.
+    fn sides(&self) -> Option<(Seen, Seen)> {
+        let behind = self.behind();
+        Some((self.mean(self.first, 0)?, self.mean(behind, behind + BEHIND_PX)?))
     }
 
     /// Where what is behind the finger begins to be looked at \[px outward\].
@@ -272,11 +292,8 @@ impl Across {
     /// How like the finger chromaticities are from so far outward to so far: 0 is what is behind it and 1 the
     /// finger.
     fn like(&self, from_px: i32, to_px: i32) -> Option<f64> {
-        let behind = self.behind();
-        let (_, inside) = self.mean(self.first, 0)?;
-        let (_, outside) = self.mean(behind, behind + BEHIND_PX)?;
-        let (_, like) = self.mean(from_px, to_px)?;
-        Some((like - outside) / (inside - outside))
+        let (inside, outside) = self.sides()?;
+        Some((self.mean(from_px, to_px)?.like - outside.like) / (inside.like - outside.like))
     }
 
     /// How far outward the finger ends by its chromaticity, if it does: the change point that leaves most of
@@ -302,11 +319,14 @@ impl Across {
         let goes_on = f64::from(end) > GOES_ON_PX.max(GOES_ON * half_width_px);
         let (from, to) = if goes_on { (2, end - 1) } else { (-FLANK_PX, -1) };
         let beside = end + BLEEDS_PX;
-        let (lit, _) = self.mean(self.first, -(0.9 * half_width_px) as i32)?;
-        let (dark, _) = self.mean(from, to)?;
-        let (behind, _) = self.mean(beside, beside + FLANK_PX)?;
-        let is_hidden = dark < DARK * lit && (dark - behind).abs() < AS_DARK * lit;
+        let (inside, outside) = self.sides()?;
+        let lit = self.mean(self.first, -(0.9 * half_width_px) as i32)?.grey;
+        let flank = self.mean(from, to)?;
+        let behind = self.mean(beside, beside + FLANK_PX)?.grey;
+        let is_hidden = flank.grey < DARK * lit && (flank.grey - behind).abs() < AS_DARK * lit;
+        let apart = (inside.chromaticity - outside.chromaticity).norm();
+        let is_skin = (inside.chromaticity - flank.chromaticity).norm() < ALIKE * apart;
         let beyond_px = if goes_on { f64::from(end) } else { 0.0 };
-        is_hidden.then_some((beyond_px, dark / lit))
+        (is_hidden && is_skin).then_some((beyond_px, flank.grey / lit))
     }
 }
