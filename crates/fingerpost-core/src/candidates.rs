@@ -873,25 +873,19 @@ fn stands_out(sight: &Sight<'_>, inside: &Inside, w: f64) -> Option<f64> {
 /// no such band.
 fn half_lit_stands_out(sight: &Sight<'_>, inside: &Inside, w: f64) -> Option<f64> {
     let chromatic = sight.of_chromaticity()?;
-    let half = |from: f64, to: f64| {
-        Some([Inside::of(sight, w, (from, to))?, Inside::of(&chromatic, w, (from, to))?])
-    };
-    let ([left, chromatic_left], [right, chromatic_right]) =
-        (half(-1.0, -HALF_FROM)?, half(HALF_FROM, 1.0)?);
-    let (one, other) = (left.mean.sum(), right.mean.sum());
+    let halves = [(-1.0, (-1.0, -HALF_FROM)), (1.0, (HALF_FROM, 1.0))];
+    let [left, right] = halves.map(|(_, half)| Inside::of(sight, w, half));
+    let (one, other) = (left.as_ref()?.mean.sum(), right.as_ref()?.mean.sum());
     if one.min(other) > HALF_LIT * one.max(other) {
         return None;
     }
+    let [left, right] = halves.map(|(side, half)| {
+        let unlike = |sight| Inside::of(sight, w, half)?.unlike_part(sight, beside(w, side));
+        Some(unlike(sight)?.max(unlike(&chromatic)?))
+    });
     let whole = Inside::of(&chromatic, w, WHOLE)?;
-    let unlike = [
-        left.unlike_part(sight, beside(w, -1.0))?
-            .max(chromatic_left.unlike_part(&chromatic, beside(w, -1.0))?),
-        right
-            .unlike_part(sight, beside(w, 1.0))?
-            .max(chromatic_right.unlike_part(&chromatic, beside(w, 1.0))?),
-        inside.unlike_part(sight, ahead(w))?.max(whole.unlike_part(&chromatic, ahead(w))?),
-    ];
-    Some(finger_before_hand(&chromatic, &whole, w, unlike))
+    let ahead = inside.unlike_part(sight, ahead(w))?.max(whole.unlike_part(&chromatic, ahead(w))?);
+    Some(finger_before_hand(&chromatic, &whole, w, [left?, right?, ahead]))
 }
 
 /// Places beside a band's flank.
