@@ -22,6 +22,7 @@ from fingerpost.errors import InvalidInputError
 from fingerpost.finding import (
     HandSearch,
     HandView,
+    Shared,
     Sighting,
     Viewpoint,
     are_one,
@@ -629,6 +630,26 @@ def test_a_longer_template_that_shows_a_finger_of_another_width_follows_another(
 
 
 @pytest.mark.parametrize(
+    ("half_widths", "is_likely", "is_long"),
+    [(6.0, True, True), (6.0, False, False), (5.0, True, False), (7.5, False, True)],
+)
+def test_a_likely_finger_of_which_no_frame_shows_more_may_be_short(half_widths, is_likely, is_long):
+    def of_another_finger(start: StartPose, half_width_px: float) -> Fitted:
+        return Fitted(start.length_px, 2.0 * half_width_px)
+
+    stub = Fitted(8.0 * half_widths, 8.0)
+    lengthening = Lengthening(of_another_finger, 8.0)
+    seen = []
+    for k in range(40):
+        frame = Frame(k, k / FPS, np.zeros((8, 8), np.uint8))
+        lengthening.look(stub, stub.track, frame, is_likely=is_likely)
+        seen.append(lengthening.is_long)
+    assert seen[-1] is is_long
+    # It is not taken for all of it at first.
+    assert seen[3] is (half_widths >= 7.0)
+
+
+@pytest.mark.parametrize(
     ("moved_px", "changes", "stands", "moves_on"),
     [
         (0.0, {}, True, False),
@@ -691,6 +712,20 @@ def test_what_was_there_all_the_while_is_a_hand_if_it_moves_with_another_views(
     worth, has_held = belief(0.8, [trial], False, hand=1.0, is_backed=is_backed)
     assert has_held
     assert (worth > 0.0) == (not is_late or (has_moved and is_backed))
+
+
+def test_what_has_come_without_a_hand_goes_after_a_hand_and_is_believed_if_nothing_is_one():
+    def newcomer(score: float, hand: float) -> tuple[float, bool]:
+        trial = SimpleNamespace(has_come=True, is_late=False, has_moved=True, frames=30)
+        return belief(score, [trial], False, hand=hand, is_backed=False)
+
+    stick, finger = newcomer(0.8, 0.0), newcomer(0.6, 0.3)
+    assert stick[1]
+    assert 0.0 < stick[0] < finger[0] == 0.6
+    assert newcomer(0.8, 0.0)[0] < newcomer(0.8, 0.1)[0] < newcomer(0.8, 0.2)[0] == 0.8
+    # What hardly fits together has a hand to show for itself.
+    assert newcomer(0.4, 0.0) == (0.0, True)
+    assert newcomer(0.4, 0.3)[0] == 0.4
 
 
 @pytest.mark.parametrize("has_come", [False, True])
@@ -1152,17 +1187,10 @@ WAITS = ("acquiring", "no-fit")
 def test_a_finger_that_is_not_seen_is_soon_looked_for_everywhere(frames, is_searching):
     """None stands for a frame in which it is seen; the others for what the tracker says of them."""
     rig = SimulatedRig()
-    shown = rig.cameras[0].project(on_table(rig.plane_points))
-    start = Start(tip_px=(320.0, 240.0), angle_deg=90.0, length_px=70.0, thumb="none")
-    points_px = tuple(map(tuple, shown.tolist()))
-    told = View(name="cam", source="cam.mkv", reference_points_px=points_px, start=start)
-    view = HandView(told, rig.plane_points, None, 0.5)
-    seen = Following(rig.cameras[0], rig, TIP_MM, half_width_px=7.0).track
-    seen.status, seen.diagnostics = "tracking", SimpleNamespace(refusal=None)
-    image = np.zeros((480, 640), np.uint8)
-    view.view_frame(Frame(0, 0.0, image))
+    view = waiting(rig, rig.cameras[0])
+    view.view_frame(Frame(0, 0.0, BLACK))
     for k, told in enumerate([None, *frames]):
-        track = seen
+        track = followed_track(rig, rig.cameras[0])
         if told is not None:
             status, refusal = told
             track = SimpleNamespace(
@@ -1171,8 +1199,61 @@ def test_a_finger_that_is_not_seen_is_soon_looked_for_everywhere(frames, is_sear
                 diagnostics=SimpleNamespace(refusal=refusal),
                 shape_vector=None,
             )
-        view.follow(Frame(k, k / FPS, image), track)
+        view.follow(Frame(k, k / FPS, BLACK), track)
     assert view.is_searching is is_searching
+
+
+BLACK = np.zeros((480, 640), np.uint8)
+
+
+def waiting(rig: SimulatedRig, camera: Camera) -> HandView:
+    """A view in which a template waits for the hand."""
+    start = Start(tip_px=(320.0, 240.0), angle_deg=90.0, length_px=70.0, thumb="none")
+    points_px = tuple(map(tuple, camera.project(on_table(rig.plane_points)).tolist()))
+    told = View(name="cam", source="cam.mkv", reference_points_px=points_px, start=start)
+    return HandView(told, rig.plane_points, None, 0.5)
+
+
+def followed_track(rig: SimulatedRig, camera: Camera, turn: float = 0.0) -> SimpleNamespace:
+    """What the tracker says of a frame in which it follows the finger."""
+    track = Following(camera, rig, TIP_MM, turn, half_width_px=7.0).track
+    track.status, track.diagnostics = "tracking", SimpleNamespace(refusal=None)
+    return track
+
+
+NO_POINT_FOR = 10
+
+
+@pytest.mark.parametrize(
+    ("points", "is_searching"),
+    [
+        ([False] * (NO_POINT_FOR - 1), False),
+        ([False] * NO_POINT_FOR, True),
+        ([False] * (NO_POINT_FOR - 1) + [True, False], False),
+        ([False] * NO_POINT_FOR + [True], False),
+        ([True] * NO_POINT_FOR, False),
+        ([False] * (NO_POINT_FOR - 1) + [None] * 3, False),
+        ([False, None] * NO_POINT_FOR, True),
+    ],
+)
+def test_fingers_that_give_no_point_are_looked_for_beside_what_is_followed(points, is_searching):
+    """True and False stand for fingers that do and do not; None for one that is not seen."""
+    rig = SimulatedRig()
+    views = [waiting(rig, camera) for camera in rig.cameras]
+    for k, gives in enumerate(points):
+        frame = Frame(k, k / FPS, BLACK)
+        for view, camera, is_other in zip(views, rig.cameras, (False, True), strict=True):
+            track = followed_track(rig, camera, np.pi if is_other and not gives else 0.0)
+            if is_other and gives is None:
+                track.finger_line, track.diagnostics.refusal = None, "misfit"
+            view.view_frame(frame)
+            view.follow(frame, track)
+        shared = Shared()
+        for view, other in (views, views[::-1]):
+            view.doubt([other], shared)
+    one, other = (view.is_searching for view in views)
+    assert one is is_searching
+    assert other is is_searching
 
 
 # --- fingers that two views show unlike wide -----------------------------------------------------

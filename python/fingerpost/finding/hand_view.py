@@ -47,6 +47,10 @@ ALONE_FRAMES = 10
 points, as the thumb: the hand is looked for everywhere beside it. Sooner, a second hand would take
 the place of one that the other view is about to see."""
 
+POINTLESS_FRAMES = 10
+"""What has given no point with any other view's finger for so many frames may be a part of the hand
+that its finger has passed the template with: the hand is looked for everywhere beside it, too."""
+
 SEEMS_FLAT = 0.5
 FLAT_FRAMES = 5
 """What has looked so flat to another view for so many frames lies on the table: it is no finger,
@@ -115,6 +119,7 @@ class HandView:
         self._table_frames = 0
         self._doubts = 0
         self._alone_frames = 0
+        self._pointless_frames = 0
         self._is_elsewhere = False
         self._is_backed = False
         self._frames = 0
@@ -144,9 +149,11 @@ class HandView:
 
         What has come, and not to the template, may be a hand elsewhere. One that another view has
         seen come, or follows alone, has passed a template that still waits for it; and what is
-        followed here alone may be none.
+        followed here alone, or gives no point, may be none.
         """
-        if self._tracker is None or self._misses_hand or self._is_alone_for_long:
+        if self._tracker is None or self._misses_hand:
+            return True
+        if self._is_alone_for_long or self._pointless_frames >= POINTLESS_FRAMES:
             return True
         # What has been found beside what is followed alone is not yet proven.
         if self.search.found is not None:
@@ -379,6 +386,7 @@ class HandView:
             )
         self._doubts = self._doubts + 1 if is_alone else 0
         self._alone_frames = self._alone_frames + 1 if self._is_alone(others, shared) else 0
+        self._count_pointless(others, shared)
         self._is_backed = self._is_backed_by(others, shared)
         self._recognise(others, shared)
         # A hand that has come into another view stands out from the table in this one too.
@@ -396,6 +404,20 @@ class HandView:
         return self._shows_finger and all(
             shared.are_two(self, other) or not other._shows_finger for other in others
         )
+
+    def _count_pointless(self, others: Sequence[HandView], shared: Shared) -> None:
+        """Count frames in which no other view's finger gives a point with the one followed here.
+
+        Those in which there is no other count for nothing. What was learned of the table meanwhile
+        may be the hand.
+        """
+        pairs = [other for other in others if self._shows_finger and other._shows_finger]
+        if any(shared.can_be_one(self, other) for other in pairs):
+            self._pointless_frames = 0
+        elif pairs:
+            self._pointless_frames += 1
+            if self._pointless_frames == POINTLESS_FRAMES:
+                self.search.forget_behind()
 
     def _is_left_behind(self, others: Sequence[HandView], shared: Shared) -> bool:
         """Whether another view's finger has moved while what is followed here has stood still.
@@ -442,7 +464,8 @@ class HandView:
     def _let_go(self) -> None:
         """Follow nothing any more, and look everywhere."""
         self._tracker, self._track, self._doubts, self._is_table = None, None, 0, False
-        self._alone_frames, self._flat_frames, self._missed_frames = 0, 0, 0
+        self._alone_frames, self._pointless_frames = 0, 0
+        self._flat_frames, self._missed_frames = 0, 0
         self._lengthening, self._softer = None, None
         self._latest.clear()
         self.missing = Status.LOST

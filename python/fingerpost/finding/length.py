@@ -25,6 +25,12 @@ LONG = 7.0
 """What a found finger is followed by at least, in half-widths, unless a longer template than what
 follows already is seen whole: a stub may have taken one flank for another's."""
 
+SHORT = 5.5
+SHORT_FRAMES = 6
+"""If so many frames have shown no more of a finger that other views show as well, the rest is
+hidden, or something lies along it: then it may be as short as this [half-widths]. With half as many
+frames, the points of one film were 22 mm off instead of 12."""
+
 AS_LONG = 0.9
 """A template is as long as another one if it is as long as this part of that: one that has found a
 hand again need be no longer than the one that had followed it."""
@@ -72,6 +78,7 @@ class Lengthening:
         self._half_width_px = half_width_px
         self._longer: ContourTracker | None = None
         self._is_longest = False
+        self._short_frames = 0
         self._frames, self._interval = 0, 1
 
     def look(
@@ -80,6 +87,7 @@ class Lengthening:
         track: Track,
         frame: Frame,
         background: Background | None = None,
+        is_likely: bool = False,
     ) -> tuple[ContourTracker, Track]:
         """Return a longer template that this frame shows all of, or else what follows already.
 
@@ -93,6 +101,8 @@ class Lengthening:
             The frame.
         background
             What is behind the hand, if that is known.
+        is_likely
+            Whether it is a finger by all that other views show, so that it may be short.
         """
         longer, self._longer = self._longer, None
         line = track.finger_line
@@ -108,7 +118,10 @@ class Lengthening:
         self._frames, self._interval = 0, 2 * self._interval if longest is None else 1
         if not self.is_long:
             length = length_px(tracker, line) / self._half_width_px
-            self.is_long, self._interval = length >= self._long or longest is not None, 1
+            self._short_frames += 1
+            is_all = is_likely and self._short_frames > SHORT_FRAMES
+            least = min(self._long, SHORT) if is_all else self._long
+            self.is_long, self._interval = length >= least or longest is not None, 1
             return longest or (tracker, track)
         self._longer = longest[0] if longest is not None else None
         return tracker, track
