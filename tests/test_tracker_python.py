@@ -378,3 +378,30 @@ def test_any_images_are_survived(seed, shape, kind, model, thumb, coloured):
             assert (np.linalg.eigvalsh(covariance) > 0).all()
         assert np.isfinite(tracker.contour()).all()
         assert repr(track)
+
+
+def before_its_shadow(shade: float, seed: int) -> np.ndarray:
+    """A finger that points right at (200, 120), shaded on one side, and its shadow ahead of it."""
+    v, u = np.indices((240, 320), dtype=float)
+    away2 = ((u - 245.0) / 60.0) ** 2 + ((v - 120.0) / 45.0) ** 2
+    table = (1.0 - 0.3 * np.exp(-1.5 * away2))[..., None] * [120.0, 140.0, 150.0]
+    across, ahead = (v - 120.0) / 9.0, (u - 191.0) / 9.0
+    is_finger = np.where(ahead <= 0.0, np.abs(across) <= 1.0, across**2 + ahead**2 <= 1.0)
+    finger = (1.0 - 0.5 * shade * (across + 1.0))[..., None] * [95.0, 120.0, 160.0]
+    covered = cv2.GaussianBlur(is_finger.astype(float), (0, 0), 1.0)[..., None]
+    noise = np.random.default_rng(seed).normal(0.0, 2.5, (240, 320, 3))
+    return np.clip(table + covered * (finger - table) + noise, 0, 255).astype(np.uint8)
+
+
+@pytest.mark.parametrize("shade", [0.2, 0.35])
+@pytest.mark.parametrize("seed", range(3))
+def test_a_finger_is_acquired_before_its_own_shadow(shade: float, seed: int):
+    # The shadow is a little like the finger's shaded side, as a pattern's band is like all of it.
+    image = before_its_shadow(shade, seed)
+    grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+    tracker = ContourTracker(Template.pistol("none"), StartPose((200.0, 120.0), 0.0, 85.0))
+    for k in range(3):
+        track = tracker.update(grey, k / 30.0, image)
+    assert track.finger_line is not None
+    assert track.finger_line.tip_px == pytest.approx((200.0, 120.0), abs=2.0)
+    assert abs(np.degrees(track.finger_line.angle_rad)) < 2.0

@@ -32,6 +32,10 @@ const BESIDE: [f64; 3] = [0.2, 0.4, 0.6];
 const STRETCH: usize = 3;
 /// What lies ahead of its tip is looked at this far \[half-widths\].
 const AHEAD: f64 = 3.0;
+/// That is a part of it, as of a pattern's band, if it votes for the hand by more than this part of what
+/// the finger does, or without colours by anything. A finger whose shadow lies ahead of it, before a brown
+/// table, was taken for a band by 0.27.
+const GOES_ON: f64 = 0.3;
 /// What looks like the hand votes for it by this much on average.
 const LIKE_HAND: f64 = 1.0;
 /// Where there is no edge, the hand is told from what is behind it by mean colours so far from the edge
@@ -127,6 +131,24 @@ impl Sight<'_> {
     /// wide that what covers a hand may share them.
     fn has_shade(&self, frame: &Frame<'_>, edge: &PlacedSample) -> bool {
         self.shades.is_none_or(|shades| shades.has_shown(frame, edge.position, edge.normal))
+    }
+}
+
+/// The mean of what was added; 0 of nothing.
+#[derive(Debug, Clone, Copy, Default)]
+struct Mean {
+    sum: f64,
+    count: f64,
+}
+
+impl Mean {
+    fn add(&mut self, value: f64) {
+        self.sum += value;
+        self.count += 1.0;
+    }
+
+    fn value(self) -> f64 {
+        self.sum / self.count.max(1.0)
     }
 }
 
@@ -426,14 +448,19 @@ impl Looks {
         let mut stretch = [0.0; STRETCH];
         let behind = contour.iter().map(|seen| (axis.tip - seen.position).dot(&axis.direction()));
         let seen_px = behind.fold(0.0, f64::max).min(length_px) - 0.5 * half_width_px;
-        let back = shaft.steps(half_width_px, seen_px).enumerate();
-        for (i, back_px) in back {
-            stretch[i % STRETCH] = vote(-back_px);
+        let mut inside = Mean::default();
+        for (i, back_px) in shaft.steps(half_width_px, seen_px).enumerate() {
+            let likely = vote(-back_px);
+            stretch[i % STRETCH] = likely;
             if i + 1 >= STRETCH && stretch.iter().sum::<f64>() < 0.0 {
                 return false;
             }
+            inside.add(likely);
         }
-        shaft.steps(2.0 * EDGE_PX, AHEAD * half_width_px).map(vote).sum::<f64>() <= 0.0
+        let mut ahead = Mean::default();
+        shaft.steps(2.0 * EDGE_PX, AHEAD * half_width_px).for_each(|px| ahead.add(vote(px)));
+        let most = if self.is_coloured() { GOES_ON * inside.value() } else { 0.0 };
+        ahead.value() <= most
     }
 
     /// Whether a mixture of colours shows the hand better than the grey image.
