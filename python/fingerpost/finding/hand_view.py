@@ -120,6 +120,7 @@ class HandView:
         self._doubts = 0
         self._alone_frames = 0
         self._pointless_frames = 0
+        self._has_camera_moved = False
         self._is_elsewhere = False
         self._is_backed = False
         self._frames = 0
@@ -177,7 +178,7 @@ class HandView:
         """See the plane in another way from now on: the camera has moved."""
         if plane_view is self.plane_view:
             return
-        self.plane_view = plane_view
+        self.plane_view, self._has_camera_moved = plane_view, True
         if self._size_px is not None:
             self.viewpoint = Viewpoint.of(plane_view, self._size_px)
 
@@ -408,15 +409,15 @@ class HandView:
     def _count_pointless(self, others: Sequence[HandView], shared: Shared) -> None:
         """Count frames in which no other view's finger gives a point with the one followed here.
 
-        Those in which there is no other count for nothing. What was learned of the table meanwhile
-        may be the hand.
+        Those in which there is no other count for nothing. What a camera that has moved meanwhile
+        has learned of the table may be the hand.
         """
         pairs = [other for other in others if self._shows_finger and other._shows_finger]
         if any(shared.can_be_one(self, other) for other in pairs):
-            self._pointless_frames = 0
+            self._pointless_frames, self._has_camera_moved = 0, False
         elif pairs:
             self._pointless_frames += 1
-            if self._pointless_frames == POINTLESS_FRAMES:
+            if self._pointless_frames == POINTLESS_FRAMES and self._has_camera_moved:
                 self.search.forget_behind()
 
     def _is_left_behind(self, others: Sequence[HandView], shared: Shared) -> bool:
