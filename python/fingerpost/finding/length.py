@@ -87,6 +87,7 @@ class Lengthening:
         track: Track,
         frame: Frame,
         background: Background | None = None,
+        *,
         is_likely: bool = False,
     ) -> tuple[ContourTracker, Track]:
         """Return a longer template that this frame shows all of, or else what follows already.

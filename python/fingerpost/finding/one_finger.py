@@ -179,8 +179,8 @@ class Shared:
         return self._judged(are_one, one, other)
 
     def are_two(self, one: FollowingView, other: FollowingView) -> bool:
-        """See `are_two`."""
-        return self._judged(are_two, one, other)
+        """See `are_two`; mostly it is enough that they can be one."""
+        return not self.can_be_one(one, other) and self._judged(are_two, one, other)
 
     def have_two_tips(self, one: FollowingView, other: FollowingView) -> bool:
         """See `have_two_tips`."""

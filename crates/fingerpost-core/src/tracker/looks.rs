@@ -134,24 +134,6 @@ impl Sight<'_> {
     }
 }
 
-/// The mean of what was added; 0 of nothing.
-#[derive(Debug, Clone, Copy, Default)]
-struct Mean {
-    sum: f64,
-    count: f64,
-}
-
-impl Mean {
-    fn add(&mut self, value: f64) {
-        self.sum += value;
-        self.count += 1.0;
-    }
-
-    fn value(self) -> f64 {
-        self.sum / self.count.max(1.0)
-    }
-}
-
 /// A finger as far as its looks are concerned.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Silhouette {
@@ -448,19 +430,20 @@ impl Looks {
         let mut stretch = [0.0; STRETCH];
         let behind = contour.iter().map(|seen| (axis.tip - seen.position).dot(&axis.direction()));
         let seen_px = behind.fold(0.0, f64::max).min(length_px) - 0.5 * half_width_px;
-        let mut inside = Mean::default();
-        for (i, back_px) in shaft.steps(half_width_px, seen_px).enumerate() {
+        let mut inside = 0.0;
+        let back = shaft.steps(half_width_px, seen_px).zip(1..);
+        for (back_px, steps) in back {
             let likely = vote(-back_px);
-            stretch[i % STRETCH] = likely;
-            if i + 1 >= STRETCH && stretch.iter().sum::<f64>() < 0.0 {
+            stretch[steps % STRETCH] = likely;
+            if steps >= STRETCH && stretch.iter().sum::<f64>() < 0.0 {
                 return false;
             }
-            inside.add(likely);
+            // The mean of all so far.
+            inside += (likely - inside) / steps as f64;
         }
-        let mut ahead = Mean::default();
-        shaft.steps(2.0 * EDGE_PX, AHEAD * half_width_px).for_each(|px| ahead.add(vote(px)));
-        let most = if self.is_coloured() { GOES_ON * inside.value() } else { 0.0 };
-        ahead.value() <= most
+        let most = if self.is_coloured() { GOES_ON * inside } else { 0.0 };
+        let ahead = shaft.steps(2.0 * EDGE_PX, AHEAD * half_width_px);
+        ahead.map(|ahead_px| vote(ahead_px) - most).sum::<f64>() <= 0.0
     }
 
     /// Whether a mixture of colours shows the hand better than the grey image.
