@@ -1,4 +1,5 @@
-//! A refinement of the finger's axis, whole and by its two lines, on frames that are cold in cache.
+//! A refinement of the finger's axis, whole, by its two lines and by its shading, on frames that are
+//! cold in cache.
 //!
 //!     cargo bench -p fingerpost-benches --bench refine
 
@@ -11,7 +12,9 @@ use criterion::{BenchmarkId, Criterion, criterion_group, criterion_main};
 use fingerpost_benches::{Scene, frames};
 use fingerpost_core::frame::Frame;
 use fingerpost_core::image::GrayView;
-use fingerpost_core::refine::{Finger, KnownBackground, RefineOptions, Refiner, Source, Stretch};
+use fingerpost_core::refine::{
+    Finger, KnownBackground, RefineOptions, Refiner, RoundFinger, Source, Stretch,
+};
 use fingerpost_core::search::Polarity;
 use fingerpost_core::shape_space::Axis;
 use std::hint::black_box;
@@ -67,6 +70,16 @@ fn refinements(c: &mut Criterion) {
                 });
             });
         }
+        let mut turn = scenes.iter().cycle();
+        group.bench_function(BenchmarkId::new("round_finger", size), |b| {
+            b.iter(|| {
+                let scene = turn.next().unwrap();
+                let view = GrayView::new(&scene.pixels, width, height, width).unwrap();
+                let Finger { axis, half_width_px, .. } = finger(scene);
+                let round = RoundFinger::fit(&Frame::gray(view), &axis, half_width_px);
+                black_box(round.unwrap().unwrap())
+            });
+        });
     }
     group.finish();
 }

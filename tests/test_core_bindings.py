@@ -33,6 +33,7 @@ from fingerpost._core import (
     EdgeSearch,
     Fitter,
     HandFinder,
+    RoundFinger,
     ShapeSpace,
     StartPose,
     Template,
@@ -1138,6 +1139,39 @@ def test_a_band_is_given_by_any_numbers_that_are_some():
 def test_a_band_that_is_none_is_refused(band, complaint):
     with pytest.raises(InvalidInputError, match=complaint):
         HandFinder.likeness(grey(80, 100), *band)
+
+
+def test_a_round_finger_is_given_by_any_numbers_that_are_some():
+    image = grey(160, 200)
+    finger = RoundFinger.fit(image, (110.0, 80.0), (140.0, 80.0), 8.0)
+    assert finger is not None
+    told = finger.offset_px, finger.turn_rad, finger.half_width_px, finger.misfit
+    assert np.isfinite(told).all()
+    assert finger.misfit <= finger.misfit_about_given
+    assert repr(finger).startswith(f"RoundFinger(offset_px={finger.offset_px:.2f}, turn_rad=")
+    same = RoundFinger.fit(image, [110, 80], np.array([140, 80]), np.float64(8))
+    assert (same.offset_px, same.misfit) == (finger.offset_px, finger.misfit)
+    # Grey levels three times are colours that tell the same of each.
+    colour = np.repeat(image[..., None], 3, axis=2)
+    assert RoundFinger.fit(image, (110, 80), (140, 80), 8, colour).misfit > finger.misfit
+    assert RoundFinger.fit(image, (20, 80), (50, 80), 8) is None
+
+
+@pytest.mark.parametrize(
+    ("finger", "complaint"),
+    [
+        (((60, 40, 1), (90, 40), 6), r"^anchor_px has the shape \(3,\); it must be \(2,\)"),
+        (((60, 40), None, 6), "^tip_px has the dtype object"),
+        (((60, np.nan), (90, 40), 6), "must be finite"),
+        (((60, 40), (60, 40), 6), "is 0; it must be"),
+        (((60, 40), (90, 40), "6"), "^half_width_px is '6'; it must be a real number"),
+        (((60, 40), (90, 40), True), "^half_width_px is True"),
+        (((60, 40), (90, 40), -1), "is -1; it must be"),
+    ],
+)
+def test_a_round_finger_that_is_none_is_refused(finger, complaint):
+    with pytest.raises(InvalidInputError, match=complaint):
+        RoundFinger.fit(grey(80, 100), *finger)
 
 
 @pytest.mark.parametrize(

@@ -36,8 +36,9 @@ from fingerpost.finding import (
     pair_scores,
     width_ratio,
 )
-from fingerpost.finding.finger import HALF_WIDTH, followed, off_by_softness, off_by_width
+from fingerpost.finding.finger import HALF_WIDTH, Aside, followed, off_by_width
 from fingerpost.finding.first_hand import FirstHand
+from fingerpost.finding.flanks import Flanks, Shaded, off_by_softness
 from fingerpost.finding.foreground import may_have_come
 from fingerpost.finding.length import Lengthening
 from fingerpost.finding.look import softness, widening
@@ -955,8 +956,8 @@ class Following:
             )
 
     @property
-    def off(self) -> float:
-        return off_by_width(self.odd_width or 0.0)
+    def aside(self) -> Aside:
+        return Aside(off=off_by_width(self.odd_width or 0.0))
 
 
 def on_table(points: np.ndarray) -> np.ndarray:
@@ -1358,7 +1359,7 @@ def test_a_line_is_as_unsure_as_flanks_of_another_width_can_put_it_off(odd_width
     rig = SimulatedRig()
     track = Following(rig.cameras[0], rig, TIP_MM, half_width_px=7.0).track
     known = measured_line(track, 0.0)
-    doubted = measured_line(track, 0.0, off_by_width(odd_width))
+    doubted = measured_line(track, 0.0, Aside(off=off_by_width(odd_width)))
     # One flank where the other view has it, the other where this one does.
     off_px = abs(7.0 - 7.0 * np.exp(-np.sign(odd_width) * max(abs(odd_width) - 0.25, 0.0)))
     more = doubted.covariance - known.covariance
@@ -1446,7 +1447,7 @@ def test_a_finger_in_plain_view_is_not_doubted():
             for o in step.observations
         ]
     assert sum(o.track.finger_line is not None for o in seen) > DESK_FRAMES
-    assert [o.off for o in seen] == [0.0] * len(seen)
+    assert [o.aside for o in seen] == [Aside()] * len(seen)
 
 
 def test_people_and_tables_are_told_of_a_flank_that_is_not_the_fingers():
@@ -1456,9 +1457,11 @@ def test_people_and_tables_are_told_of_a_flank_that_is_not_the_fingers():
         pointer = Pointer(rig)
         *_, last = (s for p in islice(read_views(sources), 20) for s in pointer.update(p))
     sure = last.observations[0]
-    unsure = dataclasses.replace(sure, off=0.5)
+    unsure = dataclasses.replace(sure, aside=Aside(off=0.5))
     assert "up to 0.5 half-widths off" in unsure.reasons[-1]
     assert "half-widths" not in sure.reasons[-1]
+    aside = dataclasses.replace(sure, aside=Aside(offset=-0.4, off=0.1))
+    assert "a flank does not show: axis 0.4 half-widths aside" in aside.reasons[-1]
     rows = sure.track_row(), unsure.track_row()
     assert rows[0].tip_u == rows[1].tip_u
     off_px = 0.5 * unsure.finger.half_width_px
@@ -1466,8 +1469,114 @@ def test_people_and_tables_are_told_of_a_flank_that_is_not_the_fingers():
     assert rows[1].sigma_angle_rad > rows[0].sigma_angle_rad
 
 
+def lit_finger(light_rad: float, table: float = 70.0) -> Frame:
+    """A round finger along u about v = 120, 16 px wide at u = 228, lit from one side.
+
+    The light is as far from the line of sight as told, positive from larger v.
+    """
+    v, u = np.mgrid[0:960, 0:1280] / 4.0 - 0.375
+    y = (v - 120.0) / (8.0 - 0.05 * (u - 228.0))
+    z = np.sqrt(np.maximum(1.0 - y**2, 0.0))
+    light = np.maximum(y * np.sin(light_rad) + z * np.cos(light_rad), 0.0)
+    fine = np.where((np.abs(y) < 1.0) & (u < 258.0), 70.0 + 100.0 * light, table)
+    picture = fine.reshape(240, 4, 320, 4).mean(axis=(1, 3))
+    noise = np.random.default_rng(3).normal(0.0, 1.0, picture.shape)
+    return Frame(0, 0.0, np.clip(picture + noise, 0, 255).round().astype(np.uint8))
+
+
+def between_edges(v: float, half_width_px: float) -> SimpleNamespace:
+    """What a tracker makes of edges that lie along u, as far from v as told."""
+    line = SimpleNamespace(
+        anchor_px=(228.0, v),
+        tip_px=(258.0, v),
+        angle_rad=0.0,
+        covariance=np.diag([1e-4, 1e-6]),
+        half_length_px=25.0,
+    )
+    return SimpleNamespace(
+        finger_line=line, shape_vector=[half_width_px], shape_names=("half_width [px]",)
+    )
+
+
+@pytest.mark.parametrize("light_rad", [1.1, -1.1])
+def test_half_a_finger_is_told_whole_by_its_shading(light_rad):
+    # What shows before a table as dark as its dark side ends at cos φ half-widths.
+    hidden_px = 8.0 * (1.0 - np.cos(light_rad))
+    track = between_edges(120.0 + 0.5 * hidden_px * np.sign(light_rad), 8.0 - 0.5 * hidden_px)
+    flanks = Flanks()
+    for _ in range(9):
+        flanks.look(lit_finger(light_rad), track)
+    line = measured_line(track, 0.0, flanks.aside)
+    assert line.anchor_px[1] == pytest.approx(120.0, abs=0.7)
+    assert line.tip_px[1] == pytest.approx(120.0, abs=0.7)
+    assert line.half_width_px == pytest.approx(8.0, abs=0.8)
+    # It is told how sure that is: some tenths of a px, and a degree or two.
+    off_px, off_rad = np.sqrt(np.diag(line.covariance))
+    assert 0.2 < off_px < 1.0
+    assert np.radians(0.5) < off_rad < np.radians(3.0)
+    flanks.forget()
+    assert flanks.aside == Aside()
+
+
+@pytest.mark.parametrize(("light_rad", "table"), [(0.0, 20.0), (0.5, 220.0), (-0.9, 220.0)])
+def test_where_both_flanks_show_shading_tells_no_more(light_rad, table):
+    flanks = Flanks()
+    for _ in range(9):
+        flanks.look(lit_finger(light_rad, table), between_edges(120.0, 8.0))
+    assert flanks.aside.offset == flanks.aside.turn_rad == flanks.aside.wider == 0.0
+
+
+def test_as_soon_as_both_flanks_show_the_axis_is_between_them():
+    shaded = Shaded(offset_px=2.0, turn_rad=0.05, half_width_px=8.0, shown_px=6.0)
+    told = shaded.beside_edges(6.0)
+    assert told == pytest.approx((2.0 / 6.0, 0.05, np.log(8.0 / 6.0), 0.0))
+    half = shaded.beside_edges(7.0)
+    assert half == pytest.approx((1.0 / 7.0, 0.025, np.log(8.0 / 7.0), 0.0))
+    assert shaded.beside_edges(8.0) == shaded.beside_edges(9.5) == Aside()
+    # Edges of something slim are no reason to leave it by more.
+    assert shaded.beside_edges(2.0).offset * 2.0 == pytest.approx(3.0)
+
+
+def test_most_looks_decide_and_most_fingers_are_looked_at_rarely(monkeypatch):
+    told = Shaded(offset_px=2.0, turn_rad=0.05, half_width_px=8.0, shown_px=6.0)
+    answers = iter([told, None, told, None, told, *[None] * 100])
+    taken = []
+
+    def look(*args):
+        taken.append(k)
+        return next(answers)
+
+    monkeypatch.setattr(Shaded, "of", look)
+    flanks, track, frame = Flanks(), between_edges(120.0, 6.0), lit_finger(0.0, 20.0)
+    asides = []
+    for k in range(1, 120):  # noqa: B007, what is looked at is noted by its number
+        flanks.look(frame, track)
+        asides.append(flanks.aside.offset)
+    assert taken[:7] == [1, 4, 8, 12, 16, 20, 24]
+    # Three of five tell, then two, and in the end none does.
+    assert [asides[k - 1] > 0.0 for k in taken[:6]] == [True, False, True, False, True, False]
+    assert set(np.diff(taken[9:])) == {12}
+
+
+def test_the_width_that_shading_tells_is_compared():
+    rig = SimulatedRig()
+    slim, whole = (
+        Following(camera, rig, TIP_MM, half_width_px=w)
+        for camera, w in zip(rig.cameras, (4.0, 7.0), strict=False)
+    )
+    compare_widths((slim, whole))
+    odd_width = slim.odd_width
+    told = Following(rig.cameras[0], rig, TIP_MM, half_width_px=4.0)
+    told.__class__ = type("Told", (Following,), {"aside": Aside(wider=np.log(7.0 / 4.0))})
+    whole.odd_width = None
+    compare_widths((told, whole))
+    assert told.odd_width == pytest.approx(odd_width + np.log(7.0 / 4.0), abs=1e-9)
+    assert abs(told.odd_width) < 0.1
+
+
 def test_a_hand_whose_lit_side_has_the_colour_of_the_table_gives_no_sure_line():
-    # The lower half of the finger shades off into the table; what shows is half a finger.
+    # The lower half of the finger shades off into the table; what shows is half a finger. The line
+    # between its edges is doubted, or taken to the side that shades off.
     view = HandView(
         SimpleNamespace(
             name="one",
@@ -1487,6 +1596,7 @@ def test_a_hand_whose_lit_side_has_the_colour_of_the_table_gives_no_sure_line():
         )
     )
     for sigma_px, least, most in ((1.0, 0.0, 0.0), (9.0, 0.2, 1.0)):
-        view.search.found, view._softer = found, None
+        view.search.found, view._flanks = found, Flanks()
         view.look_at_flanks(painted((1.0, sigma_px), ([60.0], [150.0])))
-        assert least <= view.off <= most
+        assert least <= np.hypot(view.aside.offset, view.aside.off) <= most
+        assert view.aside.offset >= 0.0

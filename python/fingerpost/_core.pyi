@@ -59,6 +59,7 @@ __all__ = [
     "Fitter",
     "HandFinder",
     "PlacedContour",
+    "RoundFinger",
     "SearchLines",
     "ShapeSpace",
     "SplineFit",
@@ -1510,6 +1511,69 @@ class Candidate:
     @property
     def score(self) -> float:
         """How like a finger it is by its shape and colours alone, 0 to 1."""
+
+@final
+class RoundFinger:
+    """The finger whose shading, as a round body's, explains best what is seen about an axis.
+
+    Before a table as bright as one side of it, a finger lit from the other shows where it turns
+    from the light, and not where it ends. But a round body is shaded as one, and that tells how
+    wide it is and where its middle lies.
+    """
+
+    @staticmethod
+    def fit(
+        image: NDArray[np.uint8],
+        anchor_px: ArrayLike,
+        tip_px: ArrayLike,
+        half_width_px: float,
+        colour: NDArray[np.uint8] | None = None,
+    ) -> RoundFinger | None:
+        """Fit it to what is seen about an axis.
+
+        Parameters
+        ----------
+        image : (height, width)
+            Grey levels.
+        anchor_px, tip_px : (2,)
+            The middle and the tip of a finger, on the line between the edges that show [px].
+        half_width_px
+            Half the way from one of them to the other [px], positive.
+        colour : (height, width, 3), optional
+            Colours, which are looked at instead of the grey levels.
+
+        Returns
+        -------
+        RoundFinger or None
+            None where what is looked at is not all in the picture: 1 to 6 half-widths behind the
+            tip, and 2 to either side.
+
+        Raises
+        ------
+        InvalidInputError
+            A number that is not finite, a tip at the anchor, a half-width that is not positive, or
+            pictures that are none.
+        """
+
+    @property
+    def offset_px(self) -> float:
+        """How far beside the anchor its axis runs, to the side of the normal (−sin, cos) [px]."""
+
+    @property
+    def turn_rad(self) -> float:
+        """By how much its axis is turned against the given one [rad]."""
+
+    @property
+    def half_width_px(self) -> float:
+        """Half its width at the anchor [px]."""
+
+    @property
+    def misfit(self) -> float:
+        """How much what is seen differs from it: a robust sum over all pixels, in no unit."""
+
+    @property
+    def misfit_about_given(self) -> float:
+        """The same of the body about the given axis that explains most."""
 
 @final
 class Fitter:

@@ -31,6 +31,8 @@ from fingerpost.checks import in_range
 from fingerpost.config import Rig
 from fingerpost.errors import FingerpostError, InvalidInputError
 from fingerpost.finding import (
+    BETWEEN_EDGES,
+    Aside,
     HandView,
     Shared,
     compare_widths,
@@ -92,8 +94,8 @@ class Observation:
         Whether the camera has moved and it is not known where to.
     plane_view
         How the view saw the plane; of a camera that is adrift, when that was known last.
-    off
-        How far the finger's axis may be off for what is no noise [half-widths].
+    aside
+        How the finger's axis lies to the line between the edges that show.
     """
 
     view: str
@@ -105,13 +107,13 @@ class Observation:
     moved_px: float = 0.0
     is_adrift: bool = False
     plane_view: PlaneView | None = None
-    off: float = 0.0
+    aside: Aside = BETWEEN_EDGES
 
     @classmethod
     def of(cls, view: HandView, frame: Frame | None, watch: ReferenceWatch) -> Observation:
         """Return what a view saw in the frame that it and the watch have had last."""
         tracker = view.tracker
-        camera = watch.moved_px, watch.is_adrift, view.plane_view, view.off
+        camera = watch.moved_px, watch.is_adrift, view.plane_view, view.aside
         if frame is None or tracker is None:
             return cls(view.name, frame, None, np.empty((0, 2)), None, view.missing, *camera)
         contour_px, searched = tracker.contour(), tracker.search_lines()
@@ -129,7 +131,7 @@ class Observation:
             return Status.LOST
         if self.track is None:
             return self.missing
-        line = measured_line(self.track, self.frame.time_s, self.off)
+        line = measured_line(self.track, self.frame.time_s, self.aside)
         if line is not None:
             return Status.ILL_CONDITIONED if self.is_adrift else line
         return Status.ACQUIRING if self.track.status == "acquiring" else Status.LOST
@@ -152,14 +154,14 @@ class Observation:
             return ("refused: it lies on the table",)
         if self.track is None:
             return ("no hand is followed: looked for everywhere",)
-        return _verdict(self.track), _details(self.track, self.search, self.off)
+        return _verdict(self.track), _details(self.track, self.search, self.aside)
 
     def track_row(self) -> TrackRow | None:
         """Return the row of `tracks.csv`; None without a frame."""
         if self.frame is None:
             return None
         cells: dict[str, float] = {}
-        line = measured_line(self.track, self.frame.time_s, self.off)
+        line = measured_line(self.track, self.frame.time_s, self.aside)
         status = "tracking" if line is not None else str(self.finger)
         if line is not None:
             sigma_offset_px, sigma_angle_rad = np.sqrt(np.diag(line.covariance)).tolist()
@@ -200,7 +202,7 @@ def _verdict(track: Track) -> str:
     return f"refused: {reasons.get(told.refusal or '', 'no fit that could be a finger')}"
 
 
-def _details(track: Track, search: SearchMarks, off: float) -> str:
+def _details(track: Track, search: SearchMarks, aside: Aside) -> str:
     """Say what the lines of the last search found, and what else is known of the fit."""
     lines, agree = len(search.agrees), int(search.agrees.sum())
     hits = int(np.isfinite(search.edges_px).all(axis=1).sum())
@@ -211,9 +213,13 @@ def _details(track: Track, search: SearchMarks, off: float) -> str:
         details.append(f"bend {np.degrees(track.diagnostics.bend_rad):.0f}°")
     if track.finger_line is not None:
         details.append(f"line from {track.finger_line.source}")
-        if off >= TOLD_OFF:
-            # First, for a picture has room for about half of this.
-            details.insert(0, f"a flank is not the finger's: up to {off:.1f} half-widths off")
+        # First, for a picture has room for about half of this.
+        if aside.offset:
+            details.insert(
+                0, f"a flank does not show: axis {abs(aside.offset):.1f} half-widths aside"
+            )
+        elif aside.off >= TOLD_OFF:
+            details.insert(0, f"a flank is not the finger's: up to {aside.off:.1f} half-widths off")
     return "   ".join(details)
 
 

@@ -45,6 +45,28 @@ impl<'a> ColourView<'a> {
         self.data.get(at..at + 3)?.try_into().ok()
     }
 
+    /// The bilinear values of the three channels at (u, v), as [`GrayView::sample_f64`] has them.
+    #[must_use]
+    pub fn sample_f64(&self, u: f64, v: f64) -> Option<[f64; 3]> {
+        let (right, bottom) = ((self.width - 1) as f64, (self.height - 1) as f64);
+        if !(u >= 0.0 && v >= 0.0 && u <= right && v <= bottom) {
+            return None;
+        }
+        let (x, y) = (u as usize, v as usize);
+        let (fraction_u, fraction_v) = (u - x as f64, v - y as f64);
+        let mut channels = [0.0; 3];
+        for (below, part_v) in [(0, 1.0 - fraction_v), (1, fraction_v)] {
+            for (right, part_u) in [(0, 1.0 - fraction_u), (1, fraction_u)] {
+                // The last column and the last row have none beyond, and give it no part.
+                let at = ((x + right).min(self.width - 1), (y + below).min(self.height - 1));
+                for (channel, level) in channels.iter_mut().zip(self.pixel(at.0, at.1)?) {
+                    *channel += part_u * part_v * f64::from(level);
+                }
+            }
+        }
+        Some(channels)
+    }
+
     /// The mean colour of those of some pixels that lie in the image; `None` if none does.
     pub(crate) fn mean(&self, pixels: impl Iterator<Item = SidedPixel>) -> Option<Vector3<f64>> {
         let colours = pixels.filter_map(|p| self.pixel(p.x as usize, p.y as usize));

@@ -64,6 +64,8 @@ mod options;
 mod photometric;
 mod pixels;
 mod profile;
+mod round;
+mod shading;
 mod sketch;
 mod skin;
 mod straightness;
@@ -71,6 +73,7 @@ mod unknowns;
 
 pub use background::KnownBackground;
 pub use options::{BisectorOptions, PhotometricOptions, RefineOptions};
+pub use round::RoundFinger;
 #[cfg(test)]
 pub(crate) use skin::tests::Painted;
 pub(crate) use skin::{Lie, Skin};

@@ -12,6 +12,7 @@ mod fit;
 mod image;
 mod numbers;
 mod options;
+mod round;
 mod search;
 mod shape_space;
 mod template;
@@ -41,6 +42,8 @@ mod _core {
     use super::contour::{PyContourSamples, sample_contour};
     #[pymodule_export]
     use super::fit::{PyFitReport, PyFitter};
+    #[pymodule_export]
+    use super::round::PyRoundFinger;
     #[pymodule_export]
     use super::search::{PyEdgeSearch, PySearchLines};
     #[pymodule_export]

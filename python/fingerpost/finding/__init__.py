@@ -21,7 +21,7 @@ has moved (`views`). A template that waits for the hand may lock on to the table
 (`first_hand`); what each view follows, and when it lets go, is its own affair (`hand_view`).
 """
 
-from fingerpost.finding.finger import Sighting, measured_line
+from fingerpost.finding.finger import BETWEEN_EDGES, Aside, Sighting, measured_line
 from fingerpost.finding.hand_view import HandView
 from fingerpost.finding.look import flatness, widening
 from fingerpost.finding.one_finger import (
@@ -37,6 +37,8 @@ from fingerpost.finding.search import HandSearch
 from fingerpost.finding.views import find_hand, how_flat
 
 __all__ = [
+    "BETWEEN_EDGES",
+    "Aside",
     "HandSearch",
     "HandView",
     "Shared",

@@ -61,12 +61,6 @@ LIKE_WIDTH = 0.25
 """By what logarithm a finger's width may differ from view to view: a finger is not round, and a
 blurred one looks wider. A real finger's differs by more in 3 frames of 100."""
 
-SOFTER = (0.29, 0.35)
-"""How much softer the one flank of a finger is than the other, from where it may be none, and from
-where it is none [half-widths]: mostly below 0.2 of real and rendered fingers in the shade, and 0.28
-at most. A hand of the table's brightness, which shows where it turns from the light and not where
-it ends, has 0.3 to 0.38."""
-
 
 def off_by_width(odd_width: float) -> float:
     """Return how far a finger's axis may be off if another view shows the finger unlike wide.
@@ -89,25 +83,26 @@ def off_by_width(odd_width: float) -> float:
     return abs(1.0 - math.exp(-unlike))
 
 
-def off_by_softness(softer: float) -> float:
-    """Return how far a finger's axis may be off if one flank is that much softer than the other.
+class Aside(NamedTuple):
+    """How a finger's axis lies to the line between the edges that show, for what is no noise."""
 
-    Parameters
-    ----------
-    softer
-        See `fingerpost.finding.look.softness` [half-widths²].
+    offset: float = 0.0
+    """How far it runs beside that line, to the side of the normal (−sin, cos) [half-widths]."""
+    turn_rad: float = 0.0
+    """By how much it is turned against that line."""
+    wider: float = 0.0
+    """Logarithm of how many times as wide as between those edges the finger is."""
+    off: float = 0.0
+    """How far it may still be off [half-widths]: aside by that, and turned by that over half the
+    length that the line was measured on."""
 
-    Returns
-    -------
-    float
-        [half-widths]
-    """
-    low, high = SOFTER
-    return min(max((math.sqrt(abs(softer)) - low) / (high - low), 0.0), 1.0)
+
+BETWEEN_EDGES = Aside()
+"""The axis is the line between the edges."""
 
 
 def measured_line(
-    track: Track | None, time_s: float, off: float = 0.0
+    track: Track | None, time_s: float, aside: Aside = BETWEEN_EDGES
 ) -> pointing.FingerLine | None:
     """Return the line of the finger that a view follows, to point with; None if it shows none.
 
@@ -117,26 +112,32 @@ def measured_line(
         What the tracker made of a frame.
     time_s
         The frame's time [s].
-    off
-        How far the axis may be off for what is no noise [half-widths]: aside by that, and turned by
-        that over half the length that it was measured on.
+    aside
+        How the axis lies to the line that was measured. Half-widths are those of the fit.
     """
     if track is None or track.finger_line is None:
         return None
     line, half_width_px = track.finger_line, fitted_half_width_px(track) or 0.0
     half_length_px = line.half_length_px or math.dist(line.tip_px, line.anchor_px)
     covariance = line.covariance
-    if off > 0.0:
-        off_px = off * half_width_px
+    if aside.off > 0.0:
+        off_px = aside.off * half_width_px
         covariance = covariance + np.diag([off_px**2, (off_px / half_length_px) ** 2])
+    anchor_px, tip_px, angle_rad = np.array(line.anchor_px), np.array(line.tip_px), line.angle_rad
+    if aside.offset or aside.turn_rad:
+        normal = np.array([-math.sin(angle_rad), math.cos(angle_rad)])
+        anchor_px = anchor_px + aside.offset * half_width_px * normal
+        angle_rad = math.remainder(angle_rad + aside.turn_rad, 2.0 * math.pi)
+        ahead_px = math.dist(line.tip_px, line.anchor_px)
+        tip_px = anchor_px + ahead_px * np.array([math.cos(angle_rad), math.sin(angle_rad)])
     return pointing.FingerLine(
-        np.array(line.anchor_px),
-        line.angle_rad,
+        anchor_px,
+        angle_rad,
         covariance,
-        np.array(line.tip_px),
+        tip_px,
         time_s,
         half_length_px,
-        half_width_px,
+        half_width_px * math.exp(aside.wider),
     )
 
 

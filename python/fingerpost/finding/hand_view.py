@@ -15,16 +15,16 @@ from fingerpost._core import Background, ContourTracker, FingerLine, StartPose, 
 from fingerpost.capture import Frame
 from fingerpost.config import View
 from fingerpost.finding.finger import (
+    Aside,
     fitted_half_width_px,
     hand_region,
     is_left_behind,
-    off_by_softness,
     off_by_width,
 )
 from fingerpost.finding.first_hand import FirstHand
+from fingerpost.finding.flanks import Flanks
 from fingerpost.finding.foreground import is_background, may_have_come
 from fingerpost.finding.length import Lengthening, length_px
-from fingerpost.finding.look import softness
 from fingerpost.finding.one_finger import Shared
 from fingerpost.finding.pairs import Viewpoint
 from fingerpost.finding.search import HandSearch
@@ -58,10 +58,6 @@ though it moves as one does, but its shadow. Fingers of 22 recordings did for on
 
 FLAT_EVERY = 4
 """One frame in so many is asked for that, and every one once it has looked so."""
-
-SOFT_EVERY = 4
-SOFT_RATE = 0.5
-"""One frame in so many tells how soft the flanks are; it counts that much of what is known."""
 
 WAITED_FRAMES = 3
 """What has come within so many frames, and not to the template, may be a hand elsewhere. One that
@@ -132,8 +128,7 @@ class HandView:
         self.odd_width: float | None = None
         """Logarithm of how many times as wide it has shown the finger lately as the view that
         agrees best; None where that is not known."""
-        # How much softer one flank has been lately than the other; None where that is not known.
-        self._softer: float | None = None
+        self._flanks = Flanks()
         self._lengthening: Lengthening | None = None
         self._first_hand: FirstHand | None = None
         if view.start is not None:
@@ -197,10 +192,11 @@ class HandView:
         return self.search.found.track if self.search.found is not None else self._track
 
     @property
-    def off(self) -> float:
-        """How far the finger's axis may be off for what is no noise [half-widths]."""
+    def aside(self) -> Aside:
+        """How the finger's axis lies to the line between the edges that show."""
+        aside = self._flanks.aside
         by_width = off_by_width(self.odd_width or 0.0)
-        return math.hypot(by_width, off_by_softness(self._softer or 0.0))
+        return aside._replace(off=math.hypot(by_width, aside.off))
 
     @property
     def hand(self) -> tuple[NDArray[np.float64], NDArray[np.float64], float] | None:
@@ -361,17 +357,8 @@ class HandView:
 
     def look_at_flanks(self, frame: Frame | None) -> None:
         """Learn from some frames whether the finger that is followed is outlined on both sides."""
-        if frame is None or (self._softer is not None and self._frames % SOFT_EVERY):
-            return
-        track = self.track
-        line = track.finger_line if track is not None else None
-        half_width_px = fitted_half_width_px(track) if track is not None else None
-        if line is None or half_width_px is None:
-            return
-        now = softness(frame, line, half_width_px)
-        if np.isfinite(now):
-            before = now if self._softer is None else self._softer
-            self._softer = before + SOFT_RATE * (now - before)
+        if frame is not None:
+            self._flanks.look(frame, self.track)
 
     def doubt(self, others: Sequence[HandView], shared: Shared) -> None:
         """Count frames in which no other view shows what this one follows; let go after some.
@@ -467,7 +454,8 @@ class HandView:
         self._tracker, self._track, self._doubts, self._is_table = None, None, 0, False
         self._alone_frames, self._pointless_frames = 0, 0
         self._flat_frames, self._missed_frames = 0, 0
-        self._lengthening, self._softer = None, None
+        self._lengthening = None
+        self._flanks.forget()
         self._latest.clear()
         self.missing = Status.LOST
         self.search.rest()

@@ -8,7 +8,7 @@ from itertools import combinations
 from typing import Protocol
 
 from fingerpost._core import Track
-from fingerpost.finding.finger import Sighting, fitted_half_width_px, followed, measured_line
+from fingerpost.finding.finger import Aside, Sighting, fitted_half_width_px, followed, measured_line
 from fingerpost.finding.pairs import OTHER_TIP, Viewpoint, same_tip, width_ratio
 from fingerpost.pointing import FingerLine, PlaneView, Status, indicated_point
 
@@ -37,8 +37,8 @@ class FollowingView(Protocol):
         """What its tracker made of the last frame."""
 
     @property
-    def off(self) -> float:
-        """How far the finger's axis may be off for what is no noise [half-widths]."""
+    def aside(self) -> Aside:
+        """How the finger's axis lies to the line between the edges that show."""
 
     odd_width: float | None
     """Logarithm of how many times as wide it has shown the finger lately as the view that agrees
@@ -76,7 +76,7 @@ def can_be_one(views: Pair) -> bool:
     """Tell whether what two views follow may be one finger; so it is while one follows nothing."""
     if _is_odd(views):
         return False
-    lines = [measured_line(view.track, 0.0, view.off) for view in views]
+    lines = [measured_line(view.track, 0.0, view.aside) for view in views]
     return gives_point([view.viewpoint.plane_view for view in views], lines)
 
 
@@ -161,7 +161,8 @@ def _followed_width_ratio(views: Pair) -> float:
     first, second = (followed(track) for track in tracks)
     if not (first and second):
         return math.nan
-    return width_ratio((views[0].viewpoint, views[1].viewpoint), (first[0], second[0]))
+    between_edges = width_ratio((views[0].viewpoint, views[1].viewpoint), (first[0], second[0]))
+    return between_edges + views[0].aside.wider - views[1].aside.wider
 
 
 class Shared:
