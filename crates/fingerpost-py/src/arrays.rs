@@ -7,6 +7,7 @@ use numpy::{
     Element, PyArray1, PyArray2, PyArrayDescrMethods, PyArrayMethods, PyReadonlyArrayDyn,
     PyUntypedArray, PyUntypedArrayMethods,
 };
+use pyo3::intern;
 use pyo3::prelude::*;
 
 /// Kinds of dtype that are real numbers: integers, unsigned integers, floats.
@@ -94,7 +95,9 @@ fn reals(value: &Bound<'_, PyAny>, what: &str) -> PyResult<(Vec<f64>, Vec<usize>
     }
     let py = value.py();
     let numpy = py.import("numpy")?;
-    let array = numpy.call_method1("asarray", (value,)).map_err(|error| {
+    // Names that are made anew for every call would stay, each, in the cache that Python finds
+    // methods with.
+    let array = numpy.call_method1(intern!(py, "asarray"), (value,)).map_err(|error| {
         let given = value.get_type();
         InvalidInputError::new_err(format!(
             "{what} is of {given}, which NumPy cannot read as an array ({error}); it must be an \
@@ -108,7 +111,7 @@ fn reals(value: &Bound<'_, PyAny>, what: &str) -> PyResult<(Vec<f64>, Vec<usize>
         )));
     }
     // Whatever its strides and byte order were: "C" contiguous and "A"ligned.
-    let array = numpy.call_method1("require", (array, "float64", ["C", "A"]))?;
+    let array = numpy.call_method1(intern!(py, "require"), (array, "float64", ["C", "A"]))?;
     contents(&array.extract()?)
 }
 

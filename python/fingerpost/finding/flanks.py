@@ -83,9 +83,8 @@ class Shaded(NamedTuple):
         Shaded or None
             None where it says no more than the edges do: both flanks show.
         """
-        # As arrays, which the core takes as they are.
-        anchor_px, tip_px = np.array(line.anchor_px), np.array(line.tip_px)
-        seen = RoundFinger.fit(frame.grey(), anchor_px, tip_px, half_width_px, frame.colour())
+        finger = line.anchor_px, line.tip_px, half_width_px
+        seen = RoundFinger.fit(frame.grey(), *finger, frame.colour())
         if seen is None or seen.misfit_about_given <= BETTER * seen.misfit:
             return None
         aside, wider = seen.offset_px / half_width_px, math.log(seen.half_width_px / half_width_px)
