@@ -215,3 +215,40 @@ fn debug_shows_the_shape_and_not_the_pixels() {
     let shown = format!("{:?}", GrayView::new(&bytes, 2, 2, 4).unwrap());
     assert_eq!(shown, "GrayView { width: 2, height: 2, stride: 4, .. }");
 }
+
+#[test]
+fn colours_are_sampled_as_three_grey_images_are() {
+    let mut state = 7_u32;
+    let mut random = || {
+        state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        state >> 8
+    };
+    let (width, height, stride) = (7, 5, 24);
+    let bytes: Vec<u8> = (0..stride * height).map(|_| random() as u8).collect();
+    let colour = ColourView::new(&bytes, width, height, stride).unwrap();
+    let channels = [0, 1, 2].map(|c| -> Vec<u8> {
+        let pixel = |k: usize| bytes[(k / width) * stride + 3 * (k % width) + c];
+        (0..width * height).map(pixel).collect()
+    });
+    let greys = channels.each_ref().map(|c| GrayView::new(c, width, height, width).unwrap());
+    let mut inside = 0;
+    for _ in 0..2000 {
+        // Quarters of a pixel: on pixels, between them, on the border and beyond it.
+        let [u, v] = [random() % 34, random() % 26].map(|k| f64::from(k) / 4.0 - 1.0);
+        let told = greys.map(|grey| grey.sample_f64(u, v));
+        match colour.sample_f64(u, v) {
+            None => assert_eq!(told, [None; 3], "{u}, {v}"),
+            Some(sampled) => {
+                inside += 1;
+                for (one, other) in sampled.iter().zip(told) {
+                    assert!((one - other.unwrap()).abs() < 1e-9, "{u}, {v}");
+                }
+            }
+        }
+    }
+    assert!((500..1900).contains(&inside), "{inside}");
+    for nowhere in [f64::NAN, f64::INFINITY, -f64::INFINITY] {
+        assert_eq!(colour.sample_f64(nowhere, 1.0), None);
+        assert_eq!(colour.sample_f64(1.0, nowhere), None);
+    }
+}

@@ -25,7 +25,6 @@ where it is none [half-widths]: mostly below 0.2 of real and rendered fingers in
 at most. A hand of the table's brightness, which shows where it turns from the light and not where
 it ends, has 0.3 to 0.38."""
 
-
 LOOKS = 5
 """So many looks at the shading together tell, by their median: one in some lands elsewhere."""
 
@@ -127,18 +126,17 @@ class Flanks:
         self._softer: float | None = None
         self._looks: deque[Shaded | None] = deque(maxlen=LOOKS)
         self._half_width_px = 0.0
+        # What the looks say together; None while most of them tell of no flank that does not show.
+        self._shaded: Shaded | None = None
+        self._spread_px = 0.0
 
     @property
     def aside(self) -> Aside:
         """How the axis lies to the line between the edges that show."""
-        told = [look for look in self._looks if look is not None]
-        if 2 * len(told) <= len(self._looks):
+        if self._shaded is None:
             return Aside(off=off_by_softness(self._softer or 0.0))
-        looks = np.array(told)
-        shaded = Shaded(*np.median(looks, axis=0).tolist())
-        spread_px = 1.4826 * float(np.median(np.abs(looks[:, 0] - shaded.offset_px)))
-        off = math.hypot(UNSURE, spread_px / self._half_width_px)
-        return shaded.beside_edges(self._half_width_px)._replace(off=off)
+        off = math.hypot(UNSURE, self._spread_px / self._half_width_px)
+        return self._shaded.beside_edges(self._half_width_px)._replace(off=off)
 
     def look(self, frame: Frame, track: Track | None) -> None:
         """Learn from a frame, if it is one of those that are looked at."""
@@ -154,6 +152,18 @@ class Flanks:
         is_rare = len(self._looks) == LOOKS and not any(self._looks)
         if not self._looks or not (skipped or (is_rare and looks % RARELY)):
             self._looks.append(Shaded.of(frame, line, half_width_px))
+            self._agree()
+
+    def _agree(self) -> None:
+        """Work out what most of the looks say, if they do."""
+        told = [look for look in self._looks if look is not None]
+        if 2 * len(told) <= len(self._looks):
+            self._shaded = None
+            return
+        looks = np.array(told)
+        self._shaded = Shaded(*np.median(looks, axis=0).tolist())
+        off_px = np.abs(looks[:, 0] - self._shaded.offset_px)
+        self._spread_px = 1.4826 * float(np.median(off_px))
 
     def _compare(self, softer: float) -> None:
         """Learn how much softer one flank is than the other; NaN tells nothing."""

@@ -138,7 +138,7 @@ impl RoundFinger {
         let seen = Seen::of(frame, &middle, ahead_px, unit_px, about[HALF_WIDTH])?;
         let mut start = about;
         start.fixed_rows_mut::<2>(OFFSET).fill(0.0);
-        let mut given = seen.first([0.0, known]);
+        let (_, mut given) = seen.first([0.0, known]);
         (given[OFFSET], given[SLOPE]) = (-aside, -about[SLOPE]);
         let (misfit_about_given, given) = seen.minimise(given, LAST_ITERATIONS, Axes::Held);
         let (mut misfit, mut x) = seen.minimise(start, LAST_ITERATIONS, Axes::Free);
@@ -156,10 +156,7 @@ impl RoundFinger {
 
     /// The body that explains most of those that the likeliest starts lead to.
     fn best_start(seen: &Seen, known: f64) -> Option<Vector> {
-        let mut starts = STARTS.map(|start| {
-            let x = seen.first(start.map(|part| part * known));
-            (seen.cost(&x), x)
-        });
+        let mut starts = STARTS.map(|start| seen.first(start.map(|part| part * known)));
         starts.sort_by(|one, other| one.0.total_cmp(&other.0));
         let led_to = starts.iter().take(TRIED).map(|s| seen.minimise(s.1, ITERATIONS, Axes::Free));
         led_to.min_by(|one, other| one.0.total_cmp(&other.0)).map(|(_, x)| x)
@@ -200,12 +197,12 @@ impl Seen {
             *known = profile(j)?;
         }
         let mut seen = Self { profiles, alike: 1.0 };
-        seen.alike = (seen.cost(&seen.first([0.0, half_width])) / INDEPENDENT).max(1.0);
+        seen.alike = (seen.first([0.0, half_width]).0 / INDEPENDENT).max(1.0);
         Some(seen)
     }
 
-    /// A body aside the axis and of a width, under the light that explains it best.
-    fn first(&self, [offset, half_width]: [f64; 2]) -> Vector {
+    /// A body aside the axis and of a width, under the light that explains it best, after its cost.
+    fn first(&self, [offset, half_width]: [f64; 2]) -> (f64, Vector) {
         let lit = FIRST_LIGHTS_RAD.map(|light| {
             let mut x = Vector::from_element(light);
             (x[OFFSET], x[SLOPE]) = (offset, 0.0);
@@ -213,7 +210,7 @@ impl Seen {
             x[LOG_BLUR] = 0.0;
             (self.cost(&x), x)
         });
-        lit.iter().fold(lit[0], |best, &one| if one.0 < best.0 { one } else { best }).1
+        lit.iter().fold(lit[0], |best, &one| if one.0 < best.0 { one } else { best })
     }
 
     /// The least cost that is found from there, and where.
