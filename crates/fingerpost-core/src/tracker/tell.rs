@@ -66,7 +66,7 @@ impl ContourTracker {
             _ => None,
         };
         if let Some(refined) = refined.filter(|_| has_own_pixels(found)) {
-            self.sagitta.learn(&refined);
+            self.sagitta.learn(&refined, frame.colour().is_some());
         }
         let finger_line = self.line_of(found, refined.as_ref());
         let finger_line = match self.hand.shape {
