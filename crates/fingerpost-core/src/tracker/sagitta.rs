@@ -7,7 +7,7 @@
 //! lies 3 px further on turns the line of a hand in a picture by a quarter of a degree. Frame by frame
 //! other parts of the flanks are seen, and a template that was held up is not as long as one that was
 //! found. Therefore all lines are told for one stretch, in every view alike: for the front of the
-//! finger ([`FAR`]), which points. They are measured on all of it, for a short stretch tells an angle
+//! finger ([`FRONT`]), which points. They are measured on all of it, for a short stretch tells an angle
 //! badly, and taken to the front by the curvature that the pixels show ([`PhotometricReport::bend_px`]).
 //!
 //! What is left, no average over frames removes: joints, nail and shading turn and shift a medial line
@@ -19,21 +19,30 @@
 use super::line::FingerLine;
 use crate::refine::{PhotometricReport, Refined, Source};
 use crate::shape_space::Axis;
+use nalgebra::Vector2;
 
-/// The stretch that lines are told for ends so far behind the tip, in half-widths, or where the hand's
-/// flanks usually end if that is nearer, and begins so far behind it: index fingers are 9 to 10
-/// half-widths long, and these are 40 and 92 % of the way from knuckle to tip. On 27 films of rendered
-/// hands a line over 10 to 97 % is turned against that one by 0.5 to 0.9° in one view and by 0 to 0.5°
-/// in the other, and a parabola tells it to within 0.1°.
-const FAR: f64 = 5.7;
-const NEAR: f64 = 0.76;
-/// The middle of a stretch is moved by no more than this part of its half-length: what is seen less
-/// of is not told from a parabola.
-const FARTHEST: f64 = 0.4;
+/// A stretch that lines may be told for.
+struct Extent {
+    /// It begins so far behind the tip, and ends so far, or where the hand's flanks usually end if that
+    /// is nearer \[half-widths\].
+    near: f64,
+    far: f64,
+    /// The middle of what was looked at is moved by no more than this part of its half-length to get
+    /// there: what is seen less of is not told from a parabola.
+    farthest: f64,
+}
+
+/// What points: index fingers are 9 to 10 half-widths long, and these are 92 and 40 % of the way from
+/// knuckle to tip. On 27 films of rendered hands a line over 10 to 97 % is turned against that one by
+/// 0.5 to 0.9° in one view and by 0 to 0.5° in the other, and a parabola tells it to within 0.1°.
+const FRONT: Extent = Extent { near: 0.76, far: 5.7, farthest: 0.4 };
+/// All of a finger, but for its round end.
+const WHOLE: Extent = Extent { near: 0.3, far: 8.8, farthest: 0.15 };
 /// Of a flank that hardly shows, shading moves the edge; it bends a finger as well as a joint does, and
-/// no number of frames averages that away. So much of the bend that is seen is the finger's own: half of
-/// it where the contrast of its fainter flank is so many times what its pixels scatter, all of it where
-/// it is much more. Without colours a shade looks like an edge, and none of it is.
+/// no number of frames averages that away. So much of the bend that is seen is the finger's own, and
+/// takes its line from the whole to the front: half of it where the contrast of its fainter flank is so
+/// many times what its pixels scatter, all of it where it is much more. Without colours a shade looks
+/// like an edge, and none of it is.
 const HALF_OWN: f64 = 15.0;
 /// Either end of a line may be misled by this part of the bend. Turned into an angle that is the spread of
 /// lines through stretches whose middles scatter by 0.18 half-lengths. On 38 films of rendered hands the
@@ -90,24 +99,31 @@ impl Sagitta {
         self.own_part.learn(own_part, BEND_RATE);
     }
 
-    /// The line of a finger of some half-width, told for the stretch that all are told for.
+    /// The line of a finger of some half-width, told for the stretch that all are told for: between the
+    /// whole and the front, by how much of the bend is its own.
     pub fn told(&mut self, line: FingerLine, half_width_px: f64) -> FingerLine {
         let Axis { anchor, angle_rad, tip } = line.axis;
         let ahead_px = (tip - anchor).dot(&line.axis.direction());
         self.half_width_px.learn(half_width_px, SIZE_RATE);
         self.far_px.learn(ahead_px + line.half_length_px, SIZE_RATE);
-        let far_px = self.far_px.value.min(FAR * self.half_width_px.value);
-        let near_px = NEAR * self.half_width_px.value;
+        let own_part = self.own_part.value;
+        let [whole, front] = [WHOLE, FRONT].map(|extent| self.step(&extent, &line, ahead_px));
+        let step = whole * (1.0 - own_part) + front * own_part;
+        let (anchor, angle_rad) = (anchor + line.axis.normal() * step.x, angle_rad + step.y);
+        FingerLine { axis: Axis::of_finger(anchor, angle_rad, ahead_px), ..line }
+    }
+
+    /// How far the line of least squares through another stretch lies from this one, beside its anchor,
+    /// which is so far behind the tip \[px\], and by how much it is turned \[rad\].
+    fn step(&self, extent: &Extent, line: &FingerLine, ahead_px: f64) -> Vector2<f64> {
+        let near_px = extent.near * self.half_width_px.value;
+        let far_px = self.far_px.value.min(extent.far * self.half_width_px.value);
         // From the middle of the line's stretch to that of the other, towards the tip.
-        let farthest_px = FARTHEST * line.half_length_px;
+        let farthest_px = extent.farthest * line.half_length_px;
         let by_px = (ahead_px - 0.5 * (far_px + near_px)).clamp(-farthest_px, farthest_px);
         let half_px = 0.5 * (far_px - near_px).max(0.0);
-        let curvature = self.curvature();
-        // The difference of both lines of least squares, beside the anchor.
         let squares = (half_px.powi(2) - line.half_length_px.powi(2)) / 3.0 - by_px * by_px;
-        let anchor = anchor + line.axis.normal() * (0.5 * curvature * squares);
-        let angle_rad = angle_rad + curvature * by_px;
-        FingerLine { axis: Axis::of_finger(anchor, angle_rad, ahead_px), ..line }
+        Vector2::new(0.5 * squares, by_px) * self.curvature()
     }
 
     /// By how much either end of a line may be misled, in parts of its half-length: nothing by a bend
@@ -121,13 +137,11 @@ impl Sagitta {
         (self.bend.value * self.bend.value - self.variance.value).max(0.0)
     }
 
-    /// The curvature of the medial line \[1/px\], drawn towards zero by as much as it may be noise or
-    /// shading.
+    /// The curvature of the medial line \[1/px\], drawn towards zero by as much as it may be noise.
     fn curvature(&self) -> f64 {
         let squared = self.bend.value * self.bend.value;
         if squared > 0.0 {
-            let bend = self.own_part.value * self.told_squared() / self.bend.value;
-            3.0 * bend / self.half_length_px.value
+            3.0 * self.told_squared() / (self.bend.value * self.half_length_px.value)
         } else {
             0.0
         }
@@ -150,10 +164,7 @@ mod tests {
     use nalgebra::{Matrix2, Point2};
 
     const HALF_PX: f64 = 30.0;
-    /// Contrast and scatter of a finger's pixels \[grey levels\], and how much of its bend is its own.
-    const CONTRAST_GREY: f64 = 80.0;
     const RESIDUAL_GREY: f64 = 2.0;
-    const OWN_PART: f64 = 1600.0 / 1825.0;
 
     fn refined(bend_px: f64, bend_sigma_px: f64, source: Source) -> Refined {
         let photometric = PhotometricReport {
@@ -166,7 +177,7 @@ mod tests {
             half_length_px: HALF_PX,
             bend_px,
             bend_sigma_px,
-            contrast_grey: [CONTRAST_GREY, -2.0 * CONTRAST_GREY],
+            contrast_grey: [1e9; 2],
             inside_grey: [0.0; 2],
             outside_grey: [0.0; 2],
             edge_px: [0.0; 2],
@@ -204,7 +215,7 @@ mod tests {
     }
 
     #[test]
-    fn of_a_finger_that_hardly_shows_only_a_part_of_the_bend_is_its_own() {
+    fn of_a_finger_that_hardly_shows_the_bend_takes_the_line_only_part_of_the_way_to_its_front() {
         let (curvature, half_width_px) = (2e-3, 7.0);
         let bend_px = curvature * HALF_PX * HALF_PX / 3.0;
         let turn = |faintest: f64, is_coloured: bool| {
@@ -213,15 +224,14 @@ mod tests {
             let photometric = look.photometric.map(|p| PhotometricReport { contrast_grey, ..p });
             let mut sagitta = Sagitta::default();
             sagitta.learn(&Refined { photometric, ..look }, is_coloured);
-            let line = line_over(curvature, 1.3 * FAR * half_width_px, NEAR * half_width_px);
+            let line = line_over(curvature, 9.0 * half_width_px, 0.0);
             sagitta.told(line, half_width_px).apart(&line.axis).y
         };
-        let whole = turn(1e6, true);
-        assert!(whole.abs() > 0.01, "{whole}");
-        assert!((turn(1.0, true) / whole - 0.5).abs() < 1e-6);
-        assert!((turn(-2.0, true) / whole - 0.8).abs() < 1e-6);
-        for none in [turn(0.0, true), turn(1e6, false)] {
-            assert!(none.abs() < 1e-12, "{none}");
+        let [whole, front] = [turn(1e9, false), turn(1e9, true)];
+        assert!((front - whole).abs() > 0.01, "{whole} {front}");
+        for (faintest, own_part) in [(0.0, 0.0), (1.0, 0.5), (-2.0, 0.8)] {
+            let expected = whole + own_part * (front - whole);
+            assert!((turn(faintest, true) - expected).abs() < 1e-9, "{faintest}");
         }
     }
 
@@ -261,7 +271,7 @@ mod tests {
     #[test]
     fn lines_of_different_stretches_are_told_for_one() {
         let (curvature, half_width_px) = (2e-3, 7.0);
-        let (far_px, near_px) = (FAR * half_width_px, NEAR * half_width_px);
+        let (far_px, near_px) = (FRONT.far * half_width_px, FRONT.near * half_width_px);
         let expected = line_over(curvature, far_px, near_px);
         let mut bent = Sagitta::default();
         bent.learn(&refined(curvature * HALF_PX * HALF_PX / 3.0, 0.0, Source::Photometric), true);
@@ -269,10 +279,8 @@ mod tests {
             let line = line_over(curvature, far_px + more_far_px, near_px + more_near_px);
             let mut sagitta = bent;
             let told = sagitta.told(line, half_width_px);
-            // What is left is the part of the bend that shading may feign.
-            let before = line.apart(&expected.told_beside(&line).axis);
-            let left = told.apart(&expected.told_beside(&told).axis) - before * (1.0 - OWN_PART);
-            assert!(left.x.abs() < 2e-3 && left.y.abs() < 2e-5, "{left} of {before}");
+            let apart = told.apart(&expected.told_beside(&told).axis);
+            assert!(apart.x.abs() < 2e-3 && apart.y.abs() < 2e-5, "{apart}");
             // A straight finger has one line.
             let straight = Sagitta::default().told(line, half_width_px);
             assert_eq!(straight.axis.anchor, line.axis.anchor);
@@ -286,7 +294,7 @@ mod tests {
         let mut sagitta = Sagitta::default();
         sagitta
             .learn(&refined(curvature * HALF_PX * HALF_PX / 3.0, 0.0, Source::Photometric), true);
-        let near_px = NEAR * half_width_px;
+        let near_px = FRONT.near * half_width_px;
         // What is always seen of this hand is what its line is told for.
         let short = line_over(curvature, 30.0, near_px);
         let apart = sagitta.told(short, half_width_px).apart(&short.axis);
@@ -294,7 +302,7 @@ mod tests {
         // Seen less of for once, its line is moved by a part of that.
         let shorter = line_over(curvature, 12.0, near_px);
         let turn = sagitta.told(shorter, half_width_px).apart(&shorter.axis).y;
-        let most = OWN_PART * curvature * FARTHEST * shorter.half_length_px;
+        let most = curvature * FRONT.farthest * shorter.half_length_px;
         assert!((turn.abs() - most).abs() < 1e-9, "{turn} {most}");
     }
 
