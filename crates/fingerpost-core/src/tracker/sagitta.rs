@@ -6,9 +6,11 @@
 //! squares over c ± h has the slope κ c and, at c, the offset κ (c² + h² / 3) / 2; so a stretch that
 //! lies 3 px further on turns the line of a hand in a picture by a quarter of a degree. Frame by frame
 //! other parts of the flanks are seen, and a template that was held up is not as long as one that was
-//! found. Therefore all lines are told for one stretch, in every view alike: for the front of the
-//! finger ([`FRONT`]), which points. They are measured on all of it, for a short stretch tells an angle
-//! badly, and taken to the front by the curvature that the pixels show ([`PhotometricReport::bend_px`]).
+//! found. Therefore all lines of a hand are told for one stretch: for the front of the finger
+//! ([`FRONT`]), which points. They are measured on all of it, for a short stretch tells an angle badly,
+//! and taken to the front by the curvature that the pixels show ([`PhotometricReport::bend_px`]), as far
+//! as that can be believed to be the finger's own ([`HALF_OWN`]); what cannot leaves them the lines of
+//! the whole ([`WHOLE`]).
 //!
 //! What is left, no average over frames removes: joints, nail and shading turn and shift a medial line
 //! as the bend does. How far another look at the same finger may differ is told from the bend, and
@@ -151,6 +153,7 @@ impl Sagitta {
 /// The part of the bend of such a look that is the finger's own, 0–1.
 fn own_part(report: &PhotometricReport) -> f64 {
     let [right, left] = report.contrast_grey.map(f64::abs);
+    // Rounding alone makes pixels scatter: this is no division by zero.
     let contrast = right.min(left) / report.residual_grey;
     contrast.powi(2) / (contrast.powi(2) + HALF_OWN.powi(2))
 }
