@@ -76,7 +76,7 @@ pub use options::{BisectorOptions, PhotometricOptions, RefineOptions};
 pub use round::RoundFinger;
 #[cfg(test)]
 pub(crate) use skin::tests::Painted;
-pub(crate) use skin::{Lie, Skin};
+pub(crate) use skin::{Area, Lie, Skin};
 pub use straightness::Bend;
 
 use crate::appearance::Appearance;

@@ -79,6 +79,7 @@ mod settle;
 mod shade;
 mod shape;
 mod sides;
+mod skins;
 mod standing;
 mod steady;
 mod tell;

@@ -4,7 +4,8 @@
 //! finger's own coordinates, s along it from the tip and d across it, they stay as they are, and a
 //! frame in which they lie elsewhere tells how the finger has moved and turned since. That is no line
 //! of its own: where the axis runs in the skin nobody knows but the edges. But it carries what many
-//! frames' edges have told from one to the next, before another background each time.
+//! frames' edges have told from one to the next, before another background each time. The same is done
+//! for a finger and the hand behind it together ([`Area`]): all that is said here of a finger holds.
 //!
 //! The model of a frame is I = g m(s, d) + o, with m the mean of the frames before, and gain and
 //! offset of the light free. It is fitted by Gauss–Newton over a shift along the finger, one across
@@ -30,12 +31,21 @@ const ELONGATION: f64 = 2.0;
 const ACROSS: f64 = 1.1;
 /// The finger is looked at over so much at most, in half-widths.
 const LONGEST: f64 = 10.0;
-/// Room for the cells of any finger.
+/// What is behind it of the hand is looked at from so far behind the tip to so far, in lengths of the
+/// finger, and so far across, in half-widths: an index finger is at one edge of its hand or the other.
+const BEHIND: f64 = 1.1;
+const HAND_LENGTH: f64 = 1.6;
+const HAND_ACROSS: f64 = 4.0;
+/// The cells of a hand are so many times as large as those of a finger.
+const COARSER: usize = 2;
+/// Room for the cells of any finger and of any hand.
 const ROWS: usize = 48;
-const COLUMNS: usize = 32;
+const COLUMNS: usize = 44;
 
 /// What a cell is expected to vary by at first, and at least \[grey levels²\].
 const FIRST_VARIANCE: f32 = 6.0;
+/// The same behind the finger: whether that is its hand is yet to be seen.
+const FIRST_VARIANCE_BEHIND: f32 = 100.0;
 const LEAST_VARIANCE: f32 = 2.0;
 /// Part of a frame that is learned once some are known.
 const RATE: f32 = 0.05;
@@ -47,14 +57,15 @@ const MEDIAN: f32 = 0.455;
 const LEAST_SCALE: f32 = 0.25;
 /// A frame that scatters by more than this, in squares, shows something else.
 const MOST_SCALE: f32 = 9.0;
-/// And so does one whose light differs by more than this factor.
-const MOST_GAIN: f32 = 2.0;
+/// And so does one whose shading is stronger or weaker by more than this factor: before white paper,
+/// which lights its dark side, a finger shows half as much of it as before wood.
+const MOST_GAIN: f32 = 4.0;
 /// As many of the cells have to lie in the picture and to agree.
 const LEAST_SEEN: f64 = 0.6;
-/// Rows and columns of a block, beyond which cells count as independent: on footage that was compressed
-/// their residuals correlate by 0.7 and 0.5 from cell to cell, by 0.1 over four.
+/// Rows and columns of a block of a finger's cells, beyond which they count as independent: on footage
+/// that was compressed their residuals correlate by 0.7 and 0.5 from cell to cell, by 0.1 over four.
 const BLOCK: [usize; 2] = [4, 6];
-/// Beside what was known before, so many cells count as one.
+/// Beside what was known before, so many of a finger's cells count as one.
 const CORRELATION: f64 = 9.0;
 /// Weighted residuals grow on average at least like so much of the residuals.
 const LEAST_SLOPE: f32 = 0.2;
@@ -84,9 +95,19 @@ struct Equations {
     agreeing: f64,
 }
 
+/// What of a hand a skin is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Area {
+    /// A finger.
+    Finger,
+    /// A finger, and what is behind it of its hand.
+    Hand,
+}
+
 /// A finger's skin, learned frame by frame.
 #[derive(Debug, Clone)]
 pub(crate) struct Skin {
+    area: Area,
     rows: usize,
     columns: usize,
     /// Size of a cell \[px\].
@@ -115,11 +136,27 @@ pub(crate) struct Lie {
     offset: f32,
 }
 
+impl Lie {
+    /// The same turned to an angle \[rad\] that is known besides, with a variance that is no more: the
+    /// offset moves along as far as its error goes with that of the angle.
+    pub fn turned_to(&self, angle_rad: f64, variance: f64) -> Self {
+        let Axis { anchor, tip, angle_rad: own_rad } = self.axis;
+        let own = self.covariance[(1, 1)];
+        let along = self.covariance.column(1) / own;
+        let turn_rad = (angle_rad - own_rad).sin().asin();
+        let anchor_moved = anchor + self.axis.normal() * (along.x * turn_rad);
+        let axis = Axis::of_finger(anchor_moved, own_rad + turn_rad, (tip - anchor).norm());
+        let covariance = self.covariance - along * along.transpose() * (own - variance);
+        Self { axis, covariance, ..*self }
+    }
+}
+
 impl Skin {
     /// None yet.
-    pub fn unseen() -> Self {
+    pub fn unseen(area: Area) -> Self {
         let cells = ROWS * COLUMNS;
         Self {
+            area,
             rows: 0,
             columns: 0,
             along_px: 1.0,
@@ -145,9 +182,13 @@ impl Skin {
         taper: f64,
         length_px: f64,
     ) -> bool {
-        self.across_px = (half_width_px / CELLS_ACROSS).max(1.0);
+        self.across_px = (half_width_px / CELLS_ACROSS).max(1.0) * self.coarser() as f64;
         self.along_px = ELONGATION * self.across_px;
-        let length_px = length_px.min(LONGEST * half_width_px);
+        let finger_px = length_px.min(LONGEST * half_width_px);
+        let length_px = match self.area {
+            Area::Finger => finger_px,
+            Area::Hand => HAND_LENGTH * finger_px,
+        };
         // One more on every side, for the slopes.
         self.rows = ((length_px / self.along_px) as usize + 3).min(ROWS);
         self.columns = COLUMNS - 1;
@@ -159,7 +200,8 @@ impl Skin {
             let half_px = half_width_px + taper * (ahead_px - back_px);
             // The end is round.
             let over_px = (end_px - back_px).max(0.0);
-            let reach_px = ACROSS * (half_px * half_px - over_px * over_px).max(0.0).sqrt();
+            let across = if back_px > BEHIND * finger_px { HAND_ACROSS } else { ACROSS };
+            let reach_px = across * (half_px * half_px - over_px * over_px).max(0.0).sqrt();
             let reach = ((reach_px / self.across_px) as usize).min(self.columns / 2 - 1);
             let middle = self.columns / 2;
             let is_border = row == 0 || row + 1 == self.rows;
@@ -173,6 +215,10 @@ impl Skin {
             levels.clear();
             levels.resize(all, value);
         }
+        if self.area == Area::Hand {
+            let behind = (BEHIND * finger_px / self.along_px) as usize * self.columns;
+            self.variance.iter_mut().skip(behind).for_each(|v| *v = FIRST_VARIANCE_BEHIND);
+        }
         self.frames = 1.0;
         self.look(image, &self.middle_of(axis));
         self.mean.copy_from_slice(&self.now);
@@ -184,6 +230,19 @@ impl Skin {
     pub fn middle_of(&self, axis: &Axis) -> Axis {
         let tip = axis.anchor + axis.direction() * (axis.tip - axis.anchor).dot(&axis.direction());
         Axis { anchor: tip + axis.direction() * self.middle_px(), tip, ..*axis }
+    }
+
+    /// How many times as large its cells are as those of a finger.
+    fn coarser(&self) -> usize {
+        match self.area {
+            Area::Finger => 1,
+            Area::Hand => COARSER,
+        }
+    }
+
+    /// So many of its cells count as one.
+    fn correlation(&self) -> f64 {
+        CORRELATION / (self.coarser() * self.coarser()) as f64
     }
 
     /// s of the middle \[px\].
@@ -231,6 +290,7 @@ impl Skin {
     pub fn find(&mut self, image: &GrayView<'_>, near: &Axis) -> Option<Lie> {
         let start = self.middle_of(near);
         let (mut axis, mut light, mut along_px) = (start, [1.0, 0.0], 0.0);
+        let correlation = self.correlation();
         for iteration in 1..=ITERATIONS {
             self.look(image, &axis);
             let scale = self.scale(light)?;
@@ -239,9 +299,9 @@ impl Skin {
                 return None;
             }
             let prior = prior();
-            let mut right = told.right / CORRELATION;
+            let mut right = told.right / correlation;
             right[0] -= along_px * prior[(0, 0)];
-            let inverse = (told.information / CORRELATION + prior).try_inverse()?;
+            let inverse = (told.information / correlation + prior).try_inverse()?;
             let step: Vector = inverse * right;
             along_px += step[0];
             let (e, n) = (axis.direction(), axis.normal());
@@ -252,7 +312,7 @@ impl Skin {
             if moved_px < SETTLED_PX || (iteration == ITERATIONS && moved_px < LOOSE_PX) {
                 let [gain, offset] = light;
                 let is_it = scale <= MOST_SCALE && (1.0 / MOST_GAIN..=MOST_GAIN).contains(&gain);
-                let scatter = told.scatter / (CORRELATION * CORRELATION) + prior;
+                let scatter = told.scatter / (correlation * correlation) + prior;
                 let covariance = inverse * scatter * inverse;
                 let covariance = covariance.fixed_view::<2, 2>(1, 1).into_owned();
                 return is_it.then_some(Lie { axis, covariance, gain, offset });
@@ -281,12 +341,13 @@ impl Skin {
     /// The normal equations of a step in such a light, where residuals scatter like this.
     fn equations(&self, [gain, offset]: [f32; 2], scale: f32) -> Equations {
         let mut sums = [[0.0_f32; UNKNOWNS + 1]; UNKNOWNS];
-        let mut blocks = [[0.0_f32; UNKNOWNS]; COLUMNS / BLOCK[1] + 1];
+        let mut blocks = [[0.0_f32; UNKNOWNS]; COLUMNS * COARSER / BLOCK[1] + 1];
         let mut scatter = Information::zeros();
         let (mut agreeing, mut weights, mut slopes) = (0.0, 0.0, 0.0);
         let (per_along, per_across) = (0.5 / self.along_px as f32, 0.5 / self.across_px as f32);
         let cutoff = 1.0 / (CUTOFF * CUTOFF * scale);
         let middle_px = self.middle_px();
+        let [block_rows, block_columns] = BLOCK.map(|cells| cells / self.coarser());
         for (row, &[from, to]) in self.used.iter().enumerate() {
             let from_middle = (self.s(row) - middle_px) as f32;
             for column in from..to {
@@ -314,10 +375,10 @@ impl Skin {
                         sums[k][j] += weighted * told[j];
                     }
                     sums[k][UNKNOWNS] += weighted * residual;
-                    blocks[column / BLOCK[1]][k] += weighted * residual;
+                    blocks[column / block_columns][k] += weighted * residual;
                 }
             }
-            if (row + 1) % BLOCK[0] == 0 || row + 1 == self.used.len() {
+            if (row + 1) % block_rows == 0 || row + 1 == self.used.len() {
                 for block in &mut blocks {
                     let block = Vector::from(std::mem::take(block).map(f64::from));
                     scatter += block * block.transpose();
@@ -375,6 +436,8 @@ pub(crate) mod tests {
         /// Shading across it and creases along it \[grey levels\]; without, it is even.
         pub texture: f64,
         pub gain: f64,
+        /// How its hand is turned beside it, about the finger's middle; there may be none.
+        pub hand_rad: Option<f64>,
         /// Where the stripes behind it begin \[px\].
         pub stripes_px: f64,
         pub noise: f64,
@@ -387,7 +450,8 @@ pub(crate) mod tests {
         pub(crate) fn at(tip: [f64; 2], angle_rad: f64) -> Self {
             let tip = Point2::from(tip);
             let [texture, gain, stripes_px, noise] = [20.0, 1.0, 0.0, 0.0];
-            Self { tip, angle_rad, texture, gain, stripes_px, noise, spread_px: 0, seed: 1 }
+            let (hand_rad, spread_px, seed) = (None, 0, 1);
+            Self { tip, angle_rad, texture, gain, hand_rad, stripes_px, noise, spread_px, seed }
         }
 
         pub(crate) fn axis(&self) -> Axis {
@@ -401,10 +465,26 @@ pub(crate) mod tests {
             let (s, d) = (from_tip.dot(&axis.direction()), from_tip.dot(&axis.normal()));
             let outside = d.hypot((s + HALF_WIDTH_PX).max(0.0)) - HALF_WIDTH_PX;
             let depth = (1.0 - (d / HALF_WIDTH_PX).powi(2)).max(0.0).sqrt();
-            let crease = (0.31 * s + 0.4 * d).sin() + (0.17 * s - 0.25 * d).cos();
-            let skin = 140.0 + self.texture * (depth + 0.5 * crease);
+            let skin = self.skin(depth, s, d);
             let behind = 90.0 + 15.0 * (0.4 * (x - 0.5 * y) + self.stripes_px).sin();
+            let behind = self.hand(x, y).map_or(behind, |[hand, outside]| {
+                behind + (hand - behind) / (1.0 + (2.0 * outside).exp())
+            });
             behind + (skin - behind) / (1.0 + (2.0 * outside).exp())
+        }
+
+        fn skin(&self, depth: f64, s: f64, d: f64) -> f64 {
+            let crease = (0.31 * s + 0.4 * d).sin() + (0.17 * s - 0.25 * d).cos();
+            140.0 + self.texture * (depth + 0.5 * crease)
+        }
+
+        /// Level of the hand, from 52 px behind the tip on and 44 px across, and how far outside of it
+        /// a place is.
+        fn hand(&self, x: f64, y: f64) -> Option<[f64; 2]> {
+            let axis = Axis { angle_rad: self.angle_rad + self.hand_rad?, ..self.axis() };
+            let from_middle = Point2::new(x, y) - axis.anchor;
+            let (s, d) = (from_middle.dot(&axis.direction()), from_middle.dot(&axis.normal()));
+            Some([self.skin(0.5, 1.3 * s, 0.7 * d), (s + 22.0).max(d.abs() - 22.0)])
         }
 
         pub(crate) fn bytes(&self) -> Vec<u8> {
@@ -444,7 +524,7 @@ pub(crate) mod tests {
     }
 
     fn drawn(painted: &Painted) -> Skin {
-        let mut skin = Skin::unseen();
+        let mut skin = Skin::unseen(Area::Finger);
         let seen =
             painted.show(|image| skin.draw(image, &painted.axis(), HALF_WIDTH_PX, 0.0, LENGTH_PX));
         assert!(seen);
@@ -473,6 +553,17 @@ pub(crate) mod tests {
             assert!(offset_px.abs() < 0.08 && angle.abs() < 0.003, "{tip:?}: {offset_px} {angle}");
             assert!((f64::from(lie.gain) - gain).abs() < 0.05, "{}", lie.gain);
         }
+    }
+
+    #[test]
+    fn skin_is_found_in_four_tenths_of_the_light() {
+        let mut skin = drawn(&Painted::at([110.0, 70.0], 0.4));
+        let painted = Painted { gain: 0.4, ..Painted::at([112.3, 68.4], 0.43) };
+        let near = Painted::at([112.8, 67.4], 0.41).axis();
+        let lie = painted.show(|image| skin.find(image, &near)).unwrap();
+        let [offset_px, angle] = off(&lie, &painted);
+        assert!(offset_px.abs() < 0.08 && angle.abs() < 0.003, "{offset_px} {angle}");
+        assert!((lie.gain - 0.4).abs() < 0.05, "{}", lie.gain);
     }
 
     #[test]
@@ -516,6 +607,24 @@ pub(crate) mod tests {
         for ratio in squared_in_told(3.0, 1) {
             assert!((0.7..1.3).contains(&ratio), "{ratio}");
         }
+    }
+
+    #[test]
+    fn a_lie_takes_over_an_angle_as_one_more_look_at_it_would() {
+        let axis = Axis::of_finger(Point2::new(40.0, 30.0), 0.3, 20.0);
+        let covariance = Matrix2::new(0.04, 0.002, 0.002, 4e-4);
+        let lie = Lie { axis, covariance, gain: 1.0, offset: 0.0 };
+        // A look at the angle alone, of the same variance, halves that.
+        let (other_rad, other) = (0.33, 4e-4);
+        let gain = covariance.column(1) / (covariance[(1, 1)] + other);
+        let step = gain * (other_rad - axis.angle_rad);
+        let expected = covariance - gain * covariance.row(1);
+        let told = lie.turned_to(axis.angle_rad + step.y, expected[(1, 1)]);
+        assert!((told.covariance - expected).norm() < 1e-12, "{}", told.covariance);
+        let moved = axis.normal().dot(&(told.axis.anchor - axis.anchor));
+        assert!((moved - step.x).abs() < 1e-12, "{moved} {}", step.x);
+        assert!((told.axis.angle_rad - 0.315).abs() < 1e-12);
+        assert!(((told.axis.tip - told.axis.anchor).norm() - 20.0).abs() < 1e-9);
     }
 
     #[test]

@@ -1,10 +1,10 @@
 //! A finger line that frame after frame has a say in.
 //!
 //! Before wood, the line of one frame is off by half a degree: here and there an edge is the grain's.
-//! The next frame is off by as much, but otherwise, for the hand has moved on. The finger's skin
-//! ([`Skin`]) tells how it moved and turned in between, so that the lines of all frames can be told on
-//! it: how the axis runs in the skin is a constant that drifts slowly, as the hand turns and other
-//! light falls on it, and a Kalman filter learns it.
+//! The next frame is off by as much, but otherwise, for the hand has moved on. Its skin ([`Skins`])
+//! tells how the finger moved and turned in between, so that the lines of all frames can be told on
+//! it: how the axis runs in the skin is a constant that drifts slowly ([`drift`]), as the hand turns and
+//! other light falls on it, and a Kalman filter learns it.
 //!
 //! The lines' errors are not independent. As long as the hand rests, the same grain lies behind it,
 //! and the next line errs as the last; how much of an error is new grows with the distance that the
@@ -24,17 +24,12 @@
 //! adjustment by least squares, all are that much less sure.
 
 use super::line::{CONTRADICTION, FingerLine};
+use super::skins::{Skins, drift};
 use crate::image::GrayView;
-use crate::refine::{Lie, Skin};
+use crate::refine::Lie;
 use crate::shape_space::Axis;
 use nalgebra::{Matrix2, Vector2};
 
-/// How the axis drifts in the skin: variance of its offset \[half-widths²\] and angle \[rad²\] for
-/// every half-width that the finger moves, and for every second; of its angle besides for every
-/// rad² that it turns.
-const DRIFT_PER_WIDTH: [f64; 2] = [5e-5, 2e-6];
-const DRIFT_PER_S: [f64; 2] = [1e-4, 4e-6];
-const DRIFT_PER_TURN: f64 = 2.5e-3;
 /// The errors of two lines correlate by exp(−distance / this), in half-widths.
 const FRESH_WIDTHS: f64 = 0.5;
 /// They are never taken for the same altogether: pixels have noise of their own.
@@ -64,7 +59,7 @@ const SKIN_PART: f64 = 0.9;
 /// What the frames so far have told of a hand's line.
 #[derive(Debug, Clone)]
 pub(super) struct Steady {
-    skin: Skin,
+    skins: Skins,
     known: Option<Known>,
 }
 
@@ -154,7 +149,7 @@ pub(super) struct Shown {
 
 impl Steady {
     pub fn new() -> Self {
-        Self { skin: Skin::unseen(), known: None }
+        Self { skins: Skins::unseen(), known: None }
     }
 
     /// Another hand, or the same in another pose: nothing is known of it.
@@ -185,8 +180,8 @@ impl Steady {
     fn begin(&mut self, image: &GrayView<'_>, time_s: f64, line: &FingerLine, shown: &Shown) {
         let Shown { half_width_px, taper, length_px } = *shown;
         let axis = &line.axis;
-        let is_seen = self.skin.draw(image, axis, half_width_px, taper, SKIN_PART * length_px);
-        let lay = self.skin.middle_of(axis);
+        let is_seen = self.skins.draw(image, axis, half_width_px, taper, SKIN_PART * length_px);
+        let lay = self.skins.middle_of(axis);
         let covariance = line.told_at(&lay).covariance;
         self.known = is_seen.then(|| Known {
             line: Vector2::zeros(),
@@ -209,7 +204,8 @@ impl Steady {
         line: FingerLine,
         known: Known,
     ) -> Option<FingerLine> {
-        let lie = self.skin.find(image, &self.expected(&line, &known))?;
+        let lies = self.skins.find(image, &self.expected(&line, &known), time_s)?;
+        let lie = lies.together;
         let (known, gone) = known.carried(&lie, time_s);
         let look = Look::of(line, &lie, &known, gone)?;
         let (known, told) = if let Some(rest) = known.rest {
@@ -218,13 +214,13 @@ impl Steady {
             known.moved(&look)?
         };
         self.known = Some(known);
-        self.skin.learn(&lie);
+        self.skins.learn(&lies);
         Some(known.weighed(told))
     }
 
     /// Where the skin would lie if this line were right.
     fn expected(&self, line: &FingerLine, known: &Known) -> Axis {
-        let here = line.told_at(&self.skin.middle_of(&line.axis)).axis;
+        let here = line.told_at(&self.skins.middle_of(&line.axis)).axis;
         let anchor = here.anchor - here.normal() * known.line.x;
         let ahead_px = (here.tip - here.anchor).norm();
         Axis::of_finger(anchor, here.angle_rad - known.line.y, ahead_px)
@@ -236,10 +232,9 @@ impl Known {
     fn carried(self, lie: &Lie, time_s: f64) -> (Self, f64) {
         let w = self.half_width_px;
         let gone = (lie.axis.anchor - self.lay.anchor).norm() / w;
-        let turned = (lie.axis.angle_rad - self.lay.angle_rad).sin();
-        let passed_s = (time_s - self.time_s).max(0.0);
-        let drift = |k: usize| DRIFT_PER_WIDTH[k] * gone + DRIFT_PER_S[k] * passed_s;
-        let own = Vector2::new(w * w * drift(0), drift(1) + DRIFT_PER_TURN * turned * turned);
+        let turned_rad = lie.axis.angle_rad - self.lay.angle_rad;
+        let [offset, angle] = drift(gone, time_s - self.time_s, turned_rad);
+        let own = Vector2::new(w * w * offset, angle);
         let rests =
             |rest: &Rest| (lie.axis.anchor - rest.first.anchor).norm() < ONE_LOOK_WIDTHS * w;
         let rest = self.rest.filter(rests);
