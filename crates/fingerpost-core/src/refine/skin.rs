@@ -185,9 +185,9 @@ impl Skin {
         self.across_px = (half_width_px / CELLS_ACROSS).max(1.0) * self.coarser() as f64;
         self.along_px = ELONGATION * self.across_px;
         let finger_px = length_px.min(LONGEST * half_width_px);
-        let length_px = match self.area {
-            Area::Finger => finger_px,
-            Area::Hand => HAND_LENGTH * finger_px,
+        let (length_px, behind_px) = match self.area {
+            Area::Finger => (finger_px, f64::INFINITY),
+            Area::Hand => (HAND_LENGTH * finger_px, BEHIND * finger_px),
         };
         // One more on every side, for the slopes.
         self.rows = ((length_px / self.along_px) as usize + 3).min(ROWS);
@@ -200,7 +200,7 @@ impl Skin {
             let half_px = half_width_px + taper * (ahead_px - back_px);
             // The end is round.
             let over_px = (end_px - back_px).max(0.0);
-            let across = if back_px > BEHIND * finger_px { HAND_ACROSS } else { ACROSS };
+            let across = if back_px > behind_px { HAND_ACROSS } else { ACROSS };
             let reach_px = across * (half_px * half_px - over_px * over_px).max(0.0).sqrt();
             let reach = ((reach_px / self.across_px) as usize).min(self.columns / 2 - 1);
             let middle = self.columns / 2;
@@ -215,9 +215,10 @@ impl Skin {
             levels.clear();
             levels.resize(all, value);
         }
-        if self.area == Area::Hand {
-            let behind = (BEHIND * finger_px / self.along_px) as usize * self.columns;
-            self.variance.iter_mut().skip(behind).for_each(|v| *v = FIRST_VARIANCE_BEHIND);
+        for (row, variances) in self.variance.chunks_exact_mut(self.columns).enumerate() {
+            if row as f64 * self.along_px > behind_px {
+                variances.fill(FIRST_VARIANCE_BEHIND);
+            }
         }
         self.frames = 1.0;
         self.look(image, &self.middle_of(axis));
@@ -564,6 +565,22 @@ pub(crate) mod tests {
         let [offset_px, angle] = off(&lie, &painted);
         assert!(offset_px.abs() < 0.08 && angle.abs() < 0.003, "{offset_px} {angle}");
         assert!((lie.gain - 0.4).abs() < 0.05, "{}", lie.gain);
+    }
+
+    #[test]
+    fn no_row_of_a_finger_is_wider_than_it() {
+        // The shorter a finger is in cells, the nearer its last row is to where a hand would begin.
+        for half_width_px in [1.5, 3.0, 8.0, 20.0] {
+            for length in [1.0, 3.0, 5.0, 12.0] {
+                let painted = Painted::at([110.0, 70.0], 0.4);
+                let mut skin = Skin::unseen(Area::Finger);
+                let length_px = length * half_width_px;
+                painted.show(|i| skin.draw(i, &painted.axis(), half_width_px, 0.0, length_px));
+                let widest = skin.used.iter().map(|[from, to]| to - from).max().unwrap();
+                let most = 2.0 * ACROSS * half_width_px / skin.across_px + 1.0;
+                assert!(widest as f64 <= most, "{half_width_px} {length}: {widest} {most}");
+            }
+        }
     }
 
     #[test]
