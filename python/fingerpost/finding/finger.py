@@ -149,12 +149,26 @@ def are_near(one: StartPose, other: StartPose, reach_px: float, turn_rad: float)
 
 
 PROVEN_MOTION = 2.0
-"""A finger that has moved by so many half-widths is no edge of the table."""
+"""A finger that has moved by so many half-widths is elsewhere."""
 
 
 def has_moved(before: FingerLine, now: FingerLine) -> bool:
-    """Tell whether a finger has moved by more than an edge of the table ever seems to."""
+    """Tell whether a finger is farther from where it was than noise ever puts it."""
     return _motion(before, now) > PROVEN_MOTION
+
+
+def has_moved_across(before: FingerLine, now: FingerLine) -> bool:
+    """Tell whether a finger has moved across its length, as no edge of the table ever seems to.
+
+    Along it, a template slides on an edge as far as that goes: where a hand covers the rest, it
+    goes where the edge still shows.
+    """
+    across = np.array([-np.sin(before.angle_rad), np.cos(before.angle_rad)])
+    aside_px = [
+        abs(across @ np.subtract(now.tip_px, before.tip_px)),
+        abs(across @ np.subtract(now.anchor_px, before.anchor_px)),
+    ]
+    return bool(max(aside_px) > PROVEN_MOTION * _half_width_px(before))
 
 
 STILL = 0.3
@@ -187,9 +201,12 @@ def is_left_behind(lines: Sequence[FingerLine], others: Sequence[FingerLine]) ->
 
 def _motion(before: FingerLine, now: FingerLine) -> float:
     """Return how far a tip has moved [half-widths]."""
-    length_px = 2.0 * np.hypot(*np.subtract(before.tip_px, before.anchor_px))
-    moved_px = np.hypot(*np.subtract(now.tip_px, before.tip_px))
-    return float(moved_px / (HALF_WIDTH * length_px))
+    return math.dist(now.tip_px, before.tip_px) / _half_width_px(before)
+
+
+def _half_width_px(line: FingerLine) -> float:
+    """Return half the usual width of a finger as long as the line."""
+    return HALF_WIDTH * 2.0 * math.dist(line.tip_px, line.anchor_px)
 
 
 def hand_region(line: FingerLine) -> tuple[Array, Array, float]:

@@ -13,7 +13,13 @@ import numpy as np
 
 from fingerpost._core import Background, ContourTracker, FingerLine, StartPose
 from fingerpost.capture import Frame
-from fingerpost.finding.finger import LATELY, hand_region, has_moved, moves
+from fingerpost.finding.finger import (
+    LATELY,
+    hand_region,
+    has_moved,
+    has_moved_across,
+    moves,
+)
 from fingerpost.finding.foreground import has_come, has_come_whole, stands_out
 
 IS_FLAT = 0.4
@@ -163,7 +169,7 @@ class FirstHand:
             self.is_proven = self.is_newcomer = True
         elif (
             self._second is None
-            and has_moved(earliest, line)
+            and has_moved_across(earliest, line)
             and stands_out(self._background, frame, line)
         ):
             self.is_proven = True
