@@ -273,6 +273,37 @@ def test_what_comes_to_a_template_takes_the_place_of_nothing_that_moves(monkeypa
     assert comer in [seen(340.0) for _ in range(5)]
 
 
+@pytest.mark.parametrize(
+    ("gone_px", "turned_rad", "is_proven"),
+    [
+        ((0.0, 40.0), 0.0, True),
+        ((0.0, -40.0), 0.0, True),
+        ((0.0, 0.0), 0.8, True),
+        ((40.0, 0.0), 0.0, False),
+        ((-40.0, 5.0), 0.05, False),
+        ((0.0, 0.0), 0.0, False),
+    ],
+)
+def test_what_has_slid_along_itself_under_a_hand_is_no_hand(
+    monkeypatch, gone_px, turned_rad, is_proven
+):
+    # An edge of the table that a template waits at shows beyond the hand that has covered it.
+    for question, answer in (("has_come", False), ("stands_out", True)):
+        monkeypatch.setattr(first_hand, question, lambda *_, answer=answer: answer)
+    view = FirstHand(LearnedBackground(), None, lambda: None)
+    frame = Frame(0, 0.0, np.zeros((240, 640), np.uint8))
+
+    def line(tip_px: tuple[float, float], angle_rad: float) -> SimpleNamespace:
+        behind = 30.0 * np.array([np.cos(angle_rad), np.sin(angle_rad)])
+        anchor_px = tuple((np.array(tip_px) - behind).tolist())
+        return SimpleNamespace(tip_px=tip_px, anchor_px=anchor_px, angle_rad=angle_rad)
+
+    view.prove(frame, line((300.0, 100.0), 0.0))
+    assert not view.is_proven
+    view.prove(frame, line((300.0 + gone_px[0], 100.0 + gone_px[1]), turned_rad))
+    assert view.is_proven is is_proven
+
+
 def test_a_hand_that_waits_in_the_first_frame_is_found():
     motion = Trajectory.hold(OVER_THE_TABLE, 0.8).then(
         Trajectory.through([OVER_THE_TABLE, NEXT_TO_IT], 0.2)
@@ -595,10 +626,12 @@ class SearchedLines:
 class Fitted:
     """A template that has been fitted to a finger that points right, and says so of every frame."""
 
-    def __init__(self, length_px: float, half_width_px: float) -> None:
+    def __init__(self, length_px: float, half_width_px: float, variance: float = 1.0) -> None:
         self.length_px = length_px
         self.track = SimpleNamespace(
-            finger_line=SimpleNamespace(tip_px=(100.0, 50.0), angle_rad=0.0),
+            finger_line=SimpleNamespace(
+                tip_px=(100.0, 50.0), angle_rad=0.0, covariance=np.diag([0.1, 1e-4 * variance])
+            ),
             shape_vector=[half_width_px],
             shape_names=("half_width [px]",),
         )
@@ -628,6 +661,26 @@ def test_a_longer_template_that_shows_a_finger_of_another_width_follows_another(
     assert (tracker is not stub) is is_same
     assert lengthening.is_long is is_same
     assert track is tracker.track
+
+
+@pytest.mark.parametrize(("variance", "at_once"), [(0.4, True), (0.6, False), (1.5, False)])
+def test_a_finger_that_is_long_enough_gives_way_at_once_to_one_that_is_twice_as_sure(
+    variance, at_once
+):
+    seen = []
+
+    def longer(start: StartPose, half_width_px: float) -> Fitted:
+        seen.append(Fitted(start.length_px, half_width_px, variance))
+        return seen[-1]
+
+    enough = Fitted(60.0, 8.0)
+    lengthening = Lengthening(longer, 8.0)
+    lengthening.is_long = True
+    frames = [Frame(k, k / FPS, np.zeros((8, 8), np.uint8)) for k in range(2)]
+    first, _ = lengthening.look(enough, enough.track, frames[0])
+    assert first is (seen[0] if at_once else enough)
+    # What follows well waits for one more frame.
+    assert lengthening.look(first, first.track, frames[1]) == (seen[0], seen[0].track)
 
 
 @pytest.mark.parametrize(

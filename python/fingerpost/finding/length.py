@@ -38,6 +38,10 @@ hand again need be no longer than the one that had followed it."""
 LONGER = 1.1
 """One that is not longer by this factor than what follows already is not worth a change."""
 
+SURER = 0.5
+"""A longer template whose direction has at most this part of the variance takes over at once: what
+follows already does not follow well beside it."""
+
 LOOKS = 3
 """How often each of them looks at the frame: its colours, known from the first look, bring out
 flanks that grey hides, and with them the width."""
@@ -92,7 +96,7 @@ class Lengthening:
     ) -> tuple[ContourTracker, Track]:
         """Return a longer template that this frame shows all of, or else what follows already.
 
-        What follows well gives way to what has followed for a frame, too.
+        What follows well gives way to what has followed for a frame, too; what does not, at once.
 
         Parameters
         ----------
@@ -124,6 +128,8 @@ class Lengthening:
             least = min(self._long, SHORT) if is_all else self._long
             self.is_long, self._interval = length >= least or longest is not None, 1
             return longest or (tracker, track)
+        if longest is not None and _is_surer(longest[1], line):
+            return longest
         self._longer = longest[0] if longest is not None else None
         return tracker, track
 
@@ -161,6 +167,12 @@ class Lengthening:
             StartPose(one.tip_px, one.angle_rad, self._half_width_px) for one in (line, other)
         )
         return are_near(here, there, 2.0 * self._half_width_px, SAME_TURN_RAD)
+
+
+def _is_surer(longer: Track, line: FingerLine) -> bool:
+    """Tell whether a longer template knows the direction much better than the line does."""
+    other = longer.finger_line
+    return other is not None and bool(other.covariance[1, 1] <= SURER * line.covariance[1, 1])
 
 
 SEEN_PART = 0.85
