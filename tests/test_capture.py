@@ -20,7 +20,7 @@ import cv2
 import numpy as np
 import pytest
 
-from fingerpost.capture import Frame, SourceKind, open_source, read_views
+from fingerpost.capture import Frame, SourceKind, open_source, opening, read_views
 from fingerpost.capture.live import LiveSource
 from fingerpost.capture.opening import STILL_FRAMES, refuse_repeated
 from fingerpost.capture.video import FrameTimes
@@ -481,6 +481,18 @@ def test_views_that_read_one_source_are_refused(tmp_path, monkeypatch):
     refuse_repeated({"left": "1.png", "right": "2.png", "above": 0, "below": 1})
     # Names that stand for sources which nobody opens.
     refuse_repeated({"left": "none.mp4", "right": "none.mp4", "above": "a\0b", "below": "a\0b"})
+
+
+def test_a_camera_is_the_same_by_its_number_and_by_its_file(tmp_path, monkeypatch):
+    monkeypatch.setattr(opening, "_CAMERA_FILE", str(tmp_path / "video{}"))
+    for number in (0, 2):
+        (tmp_path / f"video{number}").touch()
+    by_name = tmp_path / "webcam-on-the-left"
+    by_name.symlink_to("video2")
+    for file, number in ((tmp_path / "video0", 0), (by_name, 2)):
+        with pytest.raises(InvalidInputError, match=f"both read {tmp_path}/video{number}; each"):
+            refuse_repeated({"left": str(file), "right": number})
+    refuse_repeated({"left": str(by_name), "right": 0, "above": 1})
 
 
 def test_a_file_that_may_not_be_read_is_named(tmp_path, monkeypatch):

@@ -179,17 +179,31 @@ def refuse_repeated(sources: Mapping[str, str | int]) -> None:
     """
     taken: dict[str | int, str] = {}
     for view, source in sources.items():
-        files = source_files(source)
-        # What does not exist is refused by whoever opens it; path.exists would raise where no file
-        # can have such a name.
-        existing = [os.path.realpath(path) for path in files if os.path.exists(path)]  # noqa: PTH110
-        for read in existing if files else [source]:
+        for read in _what_is_read(source):
             other = taken.setdefault(read, view)
             if other != view:
                 raise InvalidInputError(
                     f'views "{other}" and "{view}" both read {masked(read)}; each needs a source '
                     "of its own"
                 )
+
+
+_CAMERA_FILE = "/dev/video{}"
+"""A numbered camera, where cameras are files."""
+
+
+def _what_is_read(source: str | int) -> list[str | int]:
+    """Return what a source reads, each by one name; of files those that exist.
+
+    What does not exist is refused by whoever opens it.
+    """
+    if isinstance(source, str) and _is_url(source):
+        return [source]
+    is_camera = isinstance(source, int)
+    files = [Path(_CAMERA_FILE.format(source))] if is_camera else source_files(source)
+    # Path.exists would raise where no file can have such a name.
+    existing = [os.path.realpath(path) for path in files if os.path.exists(path)]  # noqa: PTH110
+    return [source] if is_camera and not existing else [*existing]
 
 
 def _is_url(source: str) -> bool:
