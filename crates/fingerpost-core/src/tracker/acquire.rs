@@ -239,7 +239,9 @@ impl ContourTracker {
             && slid[2].sin().abs() <= MOST_TURNED_RAD;
         let accepted = stays
             && frozen.is_accepted(&self.options.track.accept)
-            && stands_out(self.told_apart(frame), || self.stands_free(frame, &frozen.shape));
+            && stands_out(self.told_apart(frame), frozen.explains_finger(), || {
+                self.stands_free(frame, &frozen.shape)
+            });
         if accepted {
             self.hand.shape = frozen.shape;
         }
