@@ -28,6 +28,7 @@ from fingerpost.finding import (
     are_one,
     are_two,
     can_be_one,
+    compare_lengths,
     compare_widths,
     first_hand,
     flatness,
@@ -968,6 +969,7 @@ def test_pictures_of_twice_the_size_show_the_same():
 
 
 TIP_MM = (200.0, 150.0, 120.0)
+TARGET_MM = (200.0, 260.0, 0.0)
 ANOTHER_MM = (200.0, 150.0, 200.0)  # off the first one's epipolar lines: along them nothing tells
 
 
@@ -991,9 +993,10 @@ class Following:
         self.search = HandSearch()
         self.is_searching = False
         self.odd_width = None
+        self.foreshortening = None
         self.track = None
         if tip_mm is not None:
-            tip, aim = camera.project(np.array([tip_mm, (200.0, 260.0, 0.0)]))
+            tip, aim = camera.project(np.array([tip_mm, TARGET_MM]))
             angle_rad = float(np.arctan2(*(aim - tip)[::-1])) + turn
             back = 30.0 * np.array([np.cos(angle_rad), np.sin(angle_rad)])
             line = SimpleNamespace(
@@ -1038,7 +1041,7 @@ def test_views_that_follow_one_finger_or_two_are_told(other_tip_mm, turn, one_fi
 
 def line_to(tip_mm: tuple, camera: Camera) -> FingerLine:
     """A line from a tip over the table towards its middle."""
-    tip, aim = camera.project(np.array([tip_mm, (200.0, 260.0, 0.0)]))
+    tip, aim = camera.project(np.array([tip_mm, TARGET_MM]))
     angle_rad = float(np.arctan2(*(aim - tip)[::-1]))
     anchor = tip - 30.0 * np.array([np.cos(angle_rad), np.sin(angle_rad)])
     return FingerLine(anchor, angle_rad, np.diag([1e-4, 1e-7]), tip, 0.0, 30.0, 7.0)
@@ -1373,6 +1376,57 @@ def test_fingers_of_one_tip_that_are_seen_unlike_wide_are_two_and_give_no_point(
         assert one.odd_width == pytest.approx(-other.odd_width)
         assert np.sign(other.odd_width) == np.sign(half_width_px - 7.0) or is_one
         assert (can_be_one((one, other)), are_two((one, other))) == (is_one, not is_one)
+
+
+@pytest.mark.parametrize("tip_mm", [(200.0, 150.0, 60.0), (120.0, 220.0, 180.0), ANOTHER_MM])
+def test_two_views_tell_each_other_how_much_shorter_they_show_a_finger(tip_mm):
+    rig = SimulatedRig()
+    views = [Following(camera, rig, tip_mm, half_width_px=7.0) for camera in rig.cameras]
+    compare_lengths(views)
+    finger = np.array(TARGET_MM) - tip_mm
+    for view, camera in zip(views, rig.cameras, strict=True):
+        ray = camera.centre_mm - tip_mm
+        sine = np.linalg.norm(np.cross(ray, finger))
+        expected = sine / (np.linalg.norm(ray) * np.linalg.norm(finger))
+        assert view.foreshortening == pytest.approx(expected, abs=0.005)
+
+
+def test_a_hand_that_turns_is_shown_shorter_little_by_little():
+    rig = SimulatedRig()
+    now = [Following(camera, rig, TIP_MM, half_width_px=7.0) for camera in rig.cameras]
+    compare_lengths(now)
+    for view in now:
+        told = view.foreshortening
+        view.foreshortening = 0.5 * told
+        compare_lengths(now)
+        assert 0.5 * told < view.foreshortening < 0.6 * told
+        for _ in range(60):
+            compare_lengths(now)
+        assert view.foreshortening == pytest.approx(told, abs=0.01)
+
+
+def test_what_shows_another_finger_or_none_tells_nothing_of_its_length():
+    rig = SimulatedRig()
+    one = Following(rig.cameras[0], rig, TIP_MM, half_width_px=7.0)
+    for tip_mm, turn in ((None, 0.0), (ANOTHER_MM, np.pi)):
+        other = Following(rig.cameras[1], rig, tip_mm, turn, half_width_px=7.0)
+        compare_lengths((one, other))
+        assert one.foreshortening is None
+    # In one plane with both cameras, or seen by cameras that are not known.
+    compare_lengths((one, Following(rig.cameras[0], rig, TIP_MM, half_width_px=7.0)))
+    assert one.foreshortening is None
+    one.viewpoint = dataclasses.replace(one.viewpoint, centre=np.full(3, np.nan))
+    compare_lengths((one, Following(rig.cameras[1], rig, TIP_MM, half_width_px=7.0)))
+    assert one.foreshortening is None
+
+
+def test_what_a_view_follows_is_told_how_much_shorter_it_is_shown():
+    rig = SCENES["plain"]
+    view = waiting(rig, rig.cameras[0])
+    assert view.foreshortening is None
+    assert view.tracker.foreshortening == 1.0
+    view.foreshortening = 0.8
+    assert view.tracker.foreshortening == view.foreshortening == 0.8
 
 
 def test_of_three_views_the_one_that_shows_another_width_is_the_odd_one():

@@ -314,6 +314,16 @@ def test_a_traced_outline_is_tracked_by_the_papers_model():
         ContourTracker(traced, start)
 
 
+def test_a_finger_is_shown_no_longer_than_it_is():
+    tracker = waiting_for(Hand())
+    assert tracker.foreshortening == 1.0
+    tracker.foreshortening = 0.7
+    for wrong in (0.0, -0.5, 1.01, np.nan, np.inf):
+        with pytest.raises(InvalidInputError, match=r"foreshortening is .*above 0 and at most 1"):
+            tracker.foreshortening = wrong
+    assert tracker.foreshortening == 0.7
+
+
 def test_times_run_forward():
     hand = Hand()
     image, tracker = hand.draw(), waiting_for(hand)

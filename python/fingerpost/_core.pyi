@@ -1808,6 +1808,24 @@ class ContourTracker:
     def options(self) -> _TrackerOptions:
         """Every option in force."""
 
+    @property
+    def foreshortening(self) -> float:
+        """By how much the view shows the finger shorter than it is, above 0 and at most 1.
+
+        The sine of the angle between the finger and the ray to its tip; 1 until it is set by
+        whoever knows it from other views. The line of a finger is told for its front, which is
+        known by its width, and that is not foreshortened.
+
+        Raises
+        ------
+        InvalidInputError
+            It is set to a value out of range.
+        FingerpostError
+            The tracker is in use in another thread.
+        """
+
+    @foreshortening.setter
+    def foreshortening(self, value: float) -> None: ...
     def update(
         self,
         image: NDArray[np.uint8],

@@ -35,6 +35,7 @@ from fingerpost.finding import (
     Aside,
     HandView,
     Shared,
+    compare_lengths,
     compare_widths,
     find_hand,
     how_flat,
@@ -442,6 +443,7 @@ class Pointer:
             view.settle()
             view.look_at_flanks(frame)
         compare_widths(self.views)
+        compare_lengths(self.views)
         shared = Shared()
         for view in self.views:
             view.doubt([other for other in self.views if other is not view], shared)

@@ -159,6 +159,7 @@ pub struct ContourTracker {
     /// What the frames so far have told of its line, and of its bend.
     steady: Steady,
     sagitta: Sagitta,
+    foreshortening: f64,
     worth: Worth,
     last_time_s: Option<f64>,
     /// Whether the template waits with a length that is longer than the finger, for all that is known.
@@ -250,6 +251,7 @@ impl ContourTracker {
             pace: Pace::unknown(),
             steady: Steady::new(),
             sagitta: Sagitta::default(),
+            foreshortening: 1.0,
             worth: Worth::default(),
             last_time_s: None,
             exposure: Exposure::new(),
@@ -296,6 +298,28 @@ impl ContourTracker {
     pub fn with_isa(self, isa: Isa) -> Self {
         let convergence = self.convergence.with_isa(isa);
         Self { convergence, refiner: self.refiner.with_isa(isa), ..self }
+    }
+
+    /// By how much the view shows the finger shorter than it is; see
+    /// [`set_foreshortening`](Self::set_foreshortening).
+    #[must_use]
+    pub fn foreshortening(&self) -> f64 {
+        self.foreshortening
+    }
+
+    /// Tells by how much the view shows the finger shorter than it is: the sine of the angle between
+    /// the finger and the ray to its tip, which other views know; 1 if nobody tells. A finger's front,
+    /// which its line is told for, is known by its width, and that is not foreshortened.
+    ///
+    /// # Errors
+    /// When it is not above 0 and at most 1.
+    pub fn set_foreshortening(&mut self, foreshortening: f64) -> Result<()> {
+        if !(foreshortening > 0.0 && foreshortening <= 1.0) {
+            let right = "above 0 and at most 1";
+            return Err(Error::OutOfRange { what: "foreshortening", value: foreshortening, right });
+        }
+        self.foreshortening = foreshortening;
+        Ok(())
     }
 
     /// Takes one frame, captured at `time_s`, and tells where the hand is.

@@ -207,6 +207,18 @@ impl PyContourTracker {
         Self::at_rest(slf)?.0.options().entry(py)
     }
 
+    /// By how much the view shows the finger shorter than it is.
+    #[getter]
+    fn foreshortening(slf: &Bound<'_, Self>) -> PyResult<f64> {
+        Ok(Self::at_rest(slf)?.0.foreshortening())
+    }
+
+    #[setter]
+    fn set_foreshortening(slf: &Bound<'_, Self>, foreshortening: f64) -> PyResult<()> {
+        let mut this = slf.try_borrow_mut().map_err(|_| in_use("ContourTracker"))?;
+        this.0.set_foreshortening(foreshortening).map_err(invalid_input)
+    }
+
     /// The contour after the last frame, or where it waits.
     fn contour(slf: &Bound<'_, Self>, py: Python<'_>) -> PyResult<Py<PyArray2<f64>>> {
         let contour = Self::at_rest(slf)?.0.contour();

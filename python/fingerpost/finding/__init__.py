@@ -29,6 +29,7 @@ from fingerpost.finding.one_finger import (
     are_one,
     are_two,
     can_be_one,
+    compare_lengths,
     compare_widths,
     other_fingers,
 )
@@ -47,6 +48,7 @@ __all__ = [
     "are_one",
     "are_two",
     "can_be_one",
+    "compare_lengths",
     "compare_widths",
     "find_hand",
     "flatness",

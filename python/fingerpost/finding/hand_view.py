@@ -128,6 +128,7 @@ class HandView:
         self.odd_width: float | None = None
         """Logarithm of how many times as wide it has shown the finger lately as the view that
         agrees best; None where that is not known."""
+        self._foreshortening: float | None = None
         self._flanks = Flanks()
         self._lengthening: Lengthening | None = None
         self._first_hand: FirstHand | None = None
@@ -190,6 +191,20 @@ class HandView:
     def track(self) -> Track | None:
         """What the view's tracker, or the trial that is believed, made of the last frame."""
         return self.search.found.track if self.search.found is not None else self._track
+
+    @property
+    def foreshortening(self) -> float | None:
+        """By how much it has shown the finger shorter lately than it is; what follows is told.
+
+        Above 0 and at most 1; None where that is not known.
+        """
+        return self._foreshortening
+
+    @foreshortening.setter
+    def foreshortening(self, foreshortening: float) -> None:
+        self._foreshortening = foreshortening
+        if self.tracker is not None:
+            self.tracker.foreshortening = foreshortening
 
     @property
     def aside(self) -> Aside:

@@ -9,11 +9,20 @@ from typing import Protocol
 
 from fingerpost._core import Track
 from fingerpost.finding.finger import Aside, Sighting, fitted_half_width_px, followed, measured_line
-from fingerpost.finding.pairs import OTHER_TIP, Viewpoint, same_tip, width_ratio
+from fingerpost.finding.pairs import (
+    OTHER_TIP,
+    Viewpoint,
+    foreshortenings,
+    same_tip,
+    width_ratio,
+)
 from fingerpost.pointing import FingerLine, PlaneView, Status, indicated_point
 
 WIDTH_RATE = 0.2
 """What a frame counts in how much wider a view shows the finger: a blurred moment tells little."""
+
+LENGTH_RATE = 0.1
+"""The same in how much shorter it shows the finger than it is: a hand turns slowly."""
 
 OTHER_WIDTH = 0.6
 """Fingers whose widths differ by this logarithm are two, or one not seen for what it is. One
@@ -44,6 +53,16 @@ class FollowingView(Protocol):
     """Logarithm of how many times as wide it has shown the finger lately as the view that agrees
     best; None where that is not known."""
 
+    @property
+    def foreshortening(self) -> float | None:
+        """By how much it has shown the finger shorter lately than it is, above 0 and at most 1.
+
+        None where that is not known.
+        """
+
+    @foreshortening.setter
+    def foreshortening(self, foreshortening: float) -> None: ...
+
 
 Pair = tuple[FollowingView, FollowingView]
 
@@ -62,6 +81,21 @@ def compare_widths(views: Sequence[FollowingView]) -> None:
             view.odd_width = now
         else:
             view.odd_width += WIDTH_RATE * (now - view.odd_width)
+
+
+def compare_lengths(views: Sequence[FollowingView]) -> None:
+    """Tell every view how much shorter it shows the finger than it is, as other views know."""
+    for pair in combinations(views, 2):
+        first, second = (followed(view.track) for view in pair)
+        if not (first and second) or have_two_tips(pair):
+            continue
+        viewpoints = pair[0].viewpoint, pair[1].viewpoint
+        told = foreshortenings(viewpoints, (first[0], second[0]))
+        for view, now in zip(pair, told, strict=True):
+            if not now > 0.0:
+                continue
+            before = now if view.foreshortening is None else view.foreshortening
+            view.foreshortening = before + LENGTH_RATE * (now - before)
 
 
 def gives_point(views: Sequence[PlaneView], lines: Sequence[FingerLine | None]) -> bool:

@@ -78,6 +78,9 @@ FLAT_OFFSET = 1.5
 """What two views show lies in the plane if its constraint lines meet at less than this angle, and
 each passes the other view's tip at less than this [half-widths]."""
 
+BACK = 4.0
+"""A finger line leads through its tip and a point so far behind it [half-widths]."""
+
 REACH = 1.5
 """How far from the middle of the reference points one may point [plane sizes]."""
 
@@ -168,7 +171,7 @@ class _OnPlane:
         shown, (angle, w, score, foreground) = columns[:, :2], columns[:, 2:].T
         direction = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
         across = np.stack([-direction[:, 1], direction[:, 0]], axis=-1)
-        tip, back = shown, shown - 4.0 * w[:, None] * direction
+        tip, back = shown, shown - BACK * w[:, None] * direction
         if view.lens is not None:
             tip, back = view.lens.undistort(tip), view.lens.undistort(back)
         foot = view.back_project(shown)
@@ -373,6 +376,46 @@ def width_ratio(views: tuple[Viewpoint, Viewpoint], fingers: tuple[Sighting, Sig
     if not (width > 0.0 and other_width > 0.0):
         return math.nan
     return math.log(width / other_width)
+
+
+def foreshortenings(
+    views: tuple[Viewpoint, Viewpoint], fingers: tuple[Sighting, Sighting]
+) -> tuple[float, float]:
+    """Tell by how much either view shows a finger shorter than it is.
+
+    The finger is the line that both planes through a camera and its image share.
+
+    Parameters
+    ----------
+    views, fingers
+        As for `width_ratio`.
+
+    Returns
+    -------
+    (float, float)
+        Sines of the angles between the finger and the rays to its tip, 0 to 1; NaN where they are
+        not known, as of a finger in one plane with both cameras.
+    """
+    (normal, ray), (other_normal, other_ray) = map(_plane_and_ray, views, fingers)
+    finger = np.cross(normal, other_normal)
+    return _sine(finger, ray), _sine(finger, other_ray)
+
+
+def _plane_and_ray(viewpoint: Viewpoint, finger: Sighting) -> tuple[Array, Array]:
+    """Return the normal of the plane through a camera and its finger line, and the tip's ray."""
+    ahead = np.array([math.cos(finger.angle_rad), math.sin(finger.angle_rad)])
+    shown = np.array(finger.tip_px) - np.outer([0.0, BACK * finger.half_width_px], ahead)
+    feet = viewpoint.plane_view.back_project(shown)
+    ray, other_ray = viewpoint.centre - np.pad(feet, ((0, 0), (0, 1)))
+    return np.cross(ray, other_ray), ray
+
+
+def _sine(one: Array, other: Array) -> float:
+    """Return the sine of the angle between two directions; NaN if one of them is none."""
+    product = float(np.linalg.norm(one) * np.linalg.norm(other))
+    if not product > 0.0:
+        return math.nan
+    return min(float(np.linalg.norm(np.cross(one, other))) / product, 1.0)
 
 
 def same_tip(views: tuple[Viewpoint, Viewpoint], fingers: tuple[Sighting, Sighting]) -> float:

@@ -6,6 +6,7 @@ use super::found::Found;
 use super::line::FingerLine;
 use super::looks::{Lead, Looks};
 use super::options::{AcceptOptions, Model};
+use super::sagitta::Seen;
 use super::scene::Scene;
 use super::shape::Shape;
 use super::steady::Shown;
@@ -76,7 +77,8 @@ impl ContourTracker {
                 // A bend does the same to all lines. It makes one count less beside those of other frames,
                 // and as much of it as these average away is put back.
                 let misleads = self.sagitta.misleads().hypot(self.shade_misleads(&line));
-                let line = self.sagitta.told(line, x[3]).misled_by_part(misleads);
+                let seen = Seen { half_width_px: x[3], foreshortening: self.foreshortening };
+                let line = self.sagitta.told(line, &seen).misled_by_part(misleads);
                 let told = self.steady.follow(frame.image(), time_s, line, &shown);
                 let left = (told.spread() / line.spread()).min(1.0);
                 told.misled_by_part(misleads * (1.0 - left).sqrt())
