@@ -43,7 +43,7 @@ from fingerpost.finding.flanks import Flanks, Shaded, off_by_softness
 from fingerpost.finding.foreground import may_have_come
 from fingerpost.finding.length import Lengthening
 from fingerpost.finding.look import softness, widening
-from fingerpost.finding.pairs import reaches_farther
+from fingerpost.finding.pairs import foreshortenings, reaches_farther
 from fingerpost.finding.trial import Trial, belief
 from fingerpost.finding.views import (
     TriedPair,
@@ -1418,6 +1418,21 @@ def test_what_shows_another_finger_or_none_tells_nothing_of_its_length():
     one.viewpoint = dataclasses.replace(one.viewpoint, centre=np.full(3, np.nan))
     compare_lengths((one, Following(rig.cameras[1], rig, TIP_MM, half_width_px=7.0)))
     assert one.foreshortening is None
+
+
+@pytest.mark.parametrize(("turned_deg", "is_known"), [(0.0, False), (0.3, False), (15.0, True)])
+def test_a_finger_in_one_plane_with_both_cameras_tells_nothing_of_its_length(turned_deg, is_known):
+    rig, tip_mm = SimulatedRig(), np.array(TIP_MM)
+    from_between = tip_mm - np.mean([camera.centre_mm for camera in rig.cameras], axis=0)
+    upright = np.cross(from_between, rig.cameras[1].centre_mm - rig.cameras[0].centre_mm)
+    aside = np.tan(np.radians(turned_deg)) * np.linalg.norm(from_between)
+    ahead = from_between + aside * upright / np.linalg.norm(upright)
+    seen = []
+    for camera in rig.cameras:
+        tip, further = camera.project(np.array([tip_mm, tip_mm + 0.1 * ahead]))
+        seen.append(Sighting(tuple(tip), float(np.arctan2(*(further - tip)[::-1])), 7.0))
+    told = foreshortenings(viewpoints(rig), (seen[0], seen[1]))
+    assert list(np.isfinite(told)) == [is_known] * 2
 
 
 def test_what_a_view_follows_is_told_how_much_shorter_it_is_shown():

@@ -78,6 +78,10 @@ FLAT_OFFSET = 1.5
 """What two views show lies in the plane if its constraint lines meet at less than this angle, and
 each passes the other view's tip at less than this [half-widths]."""
 
+LEAST_CROSSING_RAD = np.radians(5.0)
+"""Planes through two cameras and a finger that cross at less than this do not tell how it lies: a
+degree of either line would turn it by more than ten."""
+
 BACK = 4.0
 """A finger line leads through its tip and a point so far behind it [half-widths]."""
 
@@ -394,9 +398,11 @@ def foreshortenings(
     -------
     (float, float)
         Sines of the angles between the finger and the rays to its tip, 0 to 1; NaN where they are
-        not known, as of a finger in one plane with both cameras.
+        not known, as of a finger that lies nearly in one plane with both cameras.
     """
     (normal, ray), (other_normal, other_ray) = map(_plane_and_ray, views, fingers)
+    if not _sine(normal, other_normal) > math.sin(LEAST_CROSSING_RAD):
+        return math.nan, math.nan
     finger = np.cross(normal, other_normal)
     return _sine(finger, ray), _sine(finger, other_ray)
 
