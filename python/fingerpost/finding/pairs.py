@@ -16,6 +16,9 @@ from fingerpost.finding.finger import Array, Sighting
 from fingerpost.pointing import PlaneView
 from fingerpost.uncertainty import Numbers
 
+Direction = tuple[float, float, float]
+"""Components (X, Y, height above the plane) of a direction."""
+
 FARTHEST = 20.0
 """The longest focal length [picture widths]."""
 
@@ -78,7 +81,7 @@ FLAT_OFFSET = 1.5
 """What two views show lies in the plane if its constraint lines meet at less than this angle, and
 each passes the other view's tip at less than this [half-widths]."""
 
-LEAST_CROSSING_RAD = np.radians(5.0)
+LEAST_CROSSING_RAD = math.radians(5.0)
 """Planes through two cameras and a finger that cross at less than this do not tell how it lies: a
 degree of either line would turn it by more than ten."""
 
@@ -403,25 +406,32 @@ def foreshortenings(
     (normal, ray), (other_normal, other_ray) = map(_plane_and_ray, views, fingers)
     if not _sine(normal, other_normal) > math.sin(LEAST_CROSSING_RAD):
         return math.nan, math.nan
-    finger = np.cross(normal, other_normal)
+    finger = _cross(normal, other_normal)
     return _sine(finger, ray), _sine(finger, other_ray)
 
 
-def _plane_and_ray(viewpoint: Viewpoint, finger: Sighting) -> tuple[Array, Array]:
+def _plane_and_ray(viewpoint: Viewpoint, finger: Sighting) -> tuple[Direction, Direction]:
     """Return the normal of the plane through a camera and its finger line, and the tip's ray."""
-    ahead = np.array([math.cos(finger.angle_rad), math.sin(finger.angle_rad)])
-    shown = np.array(finger.tip_px) - np.outer([0.0, BACK * finger.half_width_px], ahead)
-    feet = viewpoint.plane_view.back_project(shown)
-    ray, other_ray = viewpoint.centre - np.pad(feet, ((0, 0), (0, 1)))
-    return np.cross(ray, other_ray), ray
+    (u, v), back_px = finger.tip_px, BACK * finger.half_width_px
+    behind = u - back_px * math.cos(finger.angle_rad), v - back_px * math.sin(finger.angle_rad)
+    x, y, z = viewpoint.centre.tolist()
+    feet = viewpoint.plane_view.back_project([(u, v), behind]).tolist()
+    ray, other_ray = ((x - foot[0], y - foot[1], z) for foot in feet)
+    return _cross(ray, other_ray), ray
 
 
-def _sine(one: Array, other: Array) -> float:
+def _cross(one: Direction, other: Direction) -> Direction:
+    return (
+        one[1] * other[2] - one[2] * other[1],
+        one[2] * other[0] - one[0] * other[2],
+        one[0] * other[1] - one[1] * other[0],
+    )
+
+
+def _sine(one: Direction, other: Direction) -> float:
     """Return the sine of the angle between two directions; NaN if one of them is none."""
-    product = float(np.linalg.norm(one) * np.linalg.norm(other))
-    if not product > 0.0:
-        return math.nan
-    return min(float(np.linalg.norm(np.cross(one, other))) / product, 1.0)
+    product = math.hypot(*one) * math.hypot(*other)
+    return min(math.hypot(*_cross(one, other)) / product, 1.0) if product > 0.0 else math.nan
 
 
 def same_tip(views: tuple[Viewpoint, Viewpoint], fingers: tuple[Sighting, Sighting]) -> float:
