@@ -302,7 +302,7 @@ def test_what_has_slid_along_itself_under_a_hand_is_no_hand(
     view.prove(frame, line((300.0, 100.0), 0.0))
     assert not view.is_proven
     view.prove(frame, line((300.0 + gone_px[0], 100.0 + gone_px[1]), turned_rad))
-    assert view.is_proven is is_proven
+    assert view.is_proven is view.has_moved is is_proven
 
 
 def test_a_hand_that_waits_in_the_first_frame_is_found():
@@ -1382,7 +1382,7 @@ def test_fingers_of_one_tip_that_are_seen_unlike_wide_are_two_and_give_no_point(
 def test_two_views_tell_each_other_how_much_shorter_they_show_a_finger(tip_mm):
     rig = SimulatedRig()
     views = [Following(camera, rig, tip_mm, half_width_px=7.0) for camera in rig.cameras]
-    compare_lengths(views)
+    compare_lengths(views, Shared())
     finger = np.array(TARGET_MM) - tip_mm
     for view, camera in zip(views, rig.cameras, strict=True):
         ray = camera.centre_mm - tip_mm
@@ -1394,14 +1394,14 @@ def test_two_views_tell_each_other_how_much_shorter_they_show_a_finger(tip_mm):
 def test_a_hand_that_turns_is_shown_shorter_little_by_little():
     rig = SimulatedRig()
     now = [Following(camera, rig, TIP_MM, half_width_px=7.0) for camera in rig.cameras]
-    compare_lengths(now)
+    compare_lengths(now, Shared())
     for view in now:
         told = view.foreshortening
         view.foreshortening = 0.5 * told
-        compare_lengths(now)
+        compare_lengths(now, Shared())
         assert 0.5 * told < view.foreshortening < 0.6 * told
         for _ in range(60):
-            compare_lengths(now)
+            compare_lengths(now, Shared())
         assert view.foreshortening == pytest.approx(told, abs=0.01)
 
 
@@ -1410,13 +1410,13 @@ def test_what_shows_another_finger_or_none_tells_nothing_of_its_length():
     one = Following(rig.cameras[0], rig, TIP_MM, half_width_px=7.0)
     for tip_mm, turn in ((None, 0.0), (ANOTHER_MM, np.pi)):
         other = Following(rig.cameras[1], rig, tip_mm, turn, half_width_px=7.0)
-        compare_lengths((one, other))
+        compare_lengths((one, other), Shared())
         assert one.foreshortening is None
     # In one plane with both cameras, or seen by cameras that are not known.
-    compare_lengths((one, Following(rig.cameras[0], rig, TIP_MM, half_width_px=7.0)))
+    compare_lengths((one, Following(rig.cameras[0], rig, TIP_MM, half_width_px=7.0)), Shared())
     assert one.foreshortening is None
     one.viewpoint = dataclasses.replace(one.viewpoint, centre=np.full(3, np.nan))
-    compare_lengths((one, Following(rig.cameras[1], rig, TIP_MM, half_width_px=7.0)))
+    compare_lengths((one, Following(rig.cameras[1], rig, TIP_MM, half_width_px=7.0)), Shared())
     assert one.foreshortening is None
 
 
@@ -1442,6 +1442,17 @@ def test_what_a_view_follows_is_told_how_much_shorter_it_is_shown():
     assert view.tracker.foreshortening == 1.0
     view.foreshortening = 0.8
     assert view.tracker.foreshortening == view.foreshortening == 0.8
+
+
+def test_of_a_finger_that_is_let_go_nothing_is_known_of_its_length():
+    rig = SCENES["plain"]
+    points_px = tuple(map(tuple, rig.reference_points_px[0].tolist()))
+    told = View(name="cam", source="cam.mkv", reference_points_px=points_px)
+    view = HandView(told, rig.plane_points, None, 0.5)
+    view.foreshortening = 0.8
+    for _ in range(LET_GO_WITHIN):
+        view.look_flat(1.0)
+    assert view.foreshortening is None
 
 
 def test_of_three_views_the_one_that_shows_another_width_is_the_odd_one():

@@ -443,8 +443,8 @@ class Pointer:
             view.settle()
             view.look_at_flanks(frame)
         compare_widths(self.views)
-        compare_lengths(self.views)
         shared = Shared()
+        compare_lengths(self.views, shared)
         for view in self.views:
             view.doubt([other for other in self.views if other is not view], shared)
         observations = tuple(

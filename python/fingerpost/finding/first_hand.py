@@ -87,7 +87,9 @@ class FirstHand:
     def has_moved(self) -> bool:
         """Whether what is followed is where it was not at first, as a hand comes to be."""
         earliest = self._earliest
-        return earliest is not None and any(has_moved(earliest, line) for line in self._latest)
+        return earliest is not None and any(
+            has_moved_across(earliest, line) for line in self._latest
+        )
 
     def wait_anew(self) -> ContourTracker:
         """Forget what was followed; return a tracker that waits for the hand."""

@@ -471,6 +471,7 @@ class HandView:
         self._flat_frames, self._missed_frames = 0, 0
         self._lengthening = None
         self._flanks.forget()
+        self._foreshortening = None
         self._latest.clear()
         self.missing = Status.LOST
         self.search.rest()

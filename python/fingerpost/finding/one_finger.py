@@ -83,11 +83,11 @@ def compare_widths(views: Sequence[FollowingView]) -> None:
             view.odd_width += WIDTH_RATE * (now - view.odd_width)
 
 
-def compare_lengths(views: Sequence[FollowingView]) -> None:
+def compare_lengths(views: Sequence[FollowingView], shared: Shared) -> None:
     """Tell every view how much shorter it shows the finger than it is, as other views know."""
     for pair in combinations(views, 2):
         first, second = (followed(view.track) for view in pair)
-        if not (first and second) or have_two_tips(pair):
+        if not (first and second) or shared.have_two_tips(*pair):
             continue
         viewpoints = pair[0].viewpoint, pair[1].viewpoint
         told = foreshortenings(viewpoints, (first[0], second[0]))
