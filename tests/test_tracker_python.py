@@ -321,6 +321,9 @@ def test_a_finger_is_shown_no_longer_than_it_is():
     for wrong in (0.0, -0.5, 1.01, np.nan, np.inf):
         with pytest.raises(InvalidInputError, match=r"foreshortening is .*above 0 and at most 1"):
             tracker.foreshortening = wrong
+    for wrong in ("1", None, True):
+        with pytest.raises(InvalidInputError, match=r"foreshortening is .*a real number"):
+            tracker.foreshortening = wrong
     assert tracker.foreshortening == 0.7
 
 

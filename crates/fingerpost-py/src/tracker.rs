@@ -214,7 +214,11 @@ impl PyContourTracker {
     }
 
     #[setter]
-    fn set_foreshortening(slf: &Bound<'_, Self>, foreshortening: f64) -> PyResult<()> {
+    fn set_foreshortening(
+        slf: &Bound<'_, Self>,
+        foreshortening: &Bound<'_, PyAny>,
+    ) -> PyResult<()> {
+        let foreshortening = real(foreshortening, "foreshortening")?;
         let mut this = slf.try_borrow_mut().map_err(|_| in_use("ContourTracker"))?;
         this.0.set_foreshortening(foreshortening).map_err(invalid_input)
     }
