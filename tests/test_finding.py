@@ -43,7 +43,7 @@ from fingerpost.finding.flanks import Flanks, Shaded, off_by_softness
 from fingerpost.finding.foreground import may_have_come
 from fingerpost.finding.length import Lengthening
 from fingerpost.finding.look import softness, widening
-from fingerpost.finding.pairs import foreshortenings, reaches_farther
+from fingerpost.finding.pairs import foreshortenings, reaches_farther, same_tip
 from fingerpost.finding.trial import Trial, belief
 from fingerpost.finding.views import (
     TriedPair,
@@ -465,6 +465,24 @@ def test_tips_that_are_not_one_make_no_finger():
     assert score(rig, one, slid) == 0.0
 
 
+def test_tips_that_hardly_meet_are_worth_little():
+    rig = SimulatedRig()
+    one, other = sightings(rig, OVER_THE_TABLE)
+    ahead = np.array([np.cos(other.angle_rad), np.sin(other.angle_rad)])
+    told = []
+    for back_px in (0.0, 5.0, 20.0, 30.0, 40.0):
+        # The lines stay where they are, and so does the point.
+        slid = other._replace(tip_px=tuple(np.subtract(other.tip_px, back_px * ahead)))
+        tip = same_tip(viewpoints(rig), (one, slid))
+        told.append((tip, score(rig, one, slid) / score(rig, one, other)))
+    assert told == sorted(told, reverse=True)
+    # What may well be one costs nothing, and what is hardly one costs most.
+    assert told[1][0] > 0.99
+    assert told[1][1] > 0.9
+    assert told[3][0] > 0.9
+    assert told[3][1] < 0.4
+
+
 def test_what_lies_on_the_table_is_no_finger():
     rig = SimulatedRig()
     ends = np.array([[100.0, 120.0], [180.0, 150.0]])
@@ -590,6 +608,19 @@ def test_a_finger_that_is_found_again_may_be_as_short_as_it_was(known_length, is
     followed_by_a_stub(trial, image, 5.0)
     trial.lengthen(covered_behind_the_tip(trial, image, 3.5))
     assert trial.lengthening.is_long is is_long
+
+
+def test_a_trial_that_is_refused_once_has_held_for_half_as_long():
+    search, trial, image = tried_out(SCENES["plain"])
+    empty = np.full_like(image, int(np.median(image)))
+    shown = [image] * 7 + [empty] + [image] * 2 + [empty] * 2
+    frames, over = [], []
+    for k, picture in enumerate(shown, 1):
+        trial.update(Frame(k, k / FPS, picture), search.background)
+        frames.append(trial.frames)
+        over.append(trial.is_over)
+    assert frames == [2, 3, 4, 5, 6, 7, 8, 4, 5, 6, 3, 1]
+    assert over == [False] * 11 + [True]
 
 
 def test_a_found_finger_is_as_long_as_its_whole_width_says():

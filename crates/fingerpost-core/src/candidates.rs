@@ -42,7 +42,7 @@ impl Default for FinderOptions {
             min_half_width: 0.008,
             max_half_width: 0.032,
             min_gradient_grey: 4.0,
-            candidates: 16,
+            candidates: 40,
         }
     }
 }

@@ -21,7 +21,7 @@ from fingerpost.finding.look import flatness
 from fingerpost.finding.one_finger import FollowingView, gives_point
 from fingerpost.finding.pairs import pair_scores, reaches_farther, reaches_farther_in_view
 from fingerpost.finding.search import HandSearch
-from fingerpost.finding.trial import LEAST_SCORE, Trial, belief, precedence
+from fingerpost.finding.trial import Trial, belief, precedence
 
 
 class SearchingView(FollowingView, Protocol):
@@ -190,7 +190,10 @@ def worthiest_first(views: Sequence[SearchingView]) -> list[tuple[TriedPair, boo
 
 
 def _possible_pairs(views: Sequence[SearchingView]) -> list[TriedPair]:
-    """Return the pairs of trials, and of trials and followed fingers, that may be the hand."""
+    """Return the pairs of trials, and of trials and followed fingers, that may be of a hand.
+
+    Two digits of one hand are such a pair, too: they tell what hand is behind either.
+    """
     pairs = []
     with_mover = views_with_mover(views)
     for i, j in combinations(range(len(views)), 2):
@@ -205,9 +208,7 @@ def _possible_pairs(views: Sequence[SearchingView]) -> list[TriedPair]:
                 continue
             score, seen = float(scores[a, b]), (seen_i[a], seen_j[b])
             stays = all(views[k].search.found is trial for k, trial in trials.items())
-            # One that is believed already may do worse for a while.
-            if score >= LEAST_SCORE or stays:
-                pairs.append(TriedPair((i, j), seen, trials, score, stays))
+            pairs.append(TriedPair((i, j), seen, trials, score, stays))
     return pairs
 
 
