@@ -1102,6 +1102,10 @@ def test_a_view_whose_fingertip_no_other_view_has_follows_another_finger(tips_mm
     assert other_fingers(nowhere, lines) == []
 
 
+def test_the_usual_finger_is_as_wide_as_the_usual_template():
+    assert fp.Template.pistol("none").proportions["half_width"] == HALF_WIDTH
+
+
 def test_a_followed_finger_is_as_wide_as_its_fit_or_as_a_usual_one():
     rig = SimulatedRig()
     (fitted,) = followed(Following(rig.cameras[0], rig, TIP_MM, half_width_px=4.5).track)

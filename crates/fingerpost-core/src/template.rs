@@ -59,6 +59,9 @@ pub struct Proportions {
     pub thumb: Option<(HandSide, ThumbProportions)>,
 }
 
+/// Half the width of the usual finger, in visible lengths.
+pub(crate) const USUAL_HALF_WIDTH: f64 = 0.115;
+
 impl Proportions {
     /// The usual hand.
     #[must_use]
@@ -75,7 +78,11 @@ impl Proportions {
             half_width: 0.1,
             far_flank: 0.6,
         };
-        Self { half_width: 0.115, flank_start: -0.35, thumb: side.map(|side| (side, thumb)) }
+        Self {
+            half_width: USUAL_HALF_WIDTH,
+            flank_start: -0.35,
+            thumb: side.map(|side| (side, thumb)),
+        }
     }
 }
 

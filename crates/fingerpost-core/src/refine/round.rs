@@ -14,6 +14,7 @@
 use super::shading::{Profile, Residuals, Section};
 use crate::frame::Frame;
 use crate::shape_space::Axis;
+use crate::template::USUAL_HALF_WIDTH;
 use crate::{Error, Result};
 use nalgebra::{Cholesky, SMatrix, SVector};
 
@@ -21,9 +22,6 @@ use nalgebra::{Cholesky, SMatrix, SVector};
 const PROFILES: usize = 8;
 const FIRST: f64 = 1.1;
 const LAST: f64 = 6.0;
-/// Half a usual finger's width in visible lengths: no unit is shorter, for half a finger is seen too
-/// slim.
-const USUAL: f64 = 0.115;
 
 /// Growth of a finger's half-width towards the tip, and its standard deviation.
 const TAPER: [f64; 2] = [-0.05, 0.02];
@@ -127,7 +125,8 @@ impl RoundFinger {
     }
 
     fn fitted(frame: &Frame<'_>, axis: &Axis, ahead_px: f64, half_width_px: f64) -> Option<Self> {
-        let unit_px = half_width_px.max(2.0 * USUAL * ahead_px);
+        // Half a finger is seen too slim: no unit is shorter than half the usual one's width.
+        let unit_px = half_width_px.max(2.0 * USUAL_HALF_WIDTH * ahead_px);
         let known = half_width_px / unit_px;
         let about = Self::best_start(&Seen::of(frame, axis, ahead_px, unit_px, known)?, known)?;
 
