@@ -209,7 +209,7 @@ FRAMES_TO_TRUST = {True: (3.0, 7.0), False: (5.0, 10.0)}
 """Frames that both trials of a pair must have held, if its score is 1 and if it is 0: for a pair
 that has come into view, and for one that may have been there all the time."""
 
-FRAMES_TO_TRUST_BACKED = {True: (2.0, 6.0), False: (4.0, 8.5)}
+FRAMES_TO_TRUST_BACKED = {True: (2.0, 4.0), False: (4.0, 6.5)}
 """The same of a trial that moves, where the other view follows a hand for good: the search has but
 to find that hand in this one."""
 
