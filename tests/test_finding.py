@@ -43,7 +43,7 @@ from fingerpost.finding.flanks import Flanks, Shaded, off_by_softness
 from fingerpost.finding.foreground import may_have_come
 from fingerpost.finding.length import Lengthening
 from fingerpost.finding.look import softness, widening
-from fingerpost.finding.pairs import foreshortenings, reaches_farther, same_tip
+from fingerpost.finding.pairs import TIP_POWER, foreshortenings, reaches_farther, same_tip
 from fingerpost.finding.trial import Trial, belief
 from fingerpost.finding.views import (
     TriedPair,
@@ -481,6 +481,31 @@ def test_tips_that_hardly_meet_are_worth_little():
     assert told[1][1] > 0.9
     assert told[3][0] > 0.9
     assert told[3][1] < 0.4
+
+
+@pytest.mark.parametrize("azimuth_deg", [15.0, 45.0])
+@pytest.mark.parametrize("k1", [0.0, -0.3])
+def test_a_rig_that_is_set_up_carelessly_costs_a_finger_little(k1, azimuth_deg):
+    """Reference points 3 px off, and a close webcam whose lens nobody corrects."""
+    rig = SimulatedRig(
+        Placement(0.75, azimuths_deg=(-azimuth_deg, azimuth_deg), f_px=622.0, k1=(k1,))
+    )
+    sampler, rng = PoseSampler(rig), np.random.default_rng(SEED)
+    worth = []
+    for _ in range(40):
+        views = tuple(
+            Viewpoint.of(
+                PlaneView.from_reference_points(
+                    rig.plane_points, points + rng.normal(0.0, 3.0, (4, 2)), None
+                ),
+                (camera.width_px, camera.height_px),
+            )
+            for camera, points in zip(rig.cameras, rig.reference_points_px, strict=True)
+        )
+        fingers = [sightings(rig, sampler.draw(rng)) for _ in range(5)]
+        worth += [same_tip(views, tuple(finger)) ** TIP_POWER for finger in fingers]
+    assert np.quantile(worth, 0.05) > 0.75
+    assert np.median(worth) > 0.9
 
 
 def test_what_lies_on_the_table_is_no_finger():
