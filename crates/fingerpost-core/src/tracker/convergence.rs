@@ -45,6 +45,10 @@ const ABOUT_EDGE_PX: [f64; 2] = [5.0, 6.0];
 /// \[px\].
 const BESIDES_PX: f64 = 1.0;
 
+/// What is behind a hand where it shows no edge counts as if it had been seen in so many frames, if the
+/// frame teaches nothing else: about as many are remembered.
+pub(super) const UNSEEN_FRAMES: f64 = 5.0;
+
 /// How one convergence searches.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Attempt<'a> {
@@ -329,7 +333,7 @@ impl Convergence {
     ) -> Result<()> {
         self.gather_unseen(samples);
         let contour = Contour { edges: &[], unseen: &self.unseen };
-        looks.learn(frame, &mut self.image, &contour, finger, (1.0, 1.0))
+        looks.learn(frame, &mut self.image, &contour, finger, (1.0, UNSEEN_FRAMES))
     }
 
     /// Looks that know nothing yet, to be [given back](Self::take_back).

@@ -513,6 +513,7 @@ impl Looks {
 #[cfg(test)]
 #[expect(clippy::unwrap_used, reason = "a test may panic")]
 mod tests {
+    use super::super::convergence::UNSEEN_FRAMES;
     use super::*;
     use crate::frame::ColourView;
     use crate::image::GrayView;
@@ -525,8 +526,12 @@ mod tests {
     const WOOD: [f64; 3] = [104.0, 124.0, 141.0];
     const BLUE: [f64; 3] = [170.0, 90.0, 60.0];
 
-    /// Looks of a hand that was seen before paper, after a frame in which its lower half shows no edge:
-    /// what that half is of, and what is behind it.
+    /// For how long the paper was seen, and how long that is remembered.
+    const SEEN_FRAMES: usize = 30;
+    const KEEP: f64 = 0.8;
+
+    /// Looks of a hand that was seen before paper for long, after a frame in which its lower half shows
+    /// no edge: what that half is of, and what is behind it.
     fn taught(inside: [f64; 3], behind: [f64; 3]) -> [Looks; 2] {
         let colour_at = |i: usize| {
             let (x, y) = (i % SIDE, i / SIDE);
@@ -557,10 +562,12 @@ mod tests {
         let mut image = DiscriminantImage::default();
         let mut before = Looks::new(true);
         let contour = Contour { edges: &edges, unseen: &[] };
-        before.learn(&frame, &mut image, &contour, &finger, (0.0, 1.0)).unwrap();
+        for _ in 0..SEEN_FRAMES {
+            before.learn(&frame, &mut image, &contour, &finger, (KEEP, 1.0)).unwrap();
+        }
         let mut after = before.clone();
         let contour = Contour { edges: &[], unseen: &unseen };
-        after.learn(&frame, &mut image, &contour, &finger, (1.0, 1.0)).unwrap();
+        after.learn(&frame, &mut image, &contour, &finger, (1.0, UNSEEN_FRAMES)).unwrap();
         [before, after]
     }
 
