@@ -2,6 +2,7 @@
 
 import csv
 import dataclasses
+import math
 from contextlib import ExitStack
 from itertools import islice
 from pathlib import Path
@@ -37,7 +38,7 @@ from fingerpost.finding import (
     pair_scores,
     width_ratio,
 )
-from fingerpost.finding.finger import HALF_WIDTH, Aside, followed, off_by_width
+from fingerpost.finding.finger import HALF_WIDTH, Aside, LastSeen, followed, off_by_width
 from fingerpost.finding.first_hand import FirstHand
 from fingerpost.finding.flanks import Flanks, Shaded, off_by_softness
 from fingerpost.finding.foreground import may_have_come
@@ -428,7 +429,7 @@ def test_two_views_from_one_place_are_judged_without_a_warning():
     rng = np.random.default_rng(0)
     tips = rng.uniform((20, 20), (620, 460), (60, 2))
     first, second = (
-        [Sighting((u + off, v), 0.1 * k, 6.0) for k, (u, v) in enumerate(tips.tolist())]
+        [Sighting((u + off, v), 0.1 * k, 6.0, length=9.0) for k, (u, v) in enumerate(tips.tolist())]
         for off in (0.0, 1e-7)
     )
     scores = pair_scores((here, here), (first, second))
@@ -506,6 +507,15 @@ def test_a_rig_that_is_set_up_carelessly_costs_a_finger_little(k1, azimuth_deg):
         worth += [same_tip(views, tuple(finger)) ** TIP_POWER for finger in fingers]
     assert np.quantile(worth, 0.05) > 0.75
     assert np.median(worth) > 0.9
+
+
+def test_a_finger_that_is_lost_leads_elsewhere_the_sooner_the_less_likely():
+    lost = LastSeen(3.0, time_s=2.0)
+    assert lost.leads_to(3.0, 2.0) == 1.0
+    # Across the seam of the angles.
+    assert lost.leads_to(3.5 - 2.0 * math.pi, 2.0) == pytest.approx(math.exp(-0.5))
+    assert lost.leads_to(3.0 + 2.0, 2.1) < 0.02
+    assert lost.leads_to(3.0 + 2.0, 3.0) > 0.6
 
 
 def test_what_lies_on_the_table_is_no_finger():
@@ -840,20 +850,16 @@ def test_what_has_come_without_a_hand_goes_after_a_hand_and_is_believed_if_nothi
 
 
 @pytest.mark.parametrize("has_come", [False, True])
-@pytest.mark.parametrize("score", [0.4, 0.7, 1.0])
-def test_what_moves_is_believed_sooner_where_another_view_follows_a_hand(has_come, score):
-    def frames_needed(*, is_backed: bool, has_moved: bool) -> int:
+@pytest.mark.parametrize("is_backed", [False, True])
+def test_what_fits_together_better_is_believed_sooner(has_come, is_backed):
+    def frames_needed(score: float) -> int:
         for frames in range(1, 30):
-            trial = SimpleNamespace(
-                has_come=has_come, is_late=False, has_moved=has_moved, frames=frames
-            )
+            trial = SimpleNamespace(has_come=has_come, is_late=False, has_moved=True, frames=frames)
             if belief(score, [trial], False, hand=1.0, is_backed=is_backed)[1]:
                 return frames
         raise AssertionError
 
-    usual = frames_needed(is_backed=False, has_moved=True)
-    assert 2 <= frames_needed(is_backed=True, has_moved=True) < usual
-    assert frames_needed(is_backed=True, has_moved=False) == usual
+    assert 2 <= frames_needed(1.0) < frames_needed(0.4)
 
 
 def test_options_of_the_search_are_checked():
@@ -1175,6 +1181,25 @@ def digits(rig: SimulatedRig, tip_mm: np.ndarray, aim_mm: np.ndarray, colour=SKI
     return tuple(digit(camera, tip_mm, aim_mm, colour) for camera in rig.cameras)
 
 
+@pytest.mark.parametrize(
+    ("length", "least", "most"),
+    [(8.0, 0.95, 1.0), (12.0, 0.95, 1.0), (24.0, 0.0, 0.6), (40.0, 0.0, 0.02)],
+)
+@pytest.mark.parametrize("aim_mm", [(200.0, 40.0, 0.0), (330.0, 160.0, 0.0), (120.0, 260.0, 0.0)])
+def test_what_two_views_show_is_no_longer_than_a_finger(length, least, most, aim_mm):
+    """A rod of so many half-widths, however much shorter either view shows it."""
+    rig = SimulatedRig()
+    back = np.subtract(TIP_MM, aim_mm) / math.dist(TIP_MM, aim_mm)
+    end_mm = TIP_MM + length * HALF_WIDTH_MM * back
+    fingers = []
+    for camera, finger in zip(rig.cameras, digits(rig, TIP_MM, aim_mm), strict=True):
+        shown_px = math.dist(finger.tip_px, camera.project(end_mm))
+        fingers.append(finger._replace(length=shown_px / finger.half_width_px))
+    unknown = [finger._replace(length=np.nan) for finger in fingers]
+    assert score(rig, *unknown) > 0.0
+    assert least <= score(rig, *fingers) / score(rig, *unknown) <= most
+
+
 @pytest.mark.parametrize("spread_deg", [10.0, 40.0, 70.0])
 @pytest.mark.parametrize("roll_deg", [0.0, 30.0, 90.0, 180.0])
 def test_an_index_finger_reaches_farther_than_a_thumb(spread_deg, roll_deg):
@@ -1246,6 +1271,38 @@ def test_a_thumb_does_not_point_beside_an_index_finger(thumb_in, has_come):
     assert [pair.trials[k] for k in (0, 1)] == [view.search.trials[0] for view in views]
 
 
+def test_what_another_view_follows_leads_here_about_where_it_was_lost():
+    rig = SimulatedRig()
+    followed_finger = digit(rig.cameras[1], TIP_MM, AIM_MM)
+    line = SimpleNamespace(tip_px=followed_finger.tip_px, angle_rad=followed_finger.angle_rad)
+    other = SimpleNamespace(
+        viewpoint=viewpoint_of(rig.cameras[1], rig),
+        search=SimpleNamespace(found=None, trials=[]),
+        track=SimpleNamespace(
+            finger_line=line,
+            shape_vector=[followed_finger.half_width_px],
+            shape_names=("half_width [px]",),
+        ),
+        is_searching=False,
+        is_sure=True,
+    )
+    seen = digit(rig.cameras[0], TIP_MM, AIM_MM)
+    lost = LastSeen(seen.angle_rad, time_s=0.0)
+
+    def scores(turn_rad: float) -> list[float]:
+        trial = tried_digit(seen, 1.0)
+        trial.line = SimpleNamespace(angle_rad=seen.angle_rad + turn_rad)
+        trial.track = SimpleNamespace(time_s=0.1)
+        view = trying(viewpoint_of(rig.cameras[0], rig), trial)
+        view.would_lead_to = lost.leads_to
+        return [pair.score for pair, _ in worthiest_first([view, other])]
+
+    straight_on, turned = *scores(0.0), *scores(0.7)
+    assert straight_on > 0.7
+    assert turned == pytest.approx(straight_on * math.exp(-0.5))
+    assert scores(2.0) == []
+
+
 def test_what_reaches_farther_goes_first_if_it_is_as_likely_and_has_come_as_well():
     rig = SimulatedRig()
     index = tried_digit(digit(rig.cameras[0], TIP_MM, AIM_MM), 1.0)
@@ -1272,7 +1329,7 @@ def test_what_moves_on_is_no_background_though_it_was_learned_for_one():
         frame = Frame(k, k / FPS, rng.integers(90, 110, (48, 64), dtype=np.uint8))
         search.look_behind(frame)
         search.learn(frame, None)
-    told = {"place": ((30.0, 20.0), 0.0, 5.0), "score": 0.9, "foreground": 0.1}
+    told = {"place": ((30.0, 20.0), 0.0, 5.0), "length": 8.0, "score": 0.9, "foreground": 0.1}
     candidate = SimpleNamespace(colour=SKIN)
     search.trials = [
         SimpleNamespace(**told, candidate=candidate, moves_on=moves_on)
@@ -1281,6 +1338,7 @@ def test_what_moves_on_is_no_background_though_it_was_learned_for_one():
     stands, moves = search.trial_sightings()
     assert stands.foreground == 0.1
     assert np.isnan(moves.foreground)
+    assert stands.length == moves.length == 8.0
 
 
 MISSED = ("tracking", "agreement")

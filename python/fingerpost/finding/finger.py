@@ -33,6 +33,8 @@ class Sighting(NamedTuple):
     """How like foreground it is, 0 to 1; NaN where no background is known."""
     colour: tuple[float, float, float] = (np.nan, np.nan, np.nan)
     """Mean colour of its inside; NaN where that is not known."""
+    length: float = np.nan
+    """How far back from its tip it is seen [half-widths]; NaN where that is not known."""
 
 
 def followed(track: Track | None) -> list[Sighting]:
@@ -143,9 +145,33 @@ def measured_line(
 
 def are_near(one: StartPose, other: StartPose, reach_px: float, turn_rad: float) -> bool:
     """Tell whether two poses have about the same tip and direction."""
-    turned = (one.angle_rad - other.angle_rad + np.pi) % (2 * np.pi) - np.pi
     apart = np.hypot(*np.subtract(one.tip_px, other.tip_px))
-    return bool(apart < reach_px and abs(turned) < turn_rad)
+    return bool(apart < reach_px and _turn_rad(one.angle_rad, other.angle_rad) < turn_rad)
+
+
+def _turn_rad(one_rad: float, other_rad: float) -> float:
+    """Return the angle between two directions, 0 to π."""
+    return abs((one_rad - other_rad + math.pi) % (2 * math.pi) - math.pi)
+
+
+TURN_RAD = 0.5
+TURN_RATE_RAD_S = 2.0
+"""By how much a finger may lead elsewhere than when it was last seen, and by how much more for
+every second since, as a standard deviation."""
+
+
+class LastSeen(NamedTuple):
+    """A finger as it was seen last."""
+
+    angle_rad: float
+    """Direction of pointing."""
+    time_s: float
+    """When that was."""
+
+    def leads_to(self, angle_rad: float, time_s: float) -> float:
+        """Return how likely it leads there at another time, beside where it did then, 0 to 1."""
+        sigma_rad = TURN_RAD + TURN_RATE_RAD_S * abs(time_s - self.time_s)
+        return math.exp(-0.5 * (_turn_rad(angle_rad, self.angle_rad) / sigma_rad) ** 2)
 
 
 PROVEN_MOTION = 2.0

@@ -16,6 +16,7 @@ from fingerpost.capture import Frame
 from fingerpost.config import View
 from fingerpost.finding.finger import (
     Aside,
+    LastSeen,
     fitted_half_width_px,
     hand_region,
     is_left_behind,
@@ -110,6 +111,7 @@ class HandView:
         self._tracker: ContourTracker | None = None
         self._track: Track | None = None
         self._latest: deque[FingerLine] = deque(maxlen=STOOD_FRAMES)
+        self._last_seen: LastSeen | None = None
         self._background_frames = 0
         self._is_table = False
         self._table_frames = 0
@@ -206,6 +208,13 @@ class HandView:
         if self.tracker is not None:
             self.tracker.foreshortening = foreshortening
 
+    def would_lead_to(self, angle_rad: float, time_s: float) -> float:
+        """Return how likely the finger that was lost here leads there now, 0 to 1.
+
+        1 where none was lost.
+        """
+        return 1.0 if self._last_seen is None else self._last_seen.leads_to(angle_rad, time_s)
+
     @property
     def aside(self) -> Aside:
         """How the finger's axis lies to the line between the edges that show."""
@@ -258,6 +267,7 @@ class HandView:
         # What leaves the table for the hand that has come has not moved like one.
         if track.finger_line is not None and self.is_sure:
             self._latest.append(track.finger_line)
+            self._last_seen = LastSeen(track.finger_line.angle_rad, frame.time_s)
 
     def _count_waited(self, frame: Frame, track: Track) -> None:
         """Count the frames in which a hand may be there, but not where a template waits for it."""
@@ -473,5 +483,6 @@ class HandView:
         self._flanks.forget()
         self._foreshortening = None
         self._latest.clear()
+        self._last_seen = None
         self.missing = Status.LOST
         self.search.rest()

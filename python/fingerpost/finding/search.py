@@ -208,6 +208,7 @@ class HandSearch:
                 c.score * float(worth),
                 self._if_known(c.foreground),
                 c.colour,
+                c.start.length_px / c.half_width_px,
             )
             for c, worth in zip(self.candidates, self._worth, strict=True)
         ]
@@ -220,6 +221,7 @@ class HandSearch:
                 trial.score,
                 np.nan if trial.moves_on else self._if_known(trial.foreground),
                 trial.candidate.colour,
+                trial.length,
             )
             for trial in self.trials
         ]

@@ -26,7 +26,7 @@ from fingerpost.finding.finger import (
     fitted_half_width_px,
 )
 from fingerpost.finding.foreground import IN_FOREGROUND, foreground_part
-from fingerpost.finding.length import Lengthening
+from fingerpost.finding.length import Lengthening, length_px
 from fingerpost.finding.look import widening
 
 MISSES = 2
@@ -107,6 +107,11 @@ class Trial:
     def half_width_px(self) -> float:
         """Half the finger's width, by the fit if its shape space has one."""
         return fitted_half_width_px(self.track) or self.candidate.half_width_px
+
+    @property
+    def length(self) -> float:
+        """How far back from its tip it is followed [half-widths]."""
+        return length_px(self.tracker, self.line) / self.half_width_px
 
     @property
     def place(self) -> tuple[tuple[float, float], float, float]:
@@ -205,13 +210,9 @@ def distinct(trials: Iterator[Trial]) -> list[Trial]:
     return kept
 
 
-FRAMES_TO_TRUST = {True: (3.0, 7.0), False: (5.0, 10.0)}
+FRAMES_TO_TRUST = {True: (2.0, 4.0), False: (3.0, 6.0)}
 """Frames that both trials of a pair must have held, if its score is 1 and if it is 0: for a pair
 that has come into view, and for one that may have been there all the time."""
-
-FRAMES_TO_TRUST_BACKED = {True: (2.0, 4.0), False: (4.0, 6.5)}
-"""The same of a trial that moves, where the other view follows a hand for good: the search has but
-to find that hand in this one."""
 
 LEAST_SCORE = 0.25
 """The least score of a pair that is believed. In 150 runs on rendered films one finger's have more
@@ -260,9 +261,7 @@ def belief(
     worth = score if has_come else 0.5 * score
     if stays:
         return STAYS * worth, True
-    moves_along = is_backed and all(trial.has_moved for trial in trials)
-    frames_to_trust = FRAMES_TO_TRUST_BACKED if moves_along else FRAMES_TO_TRUST
-    least, most = frames_to_trust[has_come]
+    least, most = FRAMES_TO_TRUST[has_come]
     too_new = min(trial.frames for trial in trials) < score * least + (1.0 - score) * most
     too_late = not has_come and any(
         trial.is_late and not (is_backed and trial.has_moved) for trial in trials

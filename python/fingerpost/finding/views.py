@@ -37,6 +37,9 @@ class SearchingView(FollowingView, Protocol):
     def is_sure(self) -> bool:
         """Whether what it follows, if anything, is a hand and not perhaps the table."""
 
+    def would_lead_to(self, angle_rad: float, time_s: float) -> float:
+        """Return how likely the finger that was lost here leads there now, 0 to 1."""
+
 
 def find_hand(views: Sequence[SearchingView], frames: Sequence[Frame | None]) -> None:
     """Go on with the search for the hand in all views that are searching.
@@ -207,6 +210,10 @@ def _possible_pairs(views: Sequence[SearchingView]) -> list[TriedPair]:
             if not trials or are_left_standing(trials, with_mover):
                 continue
             score, seen = float(scores[a, b]), (seen_i[a], seen_j[b])
+            if len(trials) == 1:
+                # The other view has followed the hand meanwhile: it has hardly turned round.
+                ((k, trial),) = trials.items()
+                score *= views[k].would_lead_to(trial.line.angle_rad, trial.track.time_s)
             stays = all(views[k].search.found is trial for k, trial in trials.items())
             pairs.append(TriedPair((i, j), seen, trials, score, stays))
     return pairs
