@@ -5,7 +5,7 @@
 Each case is played so many times with other poses, paths and noise; `--workers 0` uses all cores.
 A *gross* error is beyond 5 % of the plane; RMS and coverage are of the rest. A point is *wrong* if
 its error exceeds three times its 99 % ellipse. Where several hands point, a point is judged by the
-hand that is followed: the first, until it is out of full view and another one is not. A sequence is
+hand that is followed: the first, until it is out of full view. A sequence is
 *lost* if no point is told at its end, or one that is grossly wrong. A hand is *back* if a point
 within 5 % of the plane is told within 0.3 s of the first frame that shows all of its finger in
 every view, after none was seen.
@@ -269,7 +269,8 @@ class Hands:
     def judge(self, fix: Fix, time_s: float) -> Told:
         """Put what is told beside the hand that is followed.
 
-        Once that has left the full view of any camera, another one may be.
+        Once that has left the full view of any camera, another one may be, also before it has come
+        into full view itself.
         """
         truths = [
             self._play.rig.truth(motion, time_s=time_s, device=device)
@@ -278,7 +279,7 @@ class Hands:
         in_view = [
             all(v.finger is not None and v.finger.in_view for v in truth.views) for truth in truths
         ]
-        allowed = [i for i, seen in enumerate(in_view) if seen and not in_view[self._followed]]
+        allowed = [] if in_view[self._followed] else range(len(truths))
         nearest = Told(math.nan, math.nan, any(in_view))
         for i in (self._followed, *allowed):
             target = truths[i].indicated_mm
