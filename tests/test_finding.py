@@ -771,6 +771,26 @@ def test_a_likely_finger_of_which_no_frame_shows_more_may_be_short(half_widths, 
 
 
 @pytest.mark.parametrize(
+    ("half_widths", "is_followed", "is_short"),
+    [(6.0, True, True), (6.0, False, False), (5.0, True, False)],
+)
+def test_a_finger_that_another_view_follows_may_be_short_sooner(half_widths, is_followed, is_short):
+    def of_another_finger(start: StartPose, half_width_px: float) -> Fitted:
+        return Fitted(start.length_px, 2.0 * half_width_px)
+
+    stub = Fitted(8.0 * half_widths, 8.0)
+    lengthening = Lengthening(of_another_finger, 8.0)
+    seen = []
+    for k in range(4):
+        frame = Frame(k, k / FPS, np.zeros((8, 8), np.uint8))
+        lengthening.look(stub, stub.track, frame, is_followed=is_followed)
+        seen.append(lengthening.is_long)
+    # What covers a finger in one frame may have flanks like a finger's end.
+    assert seen[:2] == [False, False]
+    assert seen[3] is is_short
+
+
+@pytest.mark.parametrize(
     ("moved_px", "changes", "stands", "moves_on"),
     [
         (0.0, {}, True, False),

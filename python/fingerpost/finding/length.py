@@ -26,10 +26,12 @@ LONG = 7.0
 follows already is seen whole: a stub may have taken one flank for another's."""
 
 SHORT = 5.5
-SHORT_FRAMES = 6
+SHORT_FRAMES = {True: 2, False: 6}
 """If so many frames have shown no more of a finger that other views show as well, the rest is
-hidden, or something lies along it: then it may be as short as this [half-widths]. With half as many
-frames, the points of one film were 22 mm off instead of 12."""
+hidden, or something lies along it: then it may be as short as this [half-widths]. One that another
+view follows already waits less, but not a single frame, or a disc that covers a fingertip is taken
+for one; with half as many frames for any other, the points of one film were 22 mm off instead of
+12."""
 
 AS_LONG = 0.9
 """A template is as long as another one if it is as long as this part of that: one that has found a
@@ -93,6 +95,7 @@ class Lengthening:
         background: Background | None = None,
         *,
         is_likely: bool = False,
+        is_followed: bool = False,
     ) -> tuple[ContourTracker, Track]:
         """Return a longer template that this frame shows all of, or else what follows already.
 
@@ -108,6 +111,8 @@ class Lengthening:
             What is behind the hand, if that is known.
         is_likely
             Whether it is a finger by all that other views show, so that it may be short.
+        is_followed
+            Whether another view follows it already, and not merely tries it; then it is likely.
         """
         longer, self._longer = self._longer, None
         line = track.finger_line
@@ -124,7 +129,8 @@ class Lengthening:
         if not self.is_long:
             length = length_px(tracker, line) / self._half_width_px
             self._short_frames += 1
-            is_all = is_likely and self._short_frames > SHORT_FRAMES
+            is_likely = is_likely or is_followed
+            is_all = is_likely and self._short_frames > SHORT_FRAMES[is_followed]
             least = min(self._long, SHORT) if is_all else self._long
             self.is_long, self._interval = length >= least or longest is not None, 1
             return longest or (tracker, track)

@@ -161,13 +161,14 @@ class Trial:
             self.misses, self.frames = 0, self.frames + 1
             self.line = self.track.finger_line
 
-    def lengthen(self, frame: Frame, *, is_likely: bool = False) -> None:
+    def lengthen(self, frame: Frame, *, is_likely: bool = False, is_followed: bool = False) -> None:
         """Follow with a template as long as the finger, if this frame shows all of it.
 
-        One that fits another view's finger well, and so is likely one, may be short.
+        One that fits another view's finger well, and so is likely one, may be short; one that
+        another view follows already, sooner.
         """
         self.tracker, self.track = self.lengthening.look(
-            self.tracker, self.track, frame, is_likely=is_likely
+            self.tracker, self.track, frame, is_likely=is_likely, is_followed=is_followed
         )
         self.line = self.track.finger_line or self.line
 

@@ -156,7 +156,8 @@ def _believe(views: Sequence[SearchingView], frames: Sequence[Frame | None]) -> 
             for k, trial in trials.items():
                 frame = frames[k]
                 if frame is not None and k not in taken:
-                    trial.lengthen(frame, is_likely=pair.score >= FITS_WELL)
+                    is_likely, is_followed = pair.score >= FITS_WELL, len(trials) == 1
+                    trial.lengthen(frame, is_likely=is_likely, is_followed=is_followed)
             is_long = all(trial.lengthening.is_long for trial in trials.values())
             if is_long and not pair.stays and not _point_at_plane(views, trials, pair.views):
                 continue
