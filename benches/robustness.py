@@ -2,13 +2,13 @@
 
     python benches/robustness.py [CASE ...] [--sequences 40] [--seed 0] [--workers 1] [--colour]
 
-Each case is played so many times with other poses, paths and noise; `--workers 0` uses all cores.
-A *gross* error is beyond 5 % of the plane; RMS and coverage are of the rest. A point is *wrong* if
+Each case is played so many times with other poses, paths and noise; `--workers 0` uses all cores. A
+*gross* error is beyond 5 % of the plane; RMS and coverage are of the rest. A point is *wrong* if
 its error exceeds three times its 99 % ellipse. Where several hands point, a point is judged by the
-hand that is followed: the first, until it is out of full view. A sequence is
-*lost* if no point is told at its end, or one that is grossly wrong. A hand is *back* if a point
-within 5 % of the plane is told within 0.3 s of the first frame that shows all of its finger in
-every view, after none was seen.
+hand that is followed: the first, until it is out of full view. A sequence is *lost* if no point is
+told at its end, or one that is grossly wrong. A hand is *back* if a point within 5 % of the plane
+is told within 0.3 s of the first frame that shows all of its finger in every view, after none was
+seen.
 
 With `--colour` the cameras show colours, as most webcams do.
 

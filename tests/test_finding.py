@@ -750,21 +750,28 @@ def test_a_finger_that_is_long_enough_gives_way_at_once_to_one_that_is_twice_as_
     assert lengthening.look(first, first.track, frames[1]) == (seen[0], seen[0].track)
 
 
-@pytest.mark.parametrize(
-    ("half_widths", "is_likely", "is_long"),
-    [(6.0, True, True), (6.0, False, False), (5.0, True, False), (7.5, False, True)],
-)
-def test_a_likely_finger_of_which_no_frame_shows_more_may_be_short(half_widths, is_likely, is_long):
+def is_long_by_frame(half_widths: float, frames: int, **how: bool) -> list[bool]:
+    """Whether a finger of this length passes for a whole one, of which no frame shows more."""
+
     def of_another_finger(start: StartPose, half_width_px: float) -> Fitted:
         return Fitted(start.length_px, 2.0 * half_width_px)
 
     stub = Fitted(8.0 * half_widths, 8.0)
     lengthening = Lengthening(of_another_finger, 8.0)
     seen = []
-    for k in range(40):
+    for k in range(frames):
         frame = Frame(k, k / FPS, np.zeros((8, 8), np.uint8))
-        lengthening.look(stub, stub.track, frame, is_likely=is_likely)
+        lengthening.look(stub, stub.track, frame, **how)
         seen.append(lengthening.is_long)
+    return seen
+
+
+@pytest.mark.parametrize(
+    ("half_widths", "is_likely", "is_long"),
+    [(6.0, True, True), (6.0, False, False), (5.0, True, False), (7.5, False, True)],
+)
+def test_a_likely_finger_of_which_no_frame_shows_more_may_be_short(half_widths, is_likely, is_long):
+    seen = is_long_by_frame(half_widths, 40, is_likely=is_likely)
     assert seen[-1] is is_long
     # It is not taken for all of it at first.
     assert seen[3] is (half_widths >= 7.0)
@@ -775,16 +782,7 @@ def test_a_likely_finger_of_which_no_frame_shows_more_may_be_short(half_widths, 
     [(6.0, True, True), (6.0, False, False), (5.0, True, False)],
 )
 def test_a_finger_that_another_view_follows_may_be_short_sooner(half_widths, is_followed, is_short):
-    def of_another_finger(start: StartPose, half_width_px: float) -> Fitted:
-        return Fitted(start.length_px, 2.0 * half_width_px)
-
-    stub = Fitted(8.0 * half_widths, 8.0)
-    lengthening = Lengthening(of_another_finger, 8.0)
-    seen = []
-    for k in range(4):
-        frame = Frame(k, k / FPS, np.zeros((8, 8), np.uint8))
-        lengthening.look(stub, stub.track, frame, is_followed=is_followed)
-        seen.append(lengthening.is_long)
+    seen = is_long_by_frame(half_widths, 4, is_followed=is_followed)
     # What covers a finger in one frame may have flanks like a finger's end.
     assert seen[:2] == [False, False]
     assert seen[3] is is_short

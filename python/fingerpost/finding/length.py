@@ -28,9 +28,9 @@ follows already is seen whole: a stub may have taken one flank for another's."""
 SHORT = 5.5
 SHORT_FRAMES = {True: 2, False: 6}
 """If so many frames have shown no more of a finger that other views show as well, the rest is
-hidden, or something lies along it: then it may be as short as this [half-widths]. One that another
-view follows already waits less, but not a single frame, or a disc that covers a fingertip is taken
-for one; with half as many frames for any other, the points of one film were 22 mm off instead of
+hidden, or something lies along it: then it may be as short as this [half-widths]. Fewer are enough
+(True) where another view follows it already, but one is not, or a disc that covers a fingertip is
+taken for a finger; with half as many elsewhere, the points of one film were 22 mm off instead of
 12."""
 
 AS_LONG = 0.9
