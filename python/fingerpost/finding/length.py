@@ -129,8 +129,8 @@ class Lengthening:
         if not self.is_long:
             length = length_px(tracker, line) / self._half_width_px
             self._short_frames += 1
-            is_likely = is_likely or is_followed
-            is_all = is_likely and self._short_frames > SHORT_FRAMES[is_followed]
+            has_waited = self._short_frames > SHORT_FRAMES[is_followed]
+            is_all = has_waited and (is_likely or is_followed)
             least = min(self._long, SHORT) if is_all else self._long
             self.is_long, self._interval = length >= least or longest is not None, 1
             return longest or (tracker, track)

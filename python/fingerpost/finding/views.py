@@ -153,10 +153,10 @@ def _believe(views: Sequence[SearchingView], frames: Sequence[Frame | None]) -> 
         if any(taken.get(k, trial) is not trial for k, trial in trials.items()):
             continue
         if has_held:
+            is_likely, is_followed = pair.score >= FITS_WELL, len(trials) == 1
             for k, trial in trials.items():
                 frame = frames[k]
                 if frame is not None and k not in taken:
-                    is_likely, is_followed = pair.score >= FITS_WELL, len(trials) == 1
                     trial.lengthen(frame, is_likely=is_likely, is_followed=is_followed)
             is_long = all(trial.lengthening.is_long for trial in trials.values())
             if is_long and not pair.stays and not _point_at_plane(views, trials, pair.views):
