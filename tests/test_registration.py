@@ -174,6 +174,16 @@ def test_a_plain_table_tells_nothing(level, shape):
     assert registration.unlike_px(picture) == 0.0
 
 
+def test_levels_that_no_motion_changes_are_not_asked_how_far_they_have_moved():
+    picture = np.full((480, 640), 90, np.uint8)
+    picture[200:206, 200:206] = 200  # the square about it is flat for the most part
+    registration = PlaneRegistration(picture, REFERENCES_PX)
+    assert registration.unlike_px(picture) == 0.0
+    flickering = picture.copy()
+    flickering[::2] += 3
+    assert np.isfinite(registration.unlike_px(flickering))
+
+
 def test_another_place_is_not_this_one():
     registration = PlaneRegistration(taken(table(), 1), REFERENCES_PX)
     assert registration.align(taken(table()[::-1, ::-1], 2), np.eye(3)) is None

@@ -346,7 +346,8 @@ class _Level:
         oblique_px = OBLIQUE_PX if halvings == 0 else HALVED_OBLIQUE_PX
         self._oblique = OBLIQUE.T @ OBLIQUE / (unit_from_px[0, 0] * oblique_px) ** 2
         better = np.argsort(-self._information, kind="stable")[: len(row) // 2]
-        some = better[::SOME]
+        # A level that no motion changes tells of none.
+        some = better[self._information[better] > 0.0][::SOME]
         self._some = row[some], column[some]
         self._some_by_px = np.linalg.norm(by_px[some], axis=1)
         self._some_levels = picture[self._some].astype(np.int16)
