@@ -50,7 +50,7 @@ from fingerpost.finding.views import (
     TriedPair,
     are_left_standing,
     is_behind,
-    views_with_mover,
+    movers,
     worthiest_first,
 )
 from fingerpost.pipeline import Pointer
@@ -824,14 +824,25 @@ def test_what_stands_and_what_moves_on_is_told(moved_px, changes, stands, moves_
 
 
 def test_a_pair_that_stands_gives_way_to_what_moves_on_in_either_view():
-    def view(*moving: bool) -> SimpleNamespace:
-        trials = [SimpleNamespace(stands=not moves, moves_on=moves) for moves in moving]
+    standing = SimpleNamespace(tip_px=(200.0, 80.0))
+    elsewhere = SimpleNamespace(tip_px=(100.0, 300.0))
+
+    def view(*moving: bool, at: SimpleNamespace = elsewhere) -> SimpleNamespace:
+        trials = [
+            SimpleNamespace(
+                stands=not moves,
+                moves_on=moves,
+                line=at if moves else standing,
+                half_width_px=8.0,
+            )
+            for moves in moving
+        ]
         return SimpleNamespace(search=SimpleNamespace(trials=trials))
 
     def is_left(views: list, *pair: int) -> bool:
         chosen = zip(views, pair, strict=True)
         trials = {k: view.search.trials[i] for k, (view, i) in enumerate(chosen)}
-        return are_left_standing(trials, views_with_mover(views))
+        return are_left_standing(trials, movers(views))
 
     both = [view(False, True), view(False, True)]
     assert is_left(both, 0, 0)
@@ -839,6 +850,10 @@ def test_a_pair_that_stands_gives_way_to_what_moves_on_in_either_view():
     assert not is_left(both, 0, 1)
     assert is_left([view(False), view(False, True)], 0, 0)
     assert not is_left([view(False, False), view(False)], 0, 0)
+    # What goes to and fro on the fist behind a finger is no other hand, what is farther off may be.
+    for u_px, is_other in [(120.0, False), (45.0, False), (35.0, True), (365.0, True)]:
+        there = view(False, True, at=SimpleNamespace(tip_px=(u_px, 80.0)))
+        assert is_left([there, there], 0, 0) is is_other
 
 
 @pytest.mark.parametrize("is_late", [False, True])

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence, Set
+import math
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from typing import Protocol
@@ -19,7 +20,12 @@ from fingerpost.finding.finger import (
 )
 from fingerpost.finding.look import flatness
 from fingerpost.finding.one_finger import FollowingView, gives_point
-from fingerpost.finding.pairs import pair_scores, reaches_farther, reaches_farther_in_view
+from fingerpost.finding.pairs import (
+    DIGITS_APART,
+    pair_scores,
+    reaches_farther,
+    reaches_farther_in_view,
+)
 from fingerpost.finding.search import HandSearch
 from fingerpost.finding.trial import Trial, belief, precedence
 
@@ -199,7 +205,7 @@ def _possible_pairs(views: Sequence[SearchingView]) -> list[TriedPair]:
     Two digits of one hand are such a pair, too: they tell what hand is behind either.
     """
     pairs = []
-    with_mover = views_with_mover(views)
+    moving = movers(views)
     for i, j in combinations(range(len(views)), 2):
         if not (views[i].is_searching or views[j].is_searching):
             continue
@@ -208,7 +214,7 @@ def _possible_pairs(views: Sequence[SearchingView]) -> list[TriedPair]:
         for a, b in _best_first(scores):
             both = ((i, tried_i[a]), (j, tried_j[b]))
             trials = {k: trial for k, trial in both if trial is not None}
-            if not trials or are_left_standing(trials, with_mover):
+            if not trials or are_left_standing(trials, moving):
                 continue
             score, seen = float(scores[a, b]), (seen_i[a], seen_j[b])
             if len(trials) == 1:
@@ -244,26 +250,30 @@ def is_behind(views: Sequence[SearchingView], pair: TriedPair, other: TriedPair)
     return reaches_farther_in_view(pair.seen[place], other.seen[place])
 
 
-def views_with_mover(views: Sequence[SearchingView]) -> set[int]:
-    """Return the views in which a finger that is tried moves on."""
-    return {
-        k for k, view in enumerate(views) if any(trial.moves_on for trial in view.search.trials)
-    }
+def movers(views: Sequence[SearchingView]) -> dict[int, list[Trial]]:
+    """Return the trials in each view whose finger moves on."""
+    return {k: [t for t in view.search.trials if t.moves_on] for k, view in enumerate(views)}
 
 
-def are_left_standing(trials: Mapping[int, Trial], with_mover: Set[int]) -> bool:
-    """Tell whether fingers that were there from the start stand while another moves on.
+def are_left_standing(trials: Mapping[int, Trial], moving: Mapping[int, Sequence[Trial]]) -> bool:
+    """Tell whether fingers that were there from the start stand while another hand moves on.
 
-    A hand that lies on the table does, as long as the one that points moves.
+    A hand that lies on the table does, as long as the one that points moves. What is no farther
+    from a finger's tip than another digit may be is no other hand: a fit goes to and fro on the
+    folds of a fist.
 
     Parameters
     ----------
     trials
         A pair's, by view.
-    with_mover
-        The views in which a finger moves on.
+    moving
+        What moves on, by view.
     """
-    return not with_mover.isdisjoint(trials) and all(trial.stands for trial in trials.values())
+    return all(trial.stands for trial in trials.values()) and any(
+        math.dist(mover.line.tip_px, trial.line.tip_px) > DIGITS_APART * trial.half_width_px
+        for k, trial in trials.items()
+        for mover in moving.get(k, ())
+    )
 
 
 def _candidates(
