@@ -272,7 +272,7 @@ def are_left_standing(trials: Mapping[int, Trial], moving: Mapping[int, Sequence
     return all(trial.stands for trial in trials.values()) and any(
         math.dist(mover.line.tip_px, trial.line.tip_px) > DIGITS_APART * trial.half_width_px
         for k, trial in trials.items()
-        for mover in moving.get(k, ())
+        for mover in moving[k]
     )
 
 
