@@ -306,6 +306,7 @@ def test_the_recipe_of_1994_takes_sigmas_from_residual_offsets():
                 covariance=np.zeros((2, 2)),
                 tip_px=tuple(finger.axis_point_px),
                 half_length_px=half_length_px,
+                stretch_px=(-half_length_px, half_length_px),
             ),
             diagnostics=SimpleNamespace(residual_rms_px=residual_px),
             shape_vector=None,
@@ -408,6 +409,20 @@ def test_a_lens_that_is_told_costs_nothing_and_one_that_is_not_a_lot():
         )
         medians[lens] = run_experiment(options, workers=1).summary.points.median
     assert medians["known"] < 0.5 * medians["ignored"]
+
+
+def test_the_finger_that_a_lens_bends_is_straight_again():
+    """No finger is bent here: a bend that the lens makes turns no line."""
+    rms_mm = {}
+    for k1 in (0.0, -0.2):
+        options = ExperimentOptions(
+            targets=24,
+            cameras=Placement(distance_m=0.75, f_px=622.0, k1=(k1,)),
+            reference_noise_px=0.0,
+            sensor=Sensor(noise=0.0),
+        )
+        rms_mm[k1] = run_experiment(options, workers=4).summary.points.rms
+    assert rms_mm[-0.2] < 1.2 * rms_mm[0.0]
 
 
 def test_there_is_no_bound_without_noise():

@@ -1100,6 +1100,7 @@ class Following:
                 angle_rad=angle_rad,
                 covariance=np.diag([1e-4, 1e-7]),
                 half_length_px=30.0,
+                stretch_px=(-30.0, 30.0),
             )
             names = () if half_width_px is None else ("half_width [px]",)
             self.track = SimpleNamespace(
@@ -1776,6 +1777,7 @@ def between_edges(v: float, half_width_px: float) -> SimpleNamespace:
         angle_rad=0.0,
         covariance=np.diag([1e-4, 1e-6]),
         half_length_px=25.0,
+        stretch_px=(-25.0, 25.0),
     )
     return SimpleNamespace(
         finger_line=line, shape_vector=[half_width_px], shape_names=("half_width [px]",)

@@ -135,6 +135,19 @@ def test_the_line_of_a_straight_finger_comes_back(lens):
             assert np.abs(distance(line, first)) < abs(distance(through_anchor, first)) / 4
 
 
+def test_it_does_not_matter_where_a_line_is_told():
+    covariance, angle, half_length = np.array([[0.04, 2e-4], [2e-4, 4e-6]]), 0.6, 40.0
+    middle = np.array([560.0, 90.0])
+    expected = WEBCAM.undistort_line(middle, angle, covariance, half_length)
+    for ahead in (-55.0, 12.0):
+        anchor = middle - ahead * np.array([np.cos(angle), np.sin(angle)])
+        back = np.array([[1.0, -ahead], [0.0, 1.0]])
+        told = back @ covariance @ back.T
+        same = WEBCAM.undistort_line(anchor, angle, told, half_length, ahead)
+        for one, other in zip(same, expected, strict=True):
+            assert np.allclose(one, other, rtol=1e-9, atol=1e-12)
+
+
 def test_no_distortion_leaves_the_line():
     lens = Lens(600.0, 610.0, 320.0, 240.0, 0.0)
     covariance = np.array([[0.01, 1e-5], [1e-5, 1e-6]])
@@ -234,6 +247,7 @@ def test_bad_lenses_are_refused(values, words):
         (([1, 2], np.nan, np.eye(2), 10.0), "angle_rad is nan"),
         (([1, 2], 0.0, -np.eye(2), 10.0), "negative eigenvalue"),
         (([1, 2], 0.0, np.eye(2), 0.0), "half_length_px is 0"),
+        (([1, 2], 0.0, np.eye(2), 10.0, np.inf), "middle_px is inf"),
     ],
 )
 def test_bad_lines_are_refused(arguments, words):

@@ -574,11 +574,12 @@ def test_alignment_undoes_the_skew_between_the_views():
 
 
 def test_interpolation_is_linear_in_anchor_and_angle_and_carries_the_tip():
-    before = FingerLine([100, 100], 0.2, FINE, [140, 110], 1.0, half_width_px=10.0)
-    after = FingerLine([120, 90], 0.6, FINE, [155, 115], 1.04, half_width_px=14.0)
+    before = FingerLine([100, 100], 0.2, FINE, [140, 110], 1.0, 30.0, 10.0, (-30.0, 30.0))
+    after = FingerLine([120, 90], 0.6, FINE, [155, 115], 1.04, 30.0, 14.0, (-26.0, 34.0))
     line = align([before, after], 1.01).line
     assert np.allclose(line.anchor_px, [105, 97.5])
     assert line.half_width_px == pytest.approx(11.0)
+    assert line.stretch_px == pytest.approx((-29.0, 31.0))
     assert line.angle_rad == pytest.approx(0.3)
     # Linear motion of the tip itself differs by the second order of the turn alone.
     assert np.allclose(line.tip_px, [143.75, 111.25], atol=1.0)
@@ -700,6 +701,24 @@ def test_taking_out_a_lens_keeps_what_else_is_known_of_a_finger():
     assert abs(seen.angle_rad - finger.angle_rad) > 1e-4
 
 
+def test_a_lens_is_taken_out_over_the_stretch_that_a_line_is_told_for():
+    view = camera(15.0, distance_mm=750.0, focal_px=622.0)
+    finger = webcam_finger(view, BARREL, rod([120, 260], 20.0, 45.0, 150.0))
+    through = webcam_view(view, BARREL, None, BARREL).through_pinhole
+    # Told 10 px farther back, it is the same line of the same stretch.
+    back = finger.anchor_px - 10.0 * np.array([np.cos(finger.angle_rad), np.sin(finger.angle_rad)])
+    half_px = finger.half_length_px
+    farther_back = dataclasses.replace(
+        finger, anchor_px=back, stretch_px=(10.0 - half_px, 10.0 + half_px)
+    )
+    told, same = through(finger), through(farther_back)
+    assert same.angle_rad == pytest.approx(told.angle_rad, abs=1e-12)
+    assert np.allclose(same.anchor_px, told.anchor_px, atol=1e-9)
+    # Without its stretch it would be taken for a line that cuts the bend elsewhere.
+    astray = through(dataclasses.replace(farther_back, stretch_px=(0.0, 0.0)))
+    assert abs(astray.angle_rad - told.angle_rad) > 1e-4
+
+
 def test_a_known_lens_is_taken_out_of_references_and_finger_lines():
     rng = np.random.default_rng(59)
     cameras = [camera(a, distance_mm=750.0, focal_px=622.0) for a in (-15.0, 15.0)]
@@ -796,6 +815,9 @@ GOOD = {
         ({"time_s": np.nan}, "time_s is nan"),
         ({"half_length_px": -1.0}, "half_length_px is -1"),
         ({"half_width_px": -1.0}, "half_width_px is -1"),
+        ({"stretch_px": (5.0, -5.0)}, "stretch_px begins at 5 px and ends at -5 px"),
+        ({"stretch_px": (1.0, np.nan)}, r"stretch_px\[1\] is nan"),
+        ({"stretch_px": 5.0}, r"stretch_px: shape \(\)"),
     ],
 )
 def test_bad_finger_lines_are_refused(values, words):
@@ -807,6 +829,7 @@ def test_a_finger_line_takes_lists_and_keeps_arrays():
     finger = FingerLine(**GOOD)
     assert finger.anchor_px.dtype == np.float64
     assert finger.half_length_px == pytest.approx(30 * np.cos(0.5) + 15 * np.sin(0.5))
+    assert finger.stretch_px == (-finger.half_length_px, finger.half_length_px)
     with pytest.raises(dataclasses.FrozenInstanceError):
         finger.time_s = 1.0
 

@@ -1957,9 +1957,15 @@ class FingerLine:
 
     @property
     def half_length_px(self) -> float:
-        """Half the length of what the line was measured on [px], positive.
+        """Half the length of what the line was measured on [px], positive."""
 
-        A line through a slightly bent finger cuts the bend at ± this / √3 from the anchor.
+    @property
+    def stretch_px(self) -> tuple[float, float]:
+        """Where the stretch that the line is told for begins and ends [px].
+
+        Along it from the anchor, the end nearer to the tip last. The line cuts a slightly bent
+        finger where the line of least squares over that stretch does: in front of its middle and
+        behind it, by 1 / √3 of half its length. A finger that a lens bends is straight again there.
         """
 
     @property

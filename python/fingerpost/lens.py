@@ -158,6 +158,7 @@ class Lens:
         angle_rad: float,
         covariance: ArrayLike,
         half_length_px: float,
+        middle_px: float = 0.0,
     ) -> tuple[NDArray[np.float64], float, NDArray[np.float64]]:
         """Line a pinhole would show, from a straight line fitted to the image of a straight thing.
 
@@ -169,13 +170,15 @@ class Lens:
         Parameters
         ----------
         anchor_px : (2,)
-            Middle of the stretch of finger that the line was fitted to.
+            Point of the line.
         angle_rad
             Its direction in the image.
         covariance : (2, 2)
             Of (offset along the normal [px], angle [rad]) at the anchor.
         half_length_px
-            Half the length of that stretch, > 0.
+            Half the length of the stretch of finger that the line was fitted to, > 0.
+        middle_px
+            How far ahead of the anchor the middle of that stretch lies.
 
         Returns
         -------
@@ -190,9 +193,10 @@ class Lens:
         angle = float(finite_array(angle_rad, "angle_rad", ()))
         covariance = covariance_array(covariance, "covariance", (2, 2))
         half = in_range(half_length_px, "half_length_px", _TINY, _LARGEST)
+        middle = in_range(middle_px, "middle_px", -_LARGEST, _LARGEST)
         tangent = np.array([np.cos(angle), np.sin(angle)])
         normal = np.array([-tangent[1], tangent[0]])
-        lever = np.array([-1.0, 1.0]) * half / np.sqrt(3.0)
+        lever = middle + np.array([-1.0, 1.0]) * half / np.sqrt(3.0)
         on_image = anchor + lever[:, None] * tangent
         undistorted = self.undistort(on_image)
         near, far = undistorted

@@ -164,15 +164,19 @@ class FingerLine:
     time_s
         Capture time [s], on one clock for all views.
     half_length_px
-        Half the length of that stretch [px], > 0; where a lens bends the finger's image, the line
-        is straightened over it. 0 stands for the way from anchor to tip.
+        Half the length of that stretch [px], > 0. 0 stands for the way from anchor to tip.
     half_width_px
         Half the finger's width [px], ≥ 0; 0 where it is not known.
+    stretch_px
+        From where to where the line stands for the finger, along it from the anchor [px]: where a
+        lens bends the finger's image, the line is straightened over it. (0, 0) stands for what it
+        was measured on.
 
     Raises
     ------
     InvalidInputError
-        NaN, wrong shapes, a matrix that is no covariance, or a tip behind the anchor.
+        NaN, wrong shapes, a matrix that is no covariance, a tip behind the anchor, or a stretch
+        that ends before it begins.
     """
 
     anchor_px: NDArray[np.float64]
@@ -182,6 +186,7 @@ class FingerLine:
     time_s: float
     half_length_px: float = 0.0
     half_width_px: float = 0.0
+    stretch_px: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
         anchor = finite_array(self.anchor_px, "anchor_px", (2,))
@@ -204,6 +209,15 @@ class FingerLine:
         set_field(self, "half_length_px", half_length or ahead)
         half_width = in_range(self.half_width_px, "half_width_px", 0.0, _LARGEST)
         set_field(self, "half_width_px", half_width)
+        begin, end = finite_array(self.stretch_px, "stretch_px", (2,)).tolist()
+        if begin == end == 0.0:
+            begin, end = -self.half_length_px, self.half_length_px
+        if not begin < end:
+            raise InvalidInputError(
+                f"stretch_px begins at {begin:.4g} px and ends at {end:.4g} px; "
+                "it is to end nearer to the tip"
+            )
+        set_field(self, "stretch_px", (begin, end))
 
     @property
     def largeness(self) -> float:
@@ -448,14 +462,23 @@ class PlaneView:
         """Finger line with the lens taken out; ILL_CONDITIONED where the lens model ends."""
         if self.lens is None:
             return finger
+        begin, end = finger.stretch_px
+        half, middle = (end - begin) / 2.0, (begin + end) / 2.0
         anchor, angle, covariance = self.lens.undistort_line(
-            finger.anchor_px, finger.angle_rad, finger.covariance, finger.half_length_px
+            finger.anchor_px, finger.angle_rad, finger.covariance, half, middle
         )
         tip = self.lens.undistort(finger.tip_px)
         ahead = (tip - anchor) @ (math.cos(angle), math.sin(angle))
         if not ahead > 0.0:  # NaN outside the domain of the lens model
             return Status.ILL_CONDITIONED
-        return replace(finger, anchor_px=anchor, angle_rad=angle, covariance=covariance, tip_px=tip)
+        return replace(
+            finger,
+            anchor_px=anchor,
+            angle_rad=angle,
+            covariance=covariance,
+            tip_px=tip,
+            stretch_px=(-half, half),
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -732,6 +755,10 @@ def _interpolate(before: FingerLine, after: FingerLine, turn: float, time_s: flo
         time_s=time_s,
         half_length_px=(1.0 - weight) * before.half_length_px + weight * after.half_length_px,
         half_width_px=(1.0 - weight) * before.half_width_px + weight * after.half_width_px,
+        stretch_px=(
+            (1.0 - weight) * before.stretch_px[0] + weight * after.stretch_px[0],
+            (1.0 - weight) * before.stretch_px[1] + weight * after.stretch_px[1],
+        ),
     )
 
 

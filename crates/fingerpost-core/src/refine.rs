@@ -118,6 +118,29 @@ impl Stretch {
     pub(crate) fn middle_px(&self) -> f64 {
         0.5 * (self.from_px + self.to_px)
     }
+
+    /// So far to either side of a middle \[px\].
+    pub(crate) fn about(middle_px: f64, half_length_px: f64) -> Self {
+        Self { from_px: middle_px - half_length_px, to_px: middle_px + half_length_px }
+    }
+
+    /// The one over which the line of least squares through a parabola cuts it in two places, so far from
+    /// their middle (squared): these are 1 / √3 of half its length from there. A line that cuts it
+    /// nowhere is told for what is next to it.
+    pub(crate) fn cut(middle_px: f64, cut_px2: f64) -> Self {
+        const SHORTEST_PX: f64 = 1.0;
+        Self::about(middle_px, (3.0 * cut_px2.max(0.0)).sqrt().max(SHORTEST_PX))
+    }
+
+    /// The same stretch, for an anchor that lies so much farther along \[px\].
+    pub(crate) fn beside(&self, anchor_px: f64) -> Self {
+        Self { from_px: self.from_px - anchor_px, to_px: self.to_px - anchor_px }
+    }
+
+    /// The same stretch in pixels of which so many are one of its own.
+    pub(crate) fn scaled(&self, px: f64) -> Self {
+        Self { from_px: px * self.from_px, to_px: px * self.to_px }
+    }
 }
 
 /// Where a finger is believed to be, to within a few px: what the tracker knows of it.

@@ -341,6 +341,12 @@ impl PyFingerLine {
         self.0.half_length_px
     }
 
+    /// Where the stretch that it is told for begins and ends, from the anchor.
+    #[getter]
+    fn stretch_px(&self) -> (f64, f64) {
+        (self.0.stretch.from_px, self.0.stretch.to_px)
+    }
+
     /// Covariance of offset and angle.
     #[getter]
     fn covariance(&self, py: Python<'_>) -> PyResult<Py<PyArray2<f64>>> {

@@ -120,11 +120,10 @@ def measured_line(
     if track is None or track.finger_line is None:
         return None
     line, half_width_px = track.finger_line, fitted_half_width_px(track) or 0.0
-    half_length_px = line.half_length_px or math.dist(line.tip_px, line.anchor_px)
     covariance = line.covariance
     if aside.off > 0.0:
         off_px = aside.off * half_width_px
-        covariance = covariance + np.diag([off_px**2, (off_px / half_length_px) ** 2])
+        covariance = covariance + np.diag([off_px**2, (off_px / line.half_length_px) ** 2])
     anchor_px, tip_px, angle_rad = np.array(line.anchor_px), np.array(line.tip_px), line.angle_rad
     if aside.offset or aside.turn_rad:
         normal = np.array([-math.sin(angle_rad), math.cos(angle_rad)])
@@ -138,8 +137,9 @@ def measured_line(
         covariance,
         tip_px,
         time_s,
-        half_length_px,
+        line.half_length_px,
         half_width_px * math.exp(aside.wider),
+        line.stretch_px,
     )
 
 

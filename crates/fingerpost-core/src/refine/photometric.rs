@@ -558,8 +558,7 @@ fn straight(
 fn stretch(line: &Vector2<f64>, h: f64) -> Stretch {
     let middle_px = line.y * h * h / 3.0;
     let cut_px2 = middle_px * middle_px + h * h * (1.0 + 2.0 * line.x) / 3.0;
-    let half_px = (3.0 * cut_px2.max(0.0)).sqrt();
-    Stretch { from_px: middle_px - half_px, to_px: middle_px + half_px }
+    Stretch::cut(middle_px, cut_px2)
 }
 
 /// A look at all blocks of a flank.

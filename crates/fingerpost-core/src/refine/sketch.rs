@@ -68,7 +68,7 @@ impl Sketch {
             length <= MAX_STRETCH_PX
         })?;
         let (along, middle) = (axis.direction(), 0.5 * (from + to));
-        let shift = |s: &Stretch| Stretch { from_px: s.from_px - middle, to_px: s.to_px - middle };
+        let shift = |s: &Stretch| s.beside(middle);
         let sketch = Self {
             origin: axis.anchor + along * middle,
             along,

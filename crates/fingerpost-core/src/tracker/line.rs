@@ -1,6 +1,6 @@
 //! The line that a finger points along, and how several looks at it are told together.
 
-use crate::refine::Refined;
+use crate::refine::{Refined, Stretch};
 use crate::shape_space::Axis;
 use nalgebra::{Matrix2, Vector2};
 use std::f64::consts::TAU;
@@ -10,9 +10,12 @@ use std::f64::consts::TAU;
 pub struct FingerLine {
     /// The axis: the middle of what it was measured on, its tip and its direction.
     pub axis: Axis,
-    /// Half the length of what it was measured on \[px\]: a line through a slightly bent finger cuts
-    /// the bend at ± `half_length_px` / √3 from the anchor, where one through a parabola would.
+    /// Half the length of what it was measured on \[px\].
     pub half_length_px: f64,
+    /// The stretch that it is told for, along the line from the anchor. It cuts a slightly bent finger
+    /// where the line of least squares through a parabola over that stretch does: in front of its middle
+    /// and behind it, by 1 / √3 of half its length.
+    pub stretch: Stretch,
     /// Covariance of (offset \[px\] along the line's normal at the anchor, angle \[rad\]).
     pub covariance: Matrix2<f64>,
     /// What it was measured on.
@@ -32,7 +35,9 @@ impl FingerLine {
     /// The axis of a fitted template, which is told at its middle.
     pub(super) fn of_contour(axis: &Axis, covariance: &Matrix2<f64>) -> Self {
         let half_length_px = (axis.tip - axis.anchor).norm();
-        Self { axis: *axis, half_length_px, covariance: *covariance, source: LineSource::Contour }
+        let stretch = Stretch::about(0.0, half_length_px);
+        let covariance = *covariance;
+        Self { axis: *axis, half_length_px, stretch, covariance, source: LineSource::Contour }
     }
 
     /// Variance of the line over its stretch \[px²\].
@@ -53,7 +58,8 @@ impl FingerLine {
         // Offset there: that here + by_px · angle.
         let there = Matrix2::new(1.0, by_px, 0.0, 1.0);
         let covariance = there * self.covariance * there.transpose();
-        Self { axis: Axis { anchor, ..self.axis }, covariance, ..self }
+        let stretch = self.stretch.beside(by_px);
+        Self { axis: Axis { anchor, ..self.axis }, stretch, covariance, ..self }
     }
 
     /// The same line, told beside a point and towards a tip.
@@ -143,7 +149,7 @@ impl FingerLine {
     pub(super) fn of_pixels(refined: &Refined) -> Self {
         let Refined { axis, stretch, covariance, .. } = *refined;
         let half_length_px = 0.5 * stretch.length_px();
-        let line = Self { axis, half_length_px, covariance, source: LineSource::Pixels };
+        let line = Self { axis, half_length_px, stretch, covariance, source: LineSource::Pixels };
         line.told_along(stretch.middle_px())
     }
 }
@@ -183,6 +189,25 @@ mod tests {
         assert!((doubted.covariance - expected).norm() < 1e-9, "{}", doubted.covariance);
         assert_eq!(doubted.axis, line.axis);
         assert_eq!(line.doubted(&axis), line);
+    }
+
+    #[test]
+    fn a_line_told_elsewhere_is_told_for_the_same_stretch() {
+        let [axis, other] = axes();
+        let line = FingerLine::of_contour(&axis, &Matrix2::identity());
+        let at = |line: &FingerLine, px: f64| line.axis.anchor + line.axis.direction() * px;
+        let there = line.told_along(7.0);
+        for (told, before) in [
+            (there.stretch.from_px, line.stretch.from_px),
+            (there.stretch.to_px, line.stretch.to_px),
+        ] {
+            assert!((at(&there, told) - at(&line, before)).norm() < 1e-12, "{told} {before}");
+        }
+        assert!((line.stretch.length_px() - 60.0).abs() < 1e-12);
+        assert_eq!(
+            line.joined(&FingerLine::of_contour(&other, &Matrix2::identity())).stretch,
+            line.stretch
+        );
     }
 
     #[test]
@@ -258,8 +283,9 @@ mod tests {
 
     /// A line with the given covariance and the middle of what it was measured on.
     fn pixels(axis: &Axis, covariance: Matrix2<f64>) -> FingerLine {
+        let stretch = Stretch::about(0.0, 20.0);
         let source = LineSource::Pixels;
-        FingerLine { axis: *axis, half_length_px: 20.0, covariance, source }
+        FingerLine { axis: *axis, half_length_px: 20.0, stretch, covariance, source }
     }
 
     #[test]

@@ -14,7 +14,7 @@ use super::{MAX_DOF, StartPose};
 use crate::Result;
 use crate::frame::{ColourView, Frame};
 use crate::image::GrayView;
-use crate::refine::{Belief, Finger, PhotometricReport, Refined, Stretch};
+use crate::refine::{Belief, Finger, PhotometricReport, Refined};
 use crate::shape_space::{Axis, PlacedSample};
 use nalgebra::{Matrix2, Point2, SVector, Vector2};
 
@@ -82,12 +82,11 @@ impl Reduction {
     /// What the picture tells of a finger, in the frame.
     pub fn finger(self, finger: &Finger) -> Finger {
         let px = self.px();
-        let stretch = |s: Stretch| Stretch { from_px: px * s.from_px, to_px: px * s.to_px };
         Finger {
             axis: self.axis(&finger.axis),
             half_width_px: px * finger.half_width_px,
             taper: finger.taper,
-            flanks: finger.flanks.map(stretch),
+            flanks: finger.flanks.map(|stretch| stretch.scaled(px)),
             round_end_px: finger.round_end_px.map(|end| px * end),
             belief: finger.belief.map(|b| Belief {
                 half_width_px: px * b.half_width_px,
@@ -111,7 +110,7 @@ impl Reduction {
         Refined {
             axis: Axis { anchor, tip, ..axis },
             covariance: scaled(&refined.covariance, part),
-            stretch: Stretch { from_px: part * stretch.from_px, to_px: part * stretch.to_px },
+            stretch: stretch.scaled(part),
             half_width_px: part * refined.half_width_px,
             photometric: refined.photometric.map(|report| PhotometricReport {
                 half_length_px: part * report.half_length_px,
@@ -132,6 +131,7 @@ impl Reduction {
             finger_line: track.finger_line.map(|line| FingerLine {
                 axis: self.axis(&line.axis),
                 half_length_px: px * line.half_length_px,
+                stretch: line.stretch.scaled(px),
                 covariance: scaled(&line.covariance, px),
                 ..line
             }),

@@ -11,7 +11,9 @@
 //! and taken to the front by the curvature that the pixels show ([`PhotometricReport::bend_px`]), as far
 //! as that can be believed to be the finger's own ([`HALF_OWN`]); what cannot leaves them the lines of
 //! the whole ([`WHOLE`]). How far back the front goes is known by the width, which a view shows as it
-//! is, and by how much it shows the length shorter.
+//! is, and by how much it shows the length shorter. Each line says for which stretch it is told at last
+//! ([`FingerLine::stretch`]), for a known lens bends the image of a straight finger as well: it is
+//! straight again where the line cuts it.
 //!
 //! What is left, no average over frames removes: joints, nail and shading turn and shift a medial line
 //! as the bend does. How far another look at the same finger may differ is told from the bend, and
@@ -20,7 +22,7 @@
 //! [`PhotometricReport::bend_px`]: crate::refine::PhotometricReport::bend_px
 
 use super::line::FingerLine;
-use crate::refine::{PhotometricReport, Refined, Source};
+use crate::refine::{PhotometricReport, Refined, Source, Stretch};
 use crate::shape_space::Axis;
 use nalgebra::Vector2;
 
@@ -119,31 +121,25 @@ impl Sagitta {
         let ahead_px = (tip - anchor).dot(&line.axis.direction());
         self.half_width_px.learn(seen.half_width_px, SIZE_RATE);
         self.far_px.learn(ahead_px + line.half_length_px, SIZE_RATE);
-        let own_part = self.own_part.value;
+        let measured = Cuts::of(0.0, line.half_length_px);
         let [whole, front] =
-            [WHOLE, FRONT].map(|extent| self.step(&extent, seen.foreshortening, &line, ahead_px));
-        let step = whole * (1.0 - own_part) + front * own_part;
-        let (anchor, angle_rad) = (anchor + line.axis.normal() * step.x, angle_rad + step.y);
-        FingerLine { axis: Axis::of_finger(anchor, angle_rad, ahead_px), ..line }
+            [WHOLE, FRONT].map(|extent| self.cuts(&extent, seen.foreshortening, &line, ahead_px));
+        let own_part = self.own_part.value;
+        let cuts = measured.towards(whole.towards(front, own_part), self.own_bend());
+        let [turn_rad, twice_aside_px] = ((cuts.0 - measured.0) * self.curvature()).into();
+        let anchor = anchor + line.axis.normal() * (0.5 * twice_aside_px);
+        let axis = Axis::of_finger(anchor, angle_rad + turn_rad, ahead_px);
+        FingerLine { axis, stretch: cuts.stretch(), ..line }
     }
 
-    /// How far the line of least squares through another stretch lies from this one, beside its anchor,
-    /// which is so far behind the tip \[px\], and by how much it is turned \[rad\].
-    fn step(
-        &self,
-        extent: &Extent,
-        foreshortening: f64,
-        line: &FingerLine,
-        ahead_px: f64,
-    ) -> Vector2<f64> {
+    /// Where the line of an extent cuts the medial line, of a finger whose tip lies so far ahead \[px\]
+    /// of the anchor of the line that was measured.
+    fn cuts(&self, extent: &Extent, foreshortening: f64, line: &FingerLine, ahead_px: f64) -> Cuts {
         let near_px = extent.near * self.half_width_px.value;
         let far_px = self.far_px.value.min(extent.far * foreshortening * self.half_width_px.value);
-        // From the middle of the line's stretch to that of the other, towards the tip.
         let farthest_px = extent.farthest * line.half_length_px;
-        let by_px = (ahead_px - 0.5 * (far_px + near_px)).clamp(-farthest_px, farthest_px);
-        let half_px = 0.5 * (far_px - near_px).max(0.0);
-        let squares = (half_px.powi(2) - line.half_length_px.powi(2)) / 3.0 - by_px * by_px;
-        Vector2::new(0.5 * squares, by_px) * self.curvature()
+        let middle_px = (ahead_px - 0.5 * (far_px + near_px)).clamp(-farthest_px, farthest_px);
+        Cuts::of(middle_px, 0.5 * (far_px - near_px).max(0.0))
     }
 
     /// By how much either end of a line may be misled, in parts of its half-length: nothing by a bend
@@ -157,14 +153,39 @@ impl Sagitta {
         (self.bend.value * self.bend.value - self.variance.value).max(0.0)
     }
 
-    /// The curvature of the medial line \[1/px\], drawn towards zero by as much as it may be noise.
-    fn curvature(&self) -> f64 {
+    /// The part of the bend that is none of what noise makes of it, 0–1.
+    fn own_bend(&self) -> f64 {
         let squared = self.bend.value * self.bend.value;
-        if squared > 0.0 {
-            3.0 * self.told_squared() / (self.bend.value * self.half_length_px.value)
-        } else {
-            0.0
-        }
+        if squared > 0.0 { self.told_squared() / squared } else { 0.0 }
+    }
+
+    /// The curvature of the medial line \[1/px\]; 0 where nothing has told of it.
+    fn curvature(&self) -> f64 {
+        if self.bend.frames > 0.0 { 3.0 * self.bend.value / self.half_length_px.value } else { 0.0 }
+    }
+}
+
+/// Where a line cuts a parabola y = κ x² / 2: the middle of both places \[px\], and less the product of
+/// them \[px²\]. It is turned by the one times κ against the tangent at x = 0, and lies half the other
+/// times κ aside of that; so the mean of two lines has the mean of both.
+#[derive(Debug, Clone, Copy)]
+struct Cuts(Vector2<f64>);
+
+impl Cuts {
+    /// Of the line of least squares over a stretch.
+    fn of(middle_px: f64, half_length_px: f64) -> Self {
+        Self(Vector2::new(middle_px, half_length_px.powi(2) / 3.0 - middle_px * middle_px))
+    }
+
+    /// Of the line so much of the way to another one, 0–1.
+    fn towards(self, other: Self, part: f64) -> Self {
+        Self(self.0.lerp(&other.0, part))
+    }
+
+    /// The stretch whose line of least squares it is.
+    fn stretch(&self) -> Stretch {
+        let [middle_px, product_px2] = self.0.into();
+        Stretch::cut(middle_px, middle_px * middle_px + product_px2)
     }
 }
 
@@ -181,7 +202,6 @@ fn own_part(report: &PhotometricReport) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::refine::Stretch;
     use crate::tracker::LineSource;
     use nalgebra::{Matrix2, Point2};
 
@@ -289,6 +309,7 @@ mod tests {
         FingerLine {
             axis: Axis::of_finger(anchor, slope, -middle_px),
             half_length_px: half_px,
+            stretch: Stretch::about(0.0, half_px),
             covariance: Matrix2::identity(),
             source: LineSource::Pixels,
         }
@@ -316,6 +337,43 @@ mod tests {
                 assert!((straight.axis.angle_rad - line.axis.angle_rad).abs() < 1e-15);
             }
         }
+    }
+
+    #[test]
+    fn a_line_cuts_the_finger_where_its_stretch_says() {
+        let (curvature, half_width_px) = (5e-4, 7.0);
+        let bend_px = curvature * HALF_PX * HALF_PX / 3.0;
+        let line = line_over(curvature, 66.0, 3.0);
+        // However far it is taken: all of the way, or part of it for a bend that may be noise or shade.
+        for (sigma_px, faintest) in [(0.0, 1e9), (0.0, 1.0), (0.7 * bend_px, 1e9), (9.0, 1e9)] {
+            let look = refined(bend_px, sigma_px, Source::Photometric);
+            let contrast_grey = [1e9, faintest * HALF_OWN * RESIDUAL_GREY];
+            let photometric = look.photometric.map(|p| PhotometricReport { contrast_grey, ..p });
+            let mut sagitta = Sagitta::default();
+            sagitta.learn(&Refined { photometric, ..look }, true);
+            let told = sagitta.told(line, &from_its_side(half_width_px));
+            let cut_px = told.stretch.length_px() / 12.0_f64.sqrt();
+            for along_px in [-1.0, 1.0].map(|s| told.stretch.middle_px() + s * cut_px) {
+                let Point2 { coords, .. } = told.axis.anchor + told.axis.direction() * along_px;
+                // The vertex of its bend is the tip.
+                let medial = 0.5 * curvature * (coords.x - 200.0).powi(2);
+                assert!((coords.y - medial).abs() < 3e-4, "{sigma_px} {faintest}: {coords}");
+            }
+        }
+        // One that nothing is known of is told for what it was measured on.
+        let told = Sagitta::default().told(line, &from_its_side(half_width_px));
+        assert!((told.stretch.length_px() - 63.0).abs() < 1e-9, "{:?}", told.stretch);
+        assert!(told.stretch.middle_px().abs() < 1e-9, "{:?}", told.stretch);
+    }
+
+    #[test]
+    fn a_finger_of_no_length_has_the_tangent_of_its_bend() {
+        let mut sagitta = Sagitta::default();
+        sagitta.learn(&refined(0.6, 0.0, Source::Photometric), true);
+        // So foreshortened, its front ends before it begins.
+        let seen = Seen { half_width_px: 7.0, foreshortening: 0.01 };
+        let told = sagitta.told(line_over(2e-3, 66.0, 3.0), &seen);
+        assert!((told.stretch.length_px() - 2.0).abs() < 1e-9, "{:?}", told.stretch);
     }
 
     #[test]

@@ -375,7 +375,7 @@ impl Look {
         let told = FingerLine { axis, covariance, ..self.line }.told_beside(&self.line);
         let tip_px = (self.line.axis.tip - self.line.axis.anchor).dot(&self.line.axis.direction());
         let axis = Axis::of_finger(told.axis.anchor, told.axis.angle_rad, tip_px);
-        Some(FingerLine { axis, ..told })
+        Some(FingerLine { axis, stretch: self.line.stretch, ..told })
     }
 }
 
@@ -388,7 +388,7 @@ pub(super) fn correlation(gone: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::refine::Painted;
+    use crate::refine::{Painted, Stretch};
     use crate::tracker::LineSource;
 
     const SHOWN: Shown = Shown { half_width_px: 8.0, taper: 0.0, length_px: 60.0 };
@@ -400,6 +400,7 @@ mod tests {
         FingerLine {
             axis: Axis::of_finger(anchor, axis.angle_rad + off[1], 30.0),
             half_length_px: 30.0,
+            stretch: Stretch::about(0.0, 30.0),
             covariance: Matrix2::from_diagonal(&Vector2::from(sigmas.map(|s| s * s))),
             source: LineSource::Contour,
         }

@@ -88,6 +88,7 @@ impl Worth {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::refine::Stretch;
     use crate::shape_space::Axis;
     use crate::tracker::LineSource;
 
@@ -97,6 +98,7 @@ mod tests {
         FingerLine {
             axis: Axis::of_finger(Point2::new(10.0, 20.0), 0.3, 30.0),
             half_length_px: 30.0,
+            stretch: Stretch::about(0.0, 30.0),
             covariance: Matrix2::new(0.04, 1e-4, 1e-4, 1e-4),
             source: LineSource::Both,
         }
