@@ -201,6 +201,49 @@ def bent_finger(tip: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     return np.clip(np.round(image), 0, 255).astype(np.uint8)
 
 
+JOINT_PX = 52.0
+"""How far behind its tip the finger that has a knuckle is turned."""
+
+
+def knuckled_finger(tip: np.ndarray, turn_rad: float, rng: np.random.Generator) -> np.ndarray:
+    """Colours of a finger 20 px wide that points along +u; behind its joint it widens a little."""
+    v, u = np.mgrid[:480, :640]
+    end, joint = tip - (10.0, 0.0), tip - (JOINT_PX, 0.0)
+    root = joint - 45.0 * np.array([np.cos(turn_rad), np.sin(turn_rad)])
+    inside_px = np.full(v.shape, -np.inf)
+    for first, last, half_width_px in [(end, joint, 10.0), (joint, root, 11.0)]:
+        way = last - first
+        part = ((u - first[0]) * way[0] + (v - first[1]) * way[1]) / (way @ way)
+        part = np.clip(part, 0.0, 1.0)
+        off_px = np.hypot(u - first[0] - part * way[0], v - first[1] - part * way[1])
+        inside_px = np.maximum(inside_px, 10.0 + (half_width_px - 10.0) * part - off_px)
+    cover = np.clip(0.5 + inside_px, 0.0, 1.0)[..., None]
+    table, skin = np.array([70.0, 80.0, 60.0]), np.array([120.0, 140.0, 190.0])
+    image = cv2.GaussianBlur(table + (skin - table) * cover, (0, 0), 1.0)
+    noise = rng.normal(0, NOISE_GREY, image.shape)
+    return np.clip(np.round(image + noise), 0, 255).astype(np.uint8)
+
+
+@pytest.mark.parametrize("turn_rad", [0.15, -0.15, 0.0])
+def test_a_line_is_that_of_the_front_wherever_the_finger_comes_from(turn_rad):
+    rng = np.random.default_rng(5)
+    start = StartPose((320.0, 240.0), 0.0, 90)
+    tracker = ContourTracker(Template.pistol("none"), start)
+    angles_rad = []
+    for k in range(25):
+        tip = np.array([320.0 + 60 * np.sin(0.1 * k), 240.0 + 40 * np.sin(0.07 * k)])
+        colour = knuckled_finger(tip, turn_rad, rng)
+        grey = cv2.cvtColor(colour, cv2.COLOR_BGR2GRAY)
+        line = tracker.update(grey, FRAME_S * k, colour).finger_line
+        angles_rad.append(np.nan if line is None else line.angle_rad)
+    # The line of least squares through the medial line of the front, 0.76 to 5.6 half-widths long.
+    behind_px = np.linspace(7.6, 56.0, 1001)
+    medial_px = -np.tan(turn_rad) * np.clip(behind_px - JOINT_PX, 0.0, None)
+    front_rad = -np.polyfit(behind_px, medial_px, 1)[0]
+    # A parabola through the whole tells it to a degree.
+    np.testing.assert_allclose(angles_rad[5:], front_rad, atol=np.radians(0.4))
+
+
 def test_no_number_of_frames_makes_the_line_of_a_bent_finger_sure():
     rng = np.random.default_rng(3)
     start = StartPose((320.0, 240.0), 0.0, 90)

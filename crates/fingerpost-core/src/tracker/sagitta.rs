@@ -10,7 +10,9 @@
 //! ([`FRONT`]), which points. They are measured on all of it, for a short stretch tells an angle badly,
 //! and taken to the front by the curvature that the pixels show ([`PhotometricReport::bend_px`]), as far
 //! as that can be believed to be the finger's own ([`HALF_OWN`]); what cannot leaves them the lines of
-//! the whole ([`WHOLE`]). How far back the front goes is known by the width, which a view shows as it
+//! the whole ([`WHOLE`]). A finger is no parabola where its knuckle begins: if its bend turns the line by
+//! more than noise does, the pixels of the front are looked at alone, and how its line lies to that of
+//! the whole ([`Front`]) takes the place of most of the bend. How far back the front goes is known by the width, which a view shows as it
 //! is, and by how much it shows the length shorter. Each line says for which stretch it is told at last
 //! ([`FingerLine::stretch`]), for a known lens bends the image of a straight finger as well: it is
 //! straight again where the line cuts it.
@@ -24,7 +26,7 @@
 use super::line::FingerLine;
 use crate::refine::{PhotometricReport, Refined, Source, Stretch};
 use crate::shape_space::Axis;
-use nalgebra::Vector2;
+use nalgebra::{Matrix2, Vector2};
 
 /// A stretch that lines may be told for.
 struct Extent {
@@ -35,6 +37,13 @@ struct Extent {
     /// The middle of what was looked at is moved by no more than this part of its half-length to get
     /// there: what is seen less of is not told from a parabola.
     farthest: f64,
+}
+
+impl Extent {
+    /// Where it ends behind the tip, as a view shows it \[px\].
+    fn far_px(&self, seen: &Seen) -> f64 {
+        self.far * seen.foreshortening * seen.half_width_px
+    }
 }
 
 /// What points: index fingers are 9 to 10 half-widths long, and these are 92 and 40 % of the way from
@@ -52,6 +61,13 @@ const WHOLE: Extent = Extent { near: 0.3, far: 8.8, farthest: 0.15 };
 /// many times what its pixels scatter, nearly all of it where it is twice as much, hardly any where it is
 /// half. Without colours a shade looks like an edge, and none of it is.
 const HALF_OWN: f64 = 14.0;
+/// A parabola is a poor likeness of a finger with a knuckle at its end: of two rendered hands, half and a
+/// fifth of the true bend were told, so it may be off by so many times what it turns a line by. Where
+/// that is more than the noise of so short a stretch, the pixels of the front are looked at alone: of a
+/// finger that turns its line by more than this \[rad\], if so much of what they show is its own.
+const OFF_BY: f64 = 2.0;
+const LEAST_TURN_RAD: f64 = 0.0035;
+const LEAST_OWN: f64 = 0.4;
 /// Either end of a line may be misled by this part of the bend. Turned into an angle that is the spread of
 /// lines through stretches whose middles scatter by 0.18 half-lengths. On 38 films of rendered hands the
 /// 95 % ellipses then hold 91 % of the points by the exact medial lines, 87 % if the frames before may
@@ -67,6 +83,32 @@ pub(super) struct Seen {
     pub half_width_px: f64,
     /// See [`ContourTracker::foreshortening`](super::ContourTracker::foreshortening).
     pub foreshortening: f64,
+}
+
+/// How the line of a finger's front lies to that of the whole in one frame, by the pixels of either.
+pub(super) struct Front {
+    /// How far aside \[px\], beside the anchor of the whole's line, and by how much it is turned
+    /// \[rad\].
+    apart: Vector2<f64>,
+    /// How unsure that is, where the front knows nothing of what the whole errs by.
+    covariance: Matrix2<f64>,
+    cuts: Cuts,
+}
+
+impl Front {
+    /// By the lines of both.
+    pub fn beside(front: &FingerLine, whole: &FingerLine) -> Self {
+        let front = front.told_beside(whole);
+        let (apart, covariance) = (whole.apart(&front.axis), front.covariance);
+        Self { apart, covariance, cuts: Cuts::of(&front.stretch) }
+    }
+
+    /// A line of the whole, taken so much of the way to the front, 0–1.
+    fn taken(&self, line: FingerLine, part: f64) -> FingerLine {
+        let stretch = Cuts::of(&line.stretch).towards(self.cuts, part).stretch();
+        let covariance = line.covariance + self.covariance * (part * part);
+        FingerLine { stretch, covariance, ..line.moved(&(self.apart * part)) }
+    }
 }
 
 /// The bend of a hand's finger, learned frame by frame.
@@ -114,32 +156,59 @@ impl Sagitta {
         self.own_part.learn(own_part, BEND_RATE);
     }
 
+    /// How far behind the tip \[px\] the flanks are to be looked at again for the line of the front alone;
+    /// `None` where the whole and its bend tell that as well.
+    pub fn front_to_look_at(&self, whole: &Refined, seen: &Seen) -> Option<f64> {
+        let far_px = FRONT.far_px(seen);
+        let length_px = whole.stretch.length_px();
+        let turn_rad = 0.5 * self.own_curvature() * (length_px - far_px).max(0.0);
+        let noise_rad2 = whole.covariance[(1, 1)] * ((length_px / far_px).powi(3) - 1.0);
+        let is_bent = turn_rad.abs() > LEAST_TURN_RAD && self.own_part.value > LEAST_OWN;
+        (is_bent && (OFF_BY * turn_rad).powi(2) > noise_rad2).then_some(far_px)
+    }
+
     /// The line of a finger, told for the stretch that all are told for: between the whole and the front,
-    /// by how much of the bend is its own.
-    pub fn told(&mut self, line: FingerLine, seen: &Seen) -> FingerLine {
-        let Axis { anchor, angle_rad, tip } = line.axis;
+    /// by how much of the bend is its own. Where the front was looked at alone, that tells most of the
+    /// way, and the bend the rest.
+    pub fn told(&mut self, line: FingerLine, front: Option<&Front>, seen: &Seen) -> FingerLine {
+        let Axis { anchor, tip, .. } = line.axis;
         let ahead_px = (tip - anchor).dot(&line.axis.direction());
         self.half_width_px.learn(seen.half_width_px, SIZE_RATE);
         self.far_px.learn(ahead_px + line.half_length_px, SIZE_RATE);
-        let measured = Cuts::of(0.0, line.half_length_px);
-        let [whole, front] =
-            [WHOLE, FRONT].map(|extent| self.cuts(&extent, seen.foreshortening, &line, ahead_px));
-        let own_part = self.own_part.value;
-        let cuts = measured.towards(whole.towards(front, own_part), self.own_bend());
+        let line = front.map_or(line, |front| front.taken(line, self.own_part.value));
+        let measured = Cuts::of(&line.stretch);
+        let meant = self.meant(&line, &measured, ahead_px, seen.foreshortening);
+        let cuts = measured.towards(meant, self.own_bend());
         let [turn_rad, twice_aside_px] = ((cuts.0 - measured.0) * self.curvature()).into();
-        let anchor = anchor + line.axis.normal() * (0.5 * twice_aside_px);
-        let axis = Axis::of_finger(anchor, angle_rad + turn_rad, ahead_px);
-        FingerLine { axis, stretch: cuts.stretch(), ..line }
+        let step = Vector2::new(0.5 * twice_aside_px, turn_rad);
+        FingerLine { stretch: cuts.stretch(), ..line.moved(&step) }
     }
 
-    /// Where the line of an extent cuts the medial line, of a finger whose tip lies so far ahead \[px\]
-    /// of the anchor of the line that was measured.
-    fn cuts(&self, extent: &Extent, foreshortening: f64, line: &FingerLine, ahead_px: f64) -> Cuts {
-        let near_px = extent.near * self.half_width_px.value;
-        let far_px = self.far_px.value.min(extent.far * foreshortening * self.half_width_px.value);
-        let farthest_px = extent.farthest * line.half_length_px;
-        let middle_px = (ahead_px - 0.5 * (far_px + near_px)).clamp(-farthest_px, farthest_px);
-        Cuts::of(middle_px, 0.5 * (far_px - near_px).max(0.0))
+    /// Where a line whose tip lies so far ahead \[px\] is to cut the medial line, and not where it was
+    /// measured.
+    fn meant(
+        &self,
+        line: &FingerLine,
+        measured: &Cuts,
+        ahead_px: f64,
+        foreshortening: f64,
+    ) -> Cuts {
+        let from_px = measured.middle_px();
+        let [whole, front] = [WHOLE, FRONT].map(|extent| {
+            let [near_px, far_px] = self.ends_px(&extent, foreshortening);
+            let most_px = extent.farthest * line.half_length_px;
+            let by_px = ahead_px - 0.5 * (far_px + near_px) - from_px;
+            let middle_px = from_px + by_px.clamp(-most_px, most_px);
+            Cuts::of(&Stretch::about(middle_px, 0.5 * (far_px - near_px).max(0.0)))
+        });
+        whole.towards(front, self.own_part.value)
+    }
+
+    /// Where an extent begins and ends behind the tip, as far as the hand's flanks usually go \[px\].
+    fn ends_px(&self, extent: &Extent, foreshortening: f64) -> [f64; 2] {
+        let half_width_px = self.half_width_px.value;
+        let far_px = self.far_px.value.min(extent.far_px(&Seen { half_width_px, foreshortening }));
+        [extent.near * half_width_px, far_px]
     }
 
     /// By how much either end of a line may be misled, in parts of its half-length: nothing by a bend
@@ -159,6 +228,11 @@ impl Sagitta {
         if squared > 0.0 { self.told_squared() / squared } else { 0.0 }
     }
 
+    /// As much of the curvature as noise does not make.
+    fn own_curvature(&self) -> f64 {
+        self.curvature() * self.own_bend()
+    }
+
     /// The curvature of the medial line \[1/px\]; 0 where nothing has told of it.
     fn curvature(&self) -> f64 {
         if self.bend.frames > 0.0 { 3.0 * self.bend.value / self.half_length_px.value } else { 0.0 }
@@ -173,8 +247,13 @@ struct Cuts(Vector2<f64>);
 
 impl Cuts {
     /// Of the line of least squares over a stretch.
-    fn of(middle_px: f64, half_length_px: f64) -> Self {
-        Self(Vector2::new(middle_px, half_length_px.powi(2) / 3.0 - middle_px * middle_px))
+    fn of(stretch: &Stretch) -> Self {
+        let middle_px = stretch.middle_px();
+        Self(Vector2::new(middle_px, stretch.length_px().powi(2) / 12.0 - middle_px * middle_px))
+    }
+
+    fn middle_px(&self) -> f64 {
+        self.0.x
     }
 
     /// Of the line so much of the way to another one, 0–1.
@@ -271,7 +350,7 @@ mod tests {
             let mut sagitta = Sagitta::default();
             sagitta.learn(&Refined { photometric, ..look }, is_coloured);
             let line = line_over(curvature, 9.0 * half_width_px, 0.0);
-            sagitta.told(line, &from_its_side(half_width_px)).apart(&line.axis).y
+            sagitta.told(line, None, &from_its_side(half_width_px)).apart(&line.axis).y
         };
         let [whole, front] = [turn(1e9, false), turn(1e9, true)];
         assert!((front - whole).abs() > 0.01, "{whole} {front}");
@@ -328,11 +407,11 @@ mod tests {
             for (more_far_px, more_near_px) in [(0.0, 0.0), (7.0, 1.0), (4.0, 4.0), (9.0, -1.0)] {
                 let line = line_over(curvature, far_px + more_far_px, near_px + more_near_px);
                 let mut sagitta = bent;
-                let told = sagitta.told(line, &seen);
+                let told = sagitta.told(line, None, &seen);
                 let apart = told.apart(&expected.told_beside(&told).axis);
                 assert!(apart.x.abs() < 2e-3 && apart.y.abs() < 2e-5, "{apart}");
                 // A straight finger has one line.
-                let straight = Sagitta::default().told(line, &seen);
+                let straight = Sagitta::default().told(line, None, &seen);
                 assert_eq!(straight.axis.anchor, line.axis.anchor);
                 assert!((straight.axis.angle_rad - line.axis.angle_rad).abs() < 1e-15);
             }
@@ -351,7 +430,7 @@ mod tests {
             let photometric = look.photometric.map(|p| PhotometricReport { contrast_grey, ..p });
             let mut sagitta = Sagitta::default();
             sagitta.learn(&Refined { photometric, ..look }, true);
-            let told = sagitta.told(line, &from_its_side(half_width_px));
+            let told = sagitta.told(line, None, &from_its_side(half_width_px));
             let cut_px = told.stretch.length_px() / 12.0_f64.sqrt();
             for along_px in [-1.0, 1.0].map(|s| told.stretch.middle_px() + s * cut_px) {
                 let Point2 { coords, .. } = told.axis.anchor + told.axis.direction() * along_px;
@@ -361,9 +440,56 @@ mod tests {
             }
         }
         // One that nothing is known of is told for what it was measured on.
-        let told = Sagitta::default().told(line, &from_its_side(half_width_px));
+        let told = Sagitta::default().told(line, None, &from_its_side(half_width_px));
         assert!((told.stretch.length_px() - 63.0).abs() < 1e-9, "{:?}", told.stretch);
         assert!(told.stretch.middle_px().abs() < 1e-9, "{:?}", told.stretch);
+    }
+
+    /// What is known after a look at a finger whose bend turns its line so much towards the front, in a
+    /// picture with colours or without, and the look.
+    fn bent(turn_rad: f64, sigma_px: f64, is_coloured: bool) -> (Sagitta, Refined) {
+        // A stretch 60 px long is 20.8 px longer than the front of a finger of 7 px.
+        let curvature = turn_rad / (0.5 * (2.0 * HALF_PX - 5.6 * 7.0));
+        let look = refined(curvature * HALF_PX * HALF_PX / 3.0, sigma_px, Source::Photometric);
+        let mut sagitta = Sagitta::default();
+        sagitta.learn(&look, is_coloured);
+        (sagitta, Refined { covariance: Matrix2::identity() * 1e-6, ..look })
+    }
+
+    #[test]
+    fn the_front_of_a_finger_is_looked_at_where_its_bend_is_more_than_noise() {
+        let looked_at = |(sagitta, look): &(Sagitta, Refined)| {
+            sagitta.front_to_look_at(look, &from_its_side(7.0))
+        };
+        assert_eq!(looked_at(&bent(0.01, 0.0, true)), Some(5.6 * 7.0));
+        assert_eq!(looked_at(&bent(-0.01, 0.0, true)), Some(5.6 * 7.0));
+        // Of no bend, of one of a shade, and of one that may be noise, there is nothing to be had.
+        assert_eq!(looked_at(&bent(0.001, 0.0, true)), None);
+        assert_eq!(looked_at(&bent(0.01, 0.0, false)), None);
+        assert_eq!(looked_at(&bent(0.01, 1.0, true)), None);
+        // Nor where the short stretch would err by more, or there is nothing behind it.
+        let (sagitta, look) = bent(0.01, 0.0, true);
+        let noisy = Refined { covariance: Matrix2::identity() * 0.02_f64.powi(2), ..look };
+        assert_eq!(sagitta.front_to_look_at(&noisy, &from_its_side(7.0)), None);
+        assert_eq!(sagitta.front_to_look_at(&look, &from_its_side(11.0)), None);
+    }
+
+    #[test]
+    fn what_the_front_alone_tells_takes_the_place_of_the_bend() {
+        let (mut sagitta, _) = bent(0.01, 0.0, true);
+        let half_width_px = 7.0;
+        let (far_px, near_px) = (FRONT.far * half_width_px, FRONT.near * half_width_px);
+        // A knuckle turns the line of the whole, and not that of the front: no parabola does so.
+        let whole = line_over(0.0, 66.0, near_px).moved(&Vector2::new(0.7, 0.05));
+        let straight = line_over(0.0, far_px, near_px);
+        let front = Front::beside(&straight, &whole);
+        let told = sagitta.told(whole, Some(&front), &from_its_side(half_width_px));
+        let apart = told.apart(&straight.told_beside(&told).axis);
+        assert!(apart.x.abs() < 1e-2 && apart.y.abs() < 1e-3, "{apart}");
+        assert!((told.stretch.length_px() - (far_px - near_px)).abs() < 0.1, "{:?}", told.stretch);
+        // It is as unsure as both.
+        let beside = straight.told_beside(&whole).covariance;
+        assert!((told.covariance - whole.covariance - beside).norm() < 1e-6 * beside.norm());
     }
 
     #[test]
@@ -372,7 +498,7 @@ mod tests {
         sagitta.learn(&refined(0.6, 0.0, Source::Photometric), true);
         // So foreshortened, its front ends before it begins.
         let seen = Seen { half_width_px: 7.0, foreshortening: 0.01 };
-        let told = sagitta.told(line_over(2e-3, 66.0, 3.0), &seen);
+        let told = sagitta.told(line_over(2e-3, 66.0, 3.0), None, &seen);
         assert!((told.stretch.length_px() - 2.0).abs() < 1e-9, "{:?}", told.stretch);
     }
 
@@ -385,11 +511,12 @@ mod tests {
         let near_px = FRONT.near * half_width_px;
         // What is always seen of this hand is what its line is told for.
         let short = line_over(curvature, 30.0, near_px);
-        let apart = sagitta.told(short, &from_its_side(half_width_px)).apart(&short.axis);
+        let apart = sagitta.told(short, None, &from_its_side(half_width_px)).apart(&short.axis);
         assert!(apart.norm() < 1e-12, "{apart}");
         // Seen less of for once, its line is moved by a part of that.
         let shorter = line_over(curvature, 12.0, near_px);
-        let turn = sagitta.told(shorter, &from_its_side(half_width_px)).apart(&shorter.axis).y;
+        let turn =
+            sagitta.told(shorter, None, &from_its_side(half_width_px)).apart(&shorter.axis).y;
         let most = curvature * FRONT.farthest * shorter.half_length_px;
         assert!((turn.abs() - most).abs() < 1e-9, "{turn} {most}");
     }

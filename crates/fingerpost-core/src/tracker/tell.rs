@@ -6,7 +6,7 @@ use super::found::Found;
 use super::line::FingerLine;
 use super::looks::{Lead, Looks};
 use super::options::{AcceptOptions, Model};
-use super::sagitta::Seen;
+use super::sagitta::{Front, Seen};
 use super::scene::Scene;
 use super::shape::Shape;
 use super::steady::Shown;
@@ -59,15 +59,23 @@ impl ContourTracker {
         found: &Found,
         accept: &AcceptOptions,
     ) -> Result<Track> {
-        let refined = match self.hand.shape {
+        let finger = match self.hand.shape {
             // No one image shows both flanks of a finger that is lit from one side.
             Shape::Ribbon(x) if self.options.refine && self.hand.shaded.is_none() => {
-                self.refine(frame, &x, found)?
+                self.finger_of(&x, found)?
             }
             _ => None,
         };
-        if let Some(refined) = refined.filter(|_| has_own_pixels(found)) {
-            self.sagitta.learn(&refined, frame.colour().is_some());
+        let refined = match &finger {
+            Some(finger) => self.refine(frame, finger, found)?,
+            None => None,
+        };
+        let mut front = None;
+        if let (Some(finger), Some(refined)) = (&finger, &refined)
+            && has_own_pixels(found)
+        {
+            self.sagitta.learn(refined, frame.colour().is_some());
+            front = self.front_of(frame, finger, found, refined)?;
         }
         let finger_line = self.line_of(found, refined.as_ref());
         let finger_line = match self.hand.shape {
@@ -77,8 +85,8 @@ impl ContourTracker {
                 // A bend does the same to all lines. It makes one count less beside those of other frames,
                 // and as much of it as these average away is put back.
                 let misleads = self.sagitta.misleads().hypot(self.shade_misleads(&line));
-                let seen = Seen { half_width_px: x[3], foreshortening: self.foreshortening };
-                let line = self.sagitta.told(line, &seen).misled_by_part(misleads);
+                let seen = self.shows(x[3]);
+                let line = self.sagitta.told(line, front.as_ref(), &seen).misled_by_part(misleads);
                 let told = self.steady.follow(frame.image(), time_s, line, &shown);
                 let left = (told.spread() / line.spread()).min(1.0);
                 told.misled_by_part(misleads * (1.0 - left).sqrt())
@@ -86,6 +94,34 @@ impl ContourTracker {
             _ => finger_line,
         };
         Ok(Track { finger_line, ..track(time_s, Status::Tracking, found, accept, None) })
+    }
+
+    /// How the view shows a finger of such a half-width.
+    fn shows(&self, half_width_px: f64) -> Seen {
+        Seen { half_width_px, foreshortening: self.foreshortening }
+    }
+
+    /// How the line of the front lies to that of the whole, by the pixels of its flanks alone, where
+    /// these tell more than the bend of the whole.
+    fn front_of(
+        &mut self,
+        frame: &Scene<'_>,
+        finger: &Finger,
+        found: &Found,
+        whole: &Refined,
+    ) -> Result<Option<Front>> {
+        if whole.source == Source::Bisector {
+            return Ok(None);
+        }
+        let seen = self.shows(finger.half_width_px);
+        let Some(far_px) = self.sagitta.front_to_look_at(whole, &seen) else { return Ok(None) };
+        let ends_px = (finger.axis.tip - finger.axis.anchor).norm() - far_px;
+        let flanks = finger.flanks.map(|s| Stretch { from_px: s.from_px.max(ends_px), ..s });
+        let front = self.refine(frame, &Finger { flanks, ..*finger }, found)?;
+        let front = front.filter(|front| front.source != Source::Bisector);
+        Ok(front.map(|front| {
+            Front::beside(&FingerLine::of_pixels(&front), &FingerLine::of_pixels(whole))
+        }))
     }
 
     /// How far a line may be off for a shaded flank, as a part of what it is measured on: not for noise,
@@ -150,26 +186,30 @@ impl ContourTracker {
         })
     }
 
+    /// The finger as far as its flanks show.
+    fn finger_of(&self, x: &RibbonVector, found: &Found) -> Result<Option<Finger>> {
+        // What covers a hand may lie over the middle of a flank; its own pixels are told otherwise.
+        let flanks = if has_own_pixels(found) { Flanks::Agreeing } else { Flanks::Visible };
+        self.finger(x, found, flanks)
+    }
+
     /// The finger by its flanks alone; none if they cannot be believed.
     fn refine(
         &mut self,
         frame: &Scene<'_>,
-        x: &RibbonVector,
+        finger: &Finger,
         found: &Found,
     ) -> Result<Option<Refined>> {
-        // What covers a hand may lie over the middle of a flank; its own pixels are told otherwise.
-        let flanks = if has_own_pixels(found) { Flanks::Agreeing } else { Flanks::Visible };
-        let Some(finger) = self.finger(x, found, flanks)? else { return Ok(None) };
-        if let Some(refined) = self.refine_whole(frame, &finger, found.edges())? {
+        if let Some(refined) = self.refine_whole(frame, finger, found.edges())? {
             return Ok(Some(refined));
         }
         let sight = self.hand.sight(frame, found.edges(), self.options.polarity);
-        let shown = self.convergence.shown(frame, sight.mixture, &finger)?;
+        let shown = self.convergence.shown(frame, sight.mixture, finger)?;
         let looks = sight.cue.appearance();
         // What is known of the background are grey levels, whatever mixture shows the hand best.
         let behind = frame.background();
         let known = behind.as_ref().map(|b| b.known().behind(*frame.image()));
-        self.refiner.refine(&shown, &finger, sight.polarity, looks, known.as_ref())
+        self.refiner.refine(&shown, finger, sight.polarity, looks, known.as_ref())
     }
 
     /// The same in the frame as it was recorded, where that is followed in a smaller picture: none
