@@ -1,6 +1,6 @@
 """`ContourTracker` from Python, on hands drawn here with a known axis."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import cv2
@@ -201,6 +201,12 @@ def bent_finger(tip: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     return np.clip(np.round(image), 0, 255).astype(np.uint8)
 
 
+def moving(frames: int) -> Iterator[tuple[float, np.ndarray]]:
+    """When, and where the tip of a finger is that moves to and fro."""
+    for k in range(frames):
+        yield FRAME_S * k, np.array([320.0 + 60 * np.sin(0.1 * k), 240.0 + 40 * np.sin(0.07 * k)])
+
+
 JOINT_PX = 52.0
 """How far behind its tip the finger that has a knuckle is turned."""
 
@@ -230,11 +236,10 @@ def test_a_line_is_that_of_the_front_wherever_the_finger_comes_from(turn_rad):
     start = StartPose((320.0, 240.0), 0.0, 90)
     tracker = ContourTracker(Template.pistol("none"), start)
     angles_rad = []
-    for k in range(25):
-        tip = np.array([320.0 + 60 * np.sin(0.1 * k), 240.0 + 40 * np.sin(0.07 * k)])
+    for time_s, tip in moving(25):
         colour = knuckled_finger(tip, turn_rad, rng)
         grey = cv2.cvtColor(colour, cv2.COLOR_BGR2GRAY)
-        line = tracker.update(grey, FRAME_S * k, colour).finger_line
+        line = tracker.update(grey, time_s, colour).finger_line
         angles_rad.append(np.nan if line is None else line.angle_rad)
     # The line of least squares through the medial line of the front, 0.76 to 5.6 half-widths long.
     behind_px = np.linspace(7.6, 56.0, 1001)
@@ -249,9 +254,8 @@ def test_no_number_of_frames_makes_the_line_of_a_bent_finger_sure():
     start = StartPose((320.0, 240.0), 0.0, 90)
     tracker = ContourTracker(Template.pistol("none"), start)
     sigmas_rad = []
-    for k in range(60):
-        tip = np.array([320.0 + 60 * np.sin(0.1 * k), 240.0 + 40 * np.sin(0.07 * k)])
-        line = tracker.update(bent_finger(tip, rng), FRAME_S * k).finger_line
+    for time_s, tip in moving(60):
+        line = tracker.update(bent_finger(tip, rng), time_s).finger_line
         sigmas_rad.append(np.nan if line is None else np.sqrt(line.covariance[1, 1]))
     # The end of a line of half-length h may be off by 0.32 of the bend, which is κ h² / 3: the
     # spread of lines through other stretches of the finger. The line stands for h = 40 px or so.

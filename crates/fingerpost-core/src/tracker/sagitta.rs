@@ -12,10 +12,10 @@
 //! as that can be believed to be the finger's own ([`HALF_OWN`]); what cannot leaves them the lines of
 //! the whole ([`WHOLE`]). A finger is no parabola where its knuckle begins: if its bend turns the line by
 //! more than noise does, the pixels of the front are looked at alone, and how its line lies to that of
-//! the whole ([`Front`]) takes the place of most of the bend. How far back the front goes is known by the width, which a view shows as it
-//! is, and by how much it shows the length shorter. Each line says for which stretch it is told at last
-//! ([`FingerLine::stretch`]), for a known lens bends the image of a straight finger as well: it is
-//! straight again where the line cuts it.
+//! the whole ([`Front`]) takes the place of most of the bend. How far back the front goes is known by the
+//! width, which a view shows as it is, and by how much it shows the length shorter. Each line says for
+//! which stretch it is told at last ([`FingerLine::stretch`]), for a known lens bends the image of a
+//! straight finger as well: it is straight again where the line cuts it.
 //!
 //! What is left, no average over frames removes: joints, nail and shading turn and shift a medial line
 //! as the bend does. How far another look at the same finger may differ is told from the bend, and
