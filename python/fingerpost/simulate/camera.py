@@ -17,6 +17,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fingerpost.checks import finite_array
 from fingerpost.errors import InvalidInputError
 from fingerpost.simulate import checks
 
@@ -69,7 +70,7 @@ class Camera:
         checks.number("f_px", self.f_px, 10, 1e6)
         checks.number("k1", self.k1, -1, 1)
         checks.number("time_skew_s", self.time_skew_s, -1, 1)
-        pose = checks.finite_array("camera_from_world", self.camera_from_world, (3, 4))
+        pose = finite_array(self.camera_from_world, "camera_from_world", (3, 4)).copy()
         rotation = pose[:, :3]
         if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-9) or (
             np.linalg.det(rotation) < 0

@@ -1,7 +1,8 @@
-"""Checks of what the caller gives to the simulated rig.
+"""Checks of the options that the caller gives to the simulated rig, but for arrays.
 
 Each returns the value in the type the rest of the package works with, or raises
-`InvalidInputError` with the value's name, the value, and what would be right.
+`InvalidInputError` with the value's name, the value, and what would be right. Arrays are checked
+by `fingerpost.checks.finite_array`.
 """
 
 import math
@@ -10,7 +11,6 @@ from collections.abc import Sequence
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
 from fingerpost.errors import InvalidInputError
 
@@ -70,24 +70,6 @@ def instance(name: str, value: object, kind: type[Kind]) -> Kind:
     if isinstance(value, kind):
         return value
     raise InvalidInputError(f"{name} is {value!r}; it must be a {kind.__name__}")
-
-
-def finite_array(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> NDArray[np.float64]:
-    """Return a finite float array of the given shape, where None stands for any length ≥ 1."""
-    wanted = " × ".join("any" if length is None else str(length) for length in shape) or "a number"
-    try:
-        array = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise InvalidInputError(f"{name} is {value!r}; it must be numbers, {wanted}") from None
-    fits = array.ndim == len(shape) and all(
-        have >= 1 and want in (None, have) for have, want in zip(array.shape, shape, strict=True)
-    )
-    if not fits:
-        raise InvalidInputError(f"{name} has the shape {array.shape}; it must be {wanted}")
-    if not np.isfinite(array).all():
-        place = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
-        raise InvalidInputError(f"{name}{list(place)} is {array[place]}; it must be finite")
-    return array
 
 
 def generator(name: str, value: object) -> np.random.Generator:

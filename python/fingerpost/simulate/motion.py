@@ -7,6 +7,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fingerpost.checks import finite_array
 from fingerpost.errors import InvalidInputError
 from fingerpost.simulate import checks
 from fingerpost.simulate.camera import Workspace
@@ -42,8 +43,8 @@ class Trajectory:
     samples: Array
 
     def __post_init__(self) -> None:
-        times = checks.finite_array("times_s", self.times_s, (None,))
-        samples = checks.finite_array("samples", self.samples, (len(times), 6))
+        times = finite_array(self.times_s, "times_s", ("T",)).copy()
+        samples = finite_array(self.samples, "samples", (len(times), 6)).copy()
         if len(times) < 2 or times[0] != 0 or (np.diff(times) <= 0).any():
             raise InvalidInputError("times_s must be two or more ascending times that start at 0")
         object.__setattr__(self, "times_s", times)

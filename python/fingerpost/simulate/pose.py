@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fingerpost.checks import finite_array
 from fingerpost.simulate import checks
 
 Array = NDArray[np.float64]
@@ -31,7 +32,7 @@ class DevicePose:
     roll_deg: float = 0.0  # deg, −180…180
 
     def __post_init__(self) -> None:
-        tip = checks.finite_array("tip_mm", self.tip_mm, (3,))
+        tip = finite_array(self.tip_mm, "tip_mm", (3,))
         object.__setattr__(self, "tip_mm", tuple(float(x) for x in tip))
         checks.number("azimuth_deg", self.azimuth_deg, -360, 360)
         checks.number("slant_deg", self.slant_deg, -89, 89)
@@ -58,7 +59,7 @@ class DevicePose:
         azimuth_deg, slant_deg, roll_deg
             As in the class; the slant must be 1 to 89, for the finger must point down.
         """
-        target = checks.finite_array("target_mm", target_mm, (2,))
+        target = finite_array(target_mm, "target_mm", (2,))
         hover = checks.number("hover_mm", hover_mm, 0, 2000)
         checks.number("slant_deg", slant_deg, 1, 89)
         direction = cls((0.0, 0.0, 0.0), azimuth_deg, slant_deg).direction

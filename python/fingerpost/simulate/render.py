@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from fingerpost.checks import finite_array
 from fingerpost.simulate import checks
 from fingerpost.simulate.camera import Camera
 from fingerpost.simulate.coverage import Patch, polygon_coverage
@@ -65,7 +66,7 @@ class Occluder:
     level: float  # grey level, 0…255
 
     def __post_init__(self) -> None:
-        checks.finite_array("centre_px", self.centre_px, (2,))
+        finite_array(self.centre_px, "centre_px", (2,))
         checks.number("radius_px", self.radius_px, 0.01, 10_000)
         checks.number("level", self.level, 0, 255)
 
