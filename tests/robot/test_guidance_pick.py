@@ -42,6 +42,15 @@ def test_a_block_is_picked_and_placed_where_the_hand_dwells(hand_film, tmp_path)
         assert word in guided.said()
 
 
+def test_views_that_end_before_the_block_is_placed_make_the_command_fail(hand_film, tmp_path):
+    with EmulatedArm() as arm:
+        options = ("--url", arm.url, "--arm", "--max-frames", 40, *FAST)
+        with Guided("pick", write_rig(tmp_path, hand_film), *options) as guided:
+            assert guided.end() == 1, guided.said()
+    assert "the views ended with 0 of 1 blocks picked and placed" in guided.said().splitlines()[-1]
+    assert "fixes" in guided.out
+
+
 def test_keys_select_stop_undo_and_continue_on_a_terminal(hand_film, tmp_path):
     rig, log = picking_film(tmp_path, hand_film), tmp_path / "commands.csv"
     with EmulatedArm() as arm:

@@ -27,6 +27,7 @@ from fingerpost.cli.arming import (
 )
 from fingerpost.cli.endings import ending_orderly
 from fingerpost.cli.outputs import keep_apart, rig_files
+from fingerpost.errors import CaptureError
 
 if TYPE_CHECKING:
     from fingerpost.capture import Frame
@@ -126,7 +127,8 @@ def pick(**given: Any) -> None:
 
     The arm follows the hand; point at a block and stay there once the arm is there (or press s),
     then at its new place. On a terminal: x or Esc stops at once, c arms again and continues, u
-    undoes the last step, w held down has the arm make way for a hand that it hides, q quits.
+    undoes the last step, w held down has the arm make way for a hand that it hides, q quits. Views
+    that end before the last block is placed make the command fail.
     """
     from fingerpost.robot import PickPlaceOptions
 
@@ -197,6 +199,9 @@ def _guide(given: Mapping[str, Any], carry: PickPlaceOptions | None) -> None:
                             break
             finally:
                 _report(session, as_json=given["as_json"])
+    if carry is not None and not session.done:
+        blocks = f"{session.report.blocks} of {given['blocks']} blocks"
+        raise CaptureError(f"the views ended with {blocks} picked and placed")
 
 
 def _session(
