@@ -1,11 +1,15 @@
 """What is left of the error when noise and the rounding to 8 bits average out.
 
-    python benches/systematic.py [--targets 60] [--repeats 64]
+    python benches/systematic.py [--targets 60] [--repeats 64] [--rig uniform]
 
 A picture without noise is rounded alike wherever its levels are alike, and that alone moves a
 point by some hundredths of a millimetre. A little noise makes the rounding random: the mean over
 many repetitions of one pose tells what is wrong with every one of them. Reference points are
 exact. Each row is a rig: the paper's, and webcams at 75 cm without and with a lens that is told.
+
+What the noise leaves in a mean falls with the root of the repeats, and a few poses have most of it:
+each row says how far two standard errors reach. Of the paper's rig with a uniform finger,
+64 repeats told 0.0054 % of the plane; 256 told 0.0034 %, and 0.0047 % at most.
 """
 
 from __future__ import annotations
@@ -38,39 +42,62 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n", maxsplit=1)[0])
     parser.add_argument("--targets", type=int, default=60)
     parser.add_argument("--repeats", type=int, default=64)
+    parser.add_argument("--rig", default="", help="only the rigs whose name holds this")
     asked = parser.parse_args()
     if asked.targets < 1 or asked.repeats < 2:
         parser.error("at least 1 target and 2 repeats are needed")
-    for name, rig in RIGS.items():
+    rigs = {name: rig for name, rig in RIGS.items() if asked.rig in name}
+    if not rigs:
+        parser.error(f"no rig is named like {asked.rig!r}; there are: {', '.join(RIGS)}")
+    for name, rig in rigs.items():
         options = ExperimentOptions(
             targets=asked.targets, reference_noise_px=0.0, sensor=Sensor(noise=NOISE_GREY), **rig
         )
-        squares = squared_bias(options, asked.repeats)
-        rms_mm = np.sqrt(max(squares.mean(), 0.0))
-        median_mm = np.sqrt(max(np.median(squares), 0.0))
-        share = 100.0 * rms_mm / Bench(options).plane_size
-        print(f"{name}: systematic RMS {rms_mm:.4f} mm ({share:.4f} %), median {median_mm:.4f} mm")
+        squares, variances = squared_bias(options, asked.repeats).T
+        reach = squares.mean() + 2.0 * np.sqrt(max(variances.sum(), 0.0)) / len(squares)
+        rms_mm, reach_mm, median_mm = np.sqrt(
+            np.maximum([squares.mean(), reach, np.median(squares)], 0.0)
+        )
+        percent = 100.0 / Bench(options).plane_size
+        print(
+            f"{name}: systematic RMS {rms_mm:.4f} mm ({percent * rms_mm:.4f} %), two standard "
+            f"errors reach {reach_mm:.4f} mm ({percent * reach_mm:.4f} %), median "
+            f"{median_mm:.4f} mm",
+            flush=True,
+        )
 
 
 def squared_bias(options: ExperimentOptions, repeats: int) -> np.ndarray:
-    """Return the squared systematic error of each target [mm²], unbiased: some are below zero."""
+    """Squared systematic error of each target that was told [mm²], and the variance of that.
+
+    Returns
+    -------
+    (N, 2)
+        Both are unbiased, so that either can be below zero.
+    """
     shares = [range(k, options.targets, _SHARES) for k in range(_SHARES)]
     with ProcessPoolExecutor() as pool:
         parts = pool.map(partial(_squared_bias, options, repeats), shares)
-        return np.array([square for part in parts for square in part])
+        return np.array([row for part in parts for row in part])
 
 
-def _squared_bias(options: ExperimentOptions, repeats: int, share: Sequence[int]) -> list[float]:
+def _squared_bias(
+    options: ExperimentOptions, repeats: int, share: Sequence[int]
+) -> list[tuple[float, float]]:
     bench = Bench(options)
-    squares = []
+    rows = []
     for index in share:
         trials = [bench.trial(index, repeat) for repeat in range(repeats)]
         errors = np.array([t.point - t.target for t in trials if t.point is not None])
         if len(errors) < 2:
             continue
-        of_the_mean = errors.var(axis=0, ddof=1).sum() / len(errors)
-        squares.append(float((errors.mean(axis=0) ** 2).sum() - of_the_mean))
-    return squares
+        mean = errors.mean(axis=0)
+        of_the_mean = np.cov(errors.T) / len(errors)
+        square = float(mean @ mean - np.trace(of_the_mean))
+        # Of |m + e|² for a normal e: 4 m'Cm + 2 tr C², with what the noise adds to m'Cm taken off.
+        variance = float(4.0 * mean @ of_the_mean @ mean - 2.0 * np.sum(of_the_mean**2))
+        rows.append((square, variance))
+    return rows
 
 
 if __name__ == "__main__":
