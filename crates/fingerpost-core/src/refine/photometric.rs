@@ -36,8 +36,8 @@ use super::pixels::{Doubles, LANES, Lanes, Strip, USUAL_BLOCKS, USUAL_PIXELS, to
 use super::profile::{CLEAR, RoundEnd};
 use super::sketch::{FlankLines, Sketch};
 use super::unknowns::{
-    self, BEND, BLUR_SIGMA_PX, BULGE, Factors, FlankEquations, FlankStep, HALF_WIDTH, Information,
-    LEAST_CONTRAST_GREY, OFFSET, SLOPE, TAPER, UNKNOWNS, Unknowns, Vector,
+    self, BEND, BLUR_SIGMA_PX, BULGE, Factors, FlankEquations, FlankStep, Information,
+    LEAST_CONTRAST_GREY, OFFSET, Prior, SLOPE, UNKNOWNS, Unknowns, Vector,
 };
 use super::{KnownBackground, PhotometricOptions, PhotometricReport, Stretch};
 use crate::image::GrayView;
@@ -124,6 +124,17 @@ struct Normal {
     tally: Tally,
 }
 
+impl Normal {
+    /// With what is known beforehand, where a pixel scatters by `scale`.
+    fn join(&mut self, prior: &Prior, x: &Unknowns, scale: f64) {
+        for i in 0..UNKNOWNS {
+            let own = scale * scale * prior.information[i];
+            self.information[(i, i)] += own;
+            self.right[i] += own * (prior.mean[i] - x.0[i]);
+        }
+    }
+}
+
 /// How a fit ended.
 struct Ending {
     residual_grey: f64,
@@ -185,35 +196,14 @@ impl Photometric {
         sketch: &Sketch,
         bare: &Bare,
     ) -> Option<PhotometricFit> {
-        for (index, flank) in self.flanks.iter_mut().enumerate() {
-            flank.strip.gather(
-                image,
-                background,
-                noise_grey,
-                sketch,
-                &bare.flank(index),
-                &self.options,
-            );
-            flank.weighed.resize(flank.strip.most_pixels(), Weighed::default());
-            flank.deviations.clear();
-            flank.deviations.extend(flank.strip.groups.iter().map(Deviations::none));
-            (flank.variances, flank.runs_px2) = ([0.0; 3], 0.0);
-            let is_contradicted = background.is_some() && flank.strip.usable() < LEAST_USABLE;
-            if flank.strip.blocks.len() < self.options.min_blocks || is_contradicted {
-                return None;
-            }
+        if !self.gather(image, background, noise_grey, sketch, bare) {
+            return None;
         }
         let mut x = self.start(sketch)?;
         let pixels = self.pixels() as f64;
         let contrast = [0, 1].map(|f| self.flanks[f].strip.contrast_grey(x.contrast_grey(f)).abs());
         let contrast = contrast[0].max(contrast[1]);
-        let mut prior = unknowns::prior(&self.options, sketch.half_width_px, contrast);
-        let mut mean = x;
-        if let Some(belief) = sketch.belief {
-            (mean.0[HALF_WIDTH], mean.0[TAPER]) = (belief.half_width_px, belief.taper);
-            prior[HALF_WIDTH] = belief.half_width_sigma_px.powi(-2);
-            prior[TAPER] = belief.taper_sigma.powi(-2);
-        }
+        let prior = Prior::about(&x, sketch, contrast, &self.options);
         let mut scale = (FIRST_SCALE * contrast.max(LEAST_CONTRAST_GREY)).max(noise_grey);
         let mut iteration = 0;
         loop {
@@ -224,11 +214,7 @@ impl Photometric {
             if adapting {
                 scale = self.residual_scale(scale, freedom).max(LEAST_SCALE * noise_grey);
             }
-            for i in 0..UNKNOWNS {
-                let own = scale * scale * prior[i];
-                normal.information[(i, i)] += own;
-                normal.right[i] += own * (mean.0[i] - x.0[i]);
-            }
+            normal.join(&prior, &x, scale);
             let factor = Cholesky::new(normal.information)?;
             let step = factor.solve(&normal.right);
             let motion = Unknowns::motion_px(&step, sketch.half_length_px);
@@ -256,6 +242,25 @@ impl Photometric {
                 return straight(&x, &covariance, sketch.half_length_px, report);
             }
         }
+    }
+
+    /// Takes the pixels about both flanks out of the image, and whether each of them shows enough.
+    fn gather(
+        &mut self,
+        image: &GrayView<'_>,
+        background: Option<&KnownBackground<'_>>,
+        noise_grey: f64,
+        sketch: &Sketch,
+        bare: &Bare,
+    ) -> bool {
+        let Self { options, flanks, .. } = self;
+        flanks.iter_mut().enumerate().all(|(index, flank)| {
+            let Flank { strip, .. } = flank;
+            strip.gather(image, background, noise_grey, sketch, &bare.flank(index), options);
+            flank.begin();
+            let is_contradicted = background.is_some() && flank.strip.usable() < LEAST_USABLE;
+            flank.strip.blocks.len() >= options.min_blocks && !is_contradicted
+        })
     }
 
     /// How many pixels are fitted.
@@ -452,6 +457,14 @@ impl Flank {
             variances: [0.0; 3],
             runs_px2: 0.0,
         }
+    }
+
+    /// Before a fit to the pixels that the strip has gathered.
+    fn begin(&mut self) {
+        self.weighed.resize(self.strip.most_pixels(), Weighed::default());
+        self.deviations.clear();
+        self.deviations.extend(self.strip.groups.iter().map(Deviations::none));
+        (self.variances, self.runs_px2) = ([0.0; 3], 0.0);
     }
 
     /// A number of every block, in order along the finger.

@@ -229,25 +229,39 @@ impl FlankStep {
     }
 }
 
-/// Information of the priors; their mean is where the search starts.
-pub(super) fn prior(
-    options: &PhotometricOptions,
-    half_width_px: f64,
-    contrast_grey: f64,
-) -> Vector {
-    let PhotometricOptions { bend_px, change, ramp, limb, .. } = options;
-    let contrast = contrast_grey.max(LEAST_CONTRAST_GREY);
-    let mut sigma = Vector::repeat(f64::INFINITY);
-    (sigma[OFFSET], sigma[SLOPE]) = (LINE_SIGMA_PX, SLOPE_SIGMA);
-    (sigma[HALF_WIDTH], sigma[TAPER]) = (WIDTH_SIGMA_PX, SLOPE_SIGMA);
-    (sigma[BEND], sigma[BULGE]) = (*bend_px, *bend_px);
-    (sigma[BLUR], sigma[END]) = (BLUR_SIGMA_PX, END_SIGMA_PX);
-    sigma[END_SKEW] = END_SKEW_SIGMA * half_width_px;
-    (sigma[INSIDE_CHANGE], sigma[OUTSIDE_CHANGE]) = (change * contrast, change * contrast);
-    for own in [OWN, OWN + OWN_COUNT] {
-        (sigma[own + 2], sigma[own + 3]) = (ramp * contrast, limb * contrast);
+/// What is known of the unknowns before any pixel is: normal distributions, independent of each other.
+pub(super) struct Prior {
+    pub mean: Vector,
+    /// One by variance.
+    pub information: Vector,
+}
+
+impl Prior {
+    /// About where the search starts; of a hand that is known, about its width and taper.
+    pub fn about(
+        start: &Unknowns,
+        sketch: &Sketch,
+        contrast_grey: f64,
+        options: &PhotometricOptions,
+    ) -> Self {
+        let PhotometricOptions { bend_px, change, ramp, limb, .. } = options;
+        let contrast = contrast_grey.max(LEAST_CONTRAST_GREY);
+        let (mut mean, mut sigma) = (start.0, Vector::repeat(f64::INFINITY));
+        (sigma[OFFSET], sigma[SLOPE]) = (LINE_SIGMA_PX, SLOPE_SIGMA);
+        (sigma[HALF_WIDTH], sigma[TAPER]) = (WIDTH_SIGMA_PX, SLOPE_SIGMA);
+        (sigma[BEND], sigma[BULGE]) = (*bend_px, *bend_px);
+        (sigma[BLUR], sigma[END]) = (BLUR_SIGMA_PX, END_SIGMA_PX);
+        sigma[END_SKEW] = END_SKEW_SIGMA * sketch.half_width_px;
+        (sigma[INSIDE_CHANGE], sigma[OUTSIDE_CHANGE]) = (change * contrast, change * contrast);
+        for own in [OWN, OWN + OWN_COUNT] {
+            (sigma[own + 2], sigma[own + 3]) = (ramp * contrast, limb * contrast);
+        }
+        if let Some(belief) = sketch.belief {
+            (mean[HALF_WIDTH], mean[TAPER]) = (belief.half_width_px, belief.taper);
+            (sigma[HALF_WIDTH], sigma[TAPER]) = (belief.half_width_sigma_px, belief.taper_sigma);
+        }
+        Self { mean, information: sigma.map(|s| 1.0 / (s * s)) }
     }
-    sigma.map(|s| 1.0 / (s * s))
 }
 
 /// Normal equations of one flank, in the upper triangle of its slots, and their right side.
