@@ -48,12 +48,15 @@ def main() -> None:
         parser.error("at least 1 target and 2 repeats are needed")
     rigs = {name: rig for name, rig in RIGS.items() if asked.rig in name}
     if not rigs:
-        parser.error(f"no rig is named like {asked.rig!r}; there are: {', '.join(RIGS)}")
+        parser.error(f"no rig is named like {asked.rig!r}; there are: {'; '.join(RIGS)}")
     for name, rig in rigs.items():
         options = ExperimentOptions(
             targets=asked.targets, reference_noise_px=0.0, sensor=Sensor(noise=NOISE_GREY), **rig
         )
         squares, variances = squared_bias(options, asked.repeats).T
+        if not len(squares):
+            print(f"{name}: no target was told twice")
+            continue
         reach = squares.mean() + 2.0 * np.sqrt(max(variances.sum(), 0.0)) / len(squares)
         rms_mm, reach_mm, median_mm = np.sqrt(
             np.maximum([squares.mean(), reach, np.median(squares)], 0.0)
@@ -78,7 +81,7 @@ def squared_bias(options: ExperimentOptions, repeats: int) -> np.ndarray:
     shares = [range(k, options.targets, _SHARES) for k in range(_SHARES)]
     with ProcessPoolExecutor() as pool:
         parts = pool.map(partial(_squared_bias, options, repeats), shares)
-        return np.array([row for part in parts for row in part])
+        return np.array([row for part in parts for row in part]).reshape(-1, 2)
 
 
 def _squared_bias(

@@ -229,7 +229,7 @@ impl FlankStep {
     }
 }
 
-/// What is known of the unknowns before any pixel is: normal distributions, independent of each other.
+/// What the unknowns are expected to be, and how surely: normal distributions, each by itself.
 pub(super) struct Prior {
     pub mean: Vector,
     /// One by variance.
