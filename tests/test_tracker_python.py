@@ -264,6 +264,31 @@ def test_no_number_of_frames_makes_the_line_of_a_bent_finger_sure():
     np.testing.assert_allclose(sigmas_rad[-20:], open_rad, rtol=0.2)
 
 
+def angle_sigmas_rad(grey: tuple[int, int], texture_grey: float) -> np.ndarray:
+    """As told once many frames are known, of a finger in a picture that scatters so much."""
+    rng = np.random.default_rng(11)
+    texture = cv2.GaussianBlur(rng.normal(0, 1, (480, 640)), (0, 0), 2.0)
+    texture *= texture_grey / texture.std()
+    hand = Hand(thumb="none", grey=grey)
+    tracker, sigmas_rad = waiting_for(hand), []
+    for i, there in enumerate(waving(hand, 50)):
+        image = np.clip(np.round(there.draw(rng) + texture), 0, 255).astype(np.uint8)
+        line = tracker.update(image, FRAME_S * i).finger_line
+        sigmas_rad.append(np.nan if line is None else np.sqrt(line.covariance[1, 1]))
+    return np.array(sigmas_rad[-20:])
+
+
+def test_no_number_of_frames_makes_the_line_of_a_finger_that_hardly_shows_sure():
+    # Either end may be off by 0.007 of the half-length.
+    open_rad = np.sqrt(3) * 0.007
+    np.testing.assert_allclose(angle_sigmas_rad((110, 80), 6.0), open_rad, rtol=0.15)
+    assert np.all(angle_sigmas_rad((210, 80), 3.0) < 0.1 * open_rad)
+
+
+def test_a_finger_that_noise_alone_hides_is_as_sure_as_its_covariance():
+    assert np.all(angle_sigmas_rad((104, 80), 0.0) < 0.1 * np.sqrt(3) * 0.007)
+
+
 @pytest.mark.parametrize("way_rad", [0.3, 1.5, 2.6, -1.2])
 def test_a_hand_that_comes_back_in_full_motion_is_followed(way_rad: float):
     hand, empty = Hand(), np.full((480, 640), 90, np.uint8)

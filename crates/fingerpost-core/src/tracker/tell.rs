@@ -89,7 +89,9 @@ impl ContourTracker {
                 let line = self.sagitta.told(line, front.as_ref(), &seen).misled_by_part(misleads);
                 let told = self.steady.follow(frame.image(), time_s, line, &shown);
                 let left = (told.spread() / line.spread()).min(1.0);
-                told.misled_by_part(misleads * (1.0 - left).sqrt())
+                let put_back = misleads * (1.0 - left).sqrt();
+                // What is the same in all frames has no say in how they are weighed.
+                told.misled_by_part(put_back.hypot(self.sagitta.faint_misleads()))
             }),
             _ => finger_line,
         };
