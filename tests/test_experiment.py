@@ -386,6 +386,19 @@ def test_repeats_of_a_target_differ_by_noise_alone():
     assert 0.0 < np.hypot(*apart) < 0.2 * once.error
 
 
+def test_what_noise_does_to_a_target_its_mirror_does_the_other_way_round():
+    # The same reference points and start, and exact ones: what is left is noise, and little else.
+    bench = Bench(ExperimentOptions(targets=4, reference_noise_px=0.0))
+    errors = np.array(
+        [
+            [bench.trial(k, 1, mirrored=m).point - bench.trial(k).target for m in (False, True)]
+            for k in range(4)
+        ]
+    )
+    single, pair = np.sqrt(np.mean(errors**2)), np.sqrt(np.mean(errors.mean(axis=1) ** 2))
+    assert pair < 0.5 * single
+
+
 def test_the_paper_reaches_its_accuracy_over_the_workspace():
     options = ExperimentOptions(tracker=PAPER, targets=40, frames=6)
     summary = run_experiment(options, workers=4).summary

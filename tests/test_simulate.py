@@ -605,6 +605,15 @@ def test_quantised_pictures_are_the_rounded_light() -> None:
     np.testing.assert_array_equal(rounded, np.rint(exact).clip(0, 255).astype(np.uint8))
 
 
+def test_mirrored_noise_has_the_other_sign() -> None:
+    rig, quiet = (SimulatedRig(device=ROD, sensor=Sensor(noise=noise)) for noise in (3.0, 0.0))
+    bare = quiet.render(POSE, quantise=False)
+    plain, mirrored = (rig.render(POSE, rng=5, quantise=False, mirrored=m) for m in (False, True))
+    for light, one, other in zip(bare.images, plain.images, mirrored.images, strict=True):
+        np.testing.assert_allclose((one + other) / 2, light, atol=1e-4)
+        assert (one - other).std() == pytest.approx(6, rel=0.02)
+
+
 def test_noise_is_white_normal_and_as_strong_as_asked() -> None:
     rig = SimulatedRig(sensor=Sensor(noise=3.0))
     rng = seeded("noise")

@@ -82,7 +82,7 @@ class Bench:
         """Side of the working plane [mm]."""
         return self._exact_views[0].plane_size
 
-    def trial(self, index: int, repeat: int = 0) -> Trial:
+    def trial(self, index: int, repeat: int = 0, *, mirrored: bool = False) -> Trial:
         """Point at one target.
 
         Parameters
@@ -92,6 +92,8 @@ class Bench:
             and this number alone.
         repeat
             The same pose and start are pictured with other noise for every number ≥ 0.
+        mirrored
+            Whether the noise of that repeat has the other sign (see `SimulatedRig.render`).
         """
         rng = np.random.default_rng([self._options.seed, index])
         device = self._device(rng)
@@ -105,7 +107,7 @@ class Bench:
         )
         noise = rng if repeat == 0 else np.random.default_rng([self._options.seed, index, repeat])
         # Of all the frames only the last one's answer counts.
-        *_, last = steps(pointer, self._frames(pose, device, noise))
+        *_, last = steps(pointer, self._frames(pose, device, noise, mirrored=mirrored))
         bounds = self._line_bounds(pose, device, fingers)
         known = [bound for bound in bounds if bound is not None]
         return trial_of(
@@ -150,7 +152,12 @@ class Bench:
         )
 
     def _frames(
-        self, pose: DevicePose, device: PointingDevice, rng: np.random.Generator
+        self,
+        pose: DevicePose,
+        device: PointingDevice,
+        rng: np.random.Generator,
+        *,
+        mirrored: bool,
     ) -> Iterator[tuple[Frame, ...]]:
         away = self._options.background_frames
         for k in range(away + self._options.frames):
@@ -159,6 +166,7 @@ class Bench:
                 time_s=k / self._options.frames_per_s,
                 rng=rng,
                 device=device,
+                mirrored=mirrored,
             )
             yield tuple(
                 Frame(k, view.time_s, image)

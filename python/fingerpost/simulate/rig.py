@@ -105,6 +105,7 @@ class SimulatedRig:
         others: Sequence[tuple[PointingDevice, Motion]] = (),
         occluders: Sequence[Sequence[Occluder]] | None = None,
         quantise: bool = True,
+        mirrored: bool = False,
     ) -> SimulatedFrame:
         """Take one picture per view.
 
@@ -124,6 +125,9 @@ class SimulatedRig:
             Discs in front of everything, one sequence per view (see `occluders`).
         quantise
             False returns float32 grey levels, noise included, neither rounded nor clipped.
+        mirrored
+            True gives all noise the other sign: what it does in proportion to itself, it does the
+            other way round, and is not in the mean over both pictures.
 
         Returns
         -------
@@ -131,7 +135,7 @@ class SimulatedRig:
             The pictures and their truth. The same arguments give the same bits.
         """
         time = checks.number("time_s", time_s, -1e6, 1e6)
-        noise = self.sensor.noise
+        noise = -self.sensor.noise if mirrored else self.sensor.noise
         draw = None if noise == 0 else checks.generator("rng", rng)
         covers = [()] * len(self.cameras) if occluders is None else occluders
         if len(covers) != len(self.cameras):
