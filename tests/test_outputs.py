@@ -284,6 +284,7 @@ def test_figures_are_printed_even_if_drawing_fails(pictures, tmp_path, monkeypat
         ("--seed", 1),
         ("--size", 320, 240),
         ("--background-frames", 3),
+        ("--approach-frames", 3),
         ("--lens", "known"),
     ],
 )

@@ -991,6 +991,18 @@ def test_joined_trajectories_must_meet() -> None:
     assert hold.then(hold).duration_s == 2.0
 
 
+def test_the_way_between_two_poses_is_straight_and_even() -> None:
+    first = DevicePose((10.0, 20.0, 30.0), -170.0, 25.0, 5.0)
+    last = DevicePose((50.0, 20.0, 110.0), 170.0, 65.0, -5.0)
+    way = Trajectory.between(first, last, 2.0)
+    for time_s, pose in [(-1.0, first), (0.0, first), (2.0, last), (9.0, last)]:
+        np.testing.assert_allclose(way.pose_at(time_s).tip_mm, pose.tip_mm)
+        assert way.pose_at(time_s).azimuth_deg == pytest.approx(pose.azimuth_deg)
+    there = way.pose_at(0.5)
+    np.testing.assert_allclose(there.tip_mm, (20.0, 20.0, 50.0))
+    assert (there.azimuth_deg, there.slant_deg, there.roll_deg) == pytest.approx((-85.0, 35.0, 2.5))
+
+
 # --- recordings ----------------------------------------------------------------------------------
 
 

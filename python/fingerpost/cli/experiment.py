@@ -41,6 +41,12 @@ _IN = click.Path(path_type=Path)
 @click.option("--limb-darkening", type=float, help="Loss at the outline, part of the contrast.")
 @click.option("--clutter", type=float, help="± grey levels of shapes behind the device.")
 @click.option("--background-frames", type=int, help="Pictures of the table alone that come first.")
+@click.option(
+    "--approach-frames",
+    metavar="N",
+    type=int,
+    help="Start at another pose, N pictures away, as who holds a hand up first.",
+)
 @click.option("--k1", type=float, help="Radial distortion of the lenses.")
 @click.option("--lens", type=click.Choice(["known", "ignored"]), help="Whether it is corrected.")
 @click.option("--recording", metavar="RIG.TOML", type=_IN, help="Measure on footage instead.")

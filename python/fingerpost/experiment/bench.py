@@ -24,6 +24,7 @@ from fingerpost.simulate import (
     RodAndProng,
     SimulatedRig,
     StartError,
+    Trajectory,
 )
 from fingerpost.simulate.truth import finger_truth
 
@@ -98,16 +99,17 @@ class Bench:
         rng = np.random.default_rng([self._options.seed, index])
         device = self._device(rng)
         pose = self._sampler.draw(rng, device=device)
-        fingers = [finger_truth(camera, device.body, pose) for camera in self._rig.cameras]
+        motion = self._motion(pose, device, rng)
         pointer = Pointer(
-            self._as_configured(fingers, rng),
+            self._as_configured(self._fingers(motion.pose_at(0.0), device), rng),
             tracker_options=self._options.tracker,
             pointing_options=self._options.pointing,
             reference_sigma_px=max(self._options.reference_noise_px, _EXACT_PX),
         )
         noise = rng if repeat == 0 else np.random.default_rng([self._options.seed, index, repeat])
         # Of all the frames only the last one's answer counts.
-        *_, last = steps(pointer, self._frames(pose, device, noise, mirrored=mirrored))
+        *_, last = steps(pointer, self._frames(motion, device, noise, mirrored=mirrored))
+        fingers = self._fingers(pose, device)
         bounds = self._line_bounds(pose, device, fingers)
         known = [bound for bound in bounds if bound is not None]
         return trial_of(
@@ -135,6 +137,21 @@ class Bench:
             taper=options.taper,
         )
 
+    def _fingers(self, pose: DevicePose, device: PointingDevice) -> list[FingerTruth]:
+        return [finger_truth(camera, device.body, pose) for camera in self._rig.cameras]
+
+    def _motion(
+        self, pose: DevicePose, device: PointingDevice, rng: np.random.Generator
+    ) -> DevicePose | Trajectory:
+        """Keep still at the pose, or come to it from where the trackers were started."""
+        options = self._options
+        if options.approach_frames == 0:
+            return pose
+        first = self._sampler.draw(rng, device=device)
+        start_s = (options.background_frames + options.frames) / options.frames_per_s
+        duration_s = options.approach_frames / options.frames_per_s
+        return Trajectory.hold(first, start_s).then(Trajectory.between(first, pose, duration_s))
+
     def _as_configured(self, fingers: Sequence[FingerTruth], rng: np.random.Generator) -> Rig:
         """Rig file that a user would have written: nearly right."""
         options = self._options
@@ -153,17 +170,19 @@ class Bench:
 
     def _frames(
         self,
-        pose: DevicePose,
+        motion: DevicePose | Trajectory,
         device: PointingDevice,
         rng: np.random.Generator,
         *,
         mirrored: bool,
     ) -> Iterator[tuple[Frame, ...]]:
-        away = self._options.background_frames
-        for k in range(away + self._options.frames):
+        options = self._options
+        away, approach = options.background_frames, options.approach_frames
+        before = options.frames + approach if approach else 0
+        for k in range(away + before + options.frames):
             pictured = self._rig.render(
-                pose if k >= away else None,
-                time_s=k / self._options.frames_per_s,
+                motion if k >= away else None,
+                time_s=k / options.frames_per_s,
                 rng=rng,
                 device=device,
                 mirrored=mirrored,

@@ -45,6 +45,11 @@ class ExperimentOptions:
     """Pictures of the table alone that come before, 0 to 10,000: enough of them, and the pointer
     knows what is behind the device."""
 
+    approach_frames: int = 0
+    """Pictures of the way to the pose from another one, drawn alike, 0 to 10,000. The trackers are
+    started there, and settle on `frames` pictures of it: the paper's operator holds the hand up to
+    a template before pointing. 0: they are started at the pose itself."""
+
     frames_per_s: float = 30.0
     """How fast they follow each other [1/s], 0.1 to 1000."""
 
@@ -94,6 +99,7 @@ class ExperimentOptions:
         checks.whole("seed", self.seed, 0, 2**63)
         checks.whole("frames", self.frames, 1, 1000)
         checks.whole("background_frames", self.background_frames, 0, 10_000)
+        checks.whole("approach_frames", self.approach_frames, 0, 10_000)
         checks.number("frames_per_s", self.frames_per_s, 0.1, 1000)
         checks.choice("device", self.device, ("rod", "hand"))
         checks.number("taper", self.taper, 0, 0.6)

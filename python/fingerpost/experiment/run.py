@@ -117,6 +117,8 @@ def _title(options: ExperimentOptions) -> tuple[str, ...]:
         conditions.append(f"clutter ± {options.background.clutter:g}")
     if options.background_frames:
         conditions.append(f"{options.background_frames} pictures of the table first")
+    if options.approach_frames:
+        conditions.append(f"started elsewhere, {options.approach_frames} pictures away")
     if any(cameras.k1):
         conditions.append(f"k1 {', '.join(f'{k1:g}' for k1 in cameras.k1)}, {options.lens}")
     return (

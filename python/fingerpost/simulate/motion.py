@@ -53,8 +53,16 @@ class Trajectory:
     @classmethod
     def hold(cls, pose: DevicePose, duration_s: float) -> "Trajectory":
         """Return a trajectory that keeps still for a while."""
-        duration = checks.number("duration_s", duration_s, STEP_S, 1e5)
-        return cls(np.array([0.0, duration]), np.stack([_vector(pose)] * 2))
+        return cls.between(pose, pose, duration_s)
+
+    @classmethod
+    def between(cls, first: DevicePose, last: DevicePose, duration_s: float) -> "Trajectory":
+        """Return the straight way from one pose to another: all that differs changes steadily.
+
+        Azimuths are not the angles of a circle here: from −170° to 170° leads by 0°.
+        """
+        duration = checks.number("duration_s", duration_s, STEP_S, 1e6)
+        return cls(np.array([0.0, duration]), np.stack([_vector(first), _vector(last)]))
 
     @classmethod
     def through(
