@@ -56,7 +56,7 @@ def main() -> None:
         )
         squares, variances = squared_bias(options, asked.pairs).T
         if not len(squares):
-            print(f"{name}: no target was told twice")
+            print(f"{name}: no target was told in two pairs")
             continue
         reach = squares.mean() + 2.0 * np.sqrt(variances.sum()) / len(squares)
         rms_mm, reach_mm, median_mm = np.sqrt(

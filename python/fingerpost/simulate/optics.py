@@ -98,7 +98,10 @@ def _correlated(picture: Picture, across: Picture, down: Picture) -> Picture:
 def sensed(
     light: Picture, noise: float, rng: np.random.Generator | None, *, quantise: bool
 ) -> NDArray[Any]:
-    """Grey levels of a picture with white noise of the given sigma; uint8 if quantised."""
+    """Grey levels of a picture with white noise of such a sigma; uint8 if quantised.
+
+    The same draw with −sigma mirrors the noise.
+    """
     white = light if rng is None else standard_normal(light.shape, rng)
     sigma = 0.0 if rng is None else noise
     # One pass that adds, rounds and saturates.
