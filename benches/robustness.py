@@ -12,8 +12,10 @@ seen.
 
 With `--colour` the cameras show colours, as most webcams do.
 
-The first two cases are `fingerpost experiment --clutter 50 --reference-noise 0.05`, without and
-with `--background-frames 40`. In the others the template of each view waits where the hand comes.
+In the first cases a device keeps still, ten targets for a sequence: before clutter, as `fingerpost
+experiment --clutter 50 --reference-noise 0.05` shows it, without and with `--background-frames 40`,
+and before a clean table with starts that are off. In the others the template of each view waits
+where the hand comes.
 """
 
 from __future__ import annotations
@@ -23,7 +25,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -58,6 +60,8 @@ PLANE_MM = 400.0
 GROSS_MM = 0.05 * PLANE_MM
 BACK_WITHIN_S = 0.3
 LATE_FRAMES = 5
+# Of a device that keeps still, for every sequence of what moves.
+TARGETS = 10
 CHI2_99 = 9.210
 REFERENCE_NOISE_PX = 0.05
 CLUTTER = Background(clutter=50)
@@ -242,6 +246,40 @@ CASES: dict[str, Case] = {
 }
 
 
+@dataclass(frozen=True)
+class Still:
+    """A device that keeps still: its goal in words, and what is not the experiment's default."""
+
+    goal: str
+    options: dict[str, Any]
+
+
+def started(
+    offset_px: float = 0.0, angle_deg: float = 0.0, scale: float = 1.0
+) -> dict[str, tuple[float, float]]:
+    """Return the options of templates that wait exactly so far off."""
+    return {
+        "start_offset_px": (offset_px, offset_px),
+        "start_angle_deg": (angle_deg, angle_deg),
+        "start_scale": (scale, scale),
+    }
+
+
+STILL: dict[str, Still] = {
+    "clutter, not known": Still(
+        "RMS ≤ 0.5 %, coverage ≥ 90 %, gross ≤ 1 %", {"background": CLUTTER}
+    ),
+    "clutter, learned": Still(
+        "RMS ≤ 0.20 %, coverage ≥ 93 %, gross ≤ 0.5 %",
+        {"background": CLUTTER, "background_frames": 40},
+    ),
+    "start 20 px off": Still("told ≥ 95 %", started(offset_px=20.0)),
+    "start 30° off": Still("told ≥ 95 %", started(angle_deg=30.0)),
+    "start 0.6 as long": Still("told ≥ 95 %", started(scale=0.6)),
+    "start 1.4 as long": Still("told ≥ 95 %", started(scale=1.4)),
+}
+
+
 def configured(play: Play, rng: np.random.Generator) -> Rig:
     """Return the rig of somebody who has measured well; the hand comes to the waiting template."""
     # A little after the finger has come into view for the first time.
@@ -370,34 +408,28 @@ def summary(results: Sequence[Result]) -> str:
     return "  ".join(cells)
 
 
-def static_rows(
-    sequences: int, seed: int, channels: Channels, workers: int | None
-) -> Iterator[str]:
-    """Measure a device that keeps still before clutter, unknown and known."""
-    for name, frames, goal in (
-        ("clutter, not known", 0, "RMS ≤ 0.5 %, coverage ≥ 90 %, gross ≤ 1 %"),
-        ("clutter, learned", 40, "RMS ≤ 0.20 %, coverage ≥ 93 %, gross ≤ 0.5 %"),
-    ):
-        options = ExperimentOptions(
-            targets=sequences,
-            seed=seed,
-            background=CLUTTER,
-            background_frames=frames,
-            sensor=Sensor(channels=channels),
-            reference_noise_px=REFERENCE_NOISE_PX,
-        )
-        trials = run_experiment(options, workers=workers).trials
-        error = np.array([t.error for t in trials])
-        m2 = np.array([t.mahalanobis2 for t in trials])
-        there = np.isfinite(error)
-        fine = there & (error <= GROSS_MM)
-        rms = 100 * math.sqrt(np.mean(error[fine] ** 2)) / PLANE_MM
-        yield (
-            f"{name:24} told {100 * there.mean():5.1f} %  "
-            f"gross {100 * (there & ~fine).sum() / max(there.sum(), 1):5.2f} %  "
-            f"RMS {rms:5.3f} % of the plane  "
-            f"95 % holds {100 * np.mean(m2[there] <= 5.991):5.1f} %  [{goal}]"
-        )
+def still_row(name: str, targets: int, seed: int, channels: Channels, workers: int | None) -> str:
+    """Measure a device that keeps still, and return the figures in one line."""
+    still = STILL[name]
+    options = ExperimentOptions(
+        targets=targets,
+        seed=seed,
+        sensor=Sensor(channels=channels),
+        reference_noise_px=REFERENCE_NOISE_PX,
+        **still.options,
+    )
+    trials = run_experiment(options, workers=workers).trials
+    error = np.array([t.error for t in trials])
+    m2 = np.array([t.mahalanobis2 for t in trials])
+    there = np.isfinite(error)
+    fine = there & (error <= GROSS_MM)
+    rms = 100 * math.sqrt(np.mean(error[fine] ** 2)) / PLANE_MM if fine.any() else math.nan
+    return (
+        f"told {100 * there.mean():5.1f} %  "
+        f"gross {100 * (there & ~fine).sum() / max(there.sum(), 1):5.2f} %  "
+        f"RMS {rms:5.3f} % of the plane  "
+        f"95 % holds {100 * np.mean(m2[there] <= 5.991):5.1f} %  [{still.goal}]"
+    )
 
 
 def main() -> None:
@@ -407,7 +439,7 @@ def main() -> None:
         "cases",
         nargs="*",
         metavar="CASE",
-        help="clutter, or: " + "; ".join(CASES).replace("%", "%%"),
+        help="; ".join([*STILL, *CASES]).replace("%", "%%"),
     )
     parser.add_argument("--sequences", type=int, default=40)
     parser.add_argument("--seed", type=int, default=0)
@@ -419,18 +451,16 @@ def main() -> None:
         if getattr(given, name) < least:
             parser.error(f"--{name} is {getattr(given, name)}; {least} or more is right")
     workers = worker_count(given.workers or None)
-    wanted = given.cases or ["clutter", *CASES]
-    unknown = set(wanted) - {"clutter", *CASES}
+    known = [*STILL, *CASES]
+    unknown = set(given.cases) - set(known)
     if unknown:
-        known = "; ".join(["clutter", *CASES])
-        parser.error(f"no case {'; '.join(sorted(unknown))}; there are: {known}")
-    if "clutter" in wanted:
-        for row in static_rows(10 * given.sequences, given.seed, channels, workers):
-            print(row, flush=True)
+        parser.error(f"no case {'; '.join(sorted(unknown))}; there are: {'; '.join(known)}")
+    wanted = given.cases or known
+    for name in filter(STILL.__contains__, wanted):
+        row = still_row(name, TARGETS * given.sequences, given.seed, channels, workers)
+        print(f"{name:24} {row}", flush=True)
     with sharing(workers) as pool:
-        for name in wanted:
-            if name == "clutter":
-                continue
+        for name in filter(CASES.__contains__, wanted):
             play = partial(played, name, given.seed, channels)
             results = list(pool.map(play, range(given.sequences)))
             print(f"{name:24} {summary(results)}  [{CASES[name].goal}]", flush=True)
