@@ -75,7 +75,7 @@ def scaled(image: Image, _: np.random.Generator, *, scale: float) -> Image:
 
 def levels(image: Image, _: np.random.Generator, *, gain: float, offset: float = 0.0) -> Image:
     """Change brightness and contrast."""
-    return np.asarray(cv2.convertScaleAbs(np.maximum(image, -offset / gain), None, gain, offset))
+    return np.asarray(cv2.convertScaleAbs(image, None, gain, offset))
 
 
 def noisy(image: Image, rng: np.random.Generator, *, sigma: float) -> Image:
