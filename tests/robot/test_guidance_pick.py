@@ -55,8 +55,7 @@ def test_keys_select_stop_undo_and_continue_on_a_terminal(hand_film, tmp_path):
     rig, log = picking_film(tmp_path, hand_film), tmp_path / "commands.csv"
     with EmulatedArm() as arm:
         url = arm.url + "&gripper_s=0.2"
-        # Keys are asked here, not how soon a busy machine works out a fix.
-        options = ("--arm", "--log", log, "--select", "key", "--max-age", 1.0, *FAST)
+        options = ("--arm", "--log", log, "--select", "key", *FAST)
         with Guided("pick", rig, "--url", url, *options, terminal=True) as guided:
             guided.until_said("point at the block")
             guided.until(arm.travels)
