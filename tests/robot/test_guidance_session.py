@@ -163,33 +163,70 @@ def test_what_a_job_raises_is_raised_where_it_can_be_seen():
             worker.check()
 
 
-def test_a_recording_plays_in_its_own_time():
-    class Clock:
-        now_s = 100.0
+class Clock:
+    now_s = 100.0
 
-        def __call__(self):
-            return self.now_s
+    def __call__(self):
+        return self.now_s
 
-        def sleep(self, span_s):
-            assert span_s > 0
-            self.now_s += span_s
+    def sleep(self, span_s):
+        assert span_s > 0
+        self.now_s += span_s
 
-    clock = Clock()
+
+def played(film, *works_s):
+    """When each step of a film was given, and its frames, to one who works so long on each."""
+    clock, steps = Clock(), []
+    for frames, work_s in zip(paced(iter(film), clock, clock.sleep), works_s, strict=True):
+        steps.append((clock.now_s, frames))
+        clock.now_s += work_s
+    return steps
+
+
+def film(count, *, start_s=5.0, step_s=0.1):
     image = np.zeros((2, 2), np.uint8)
+    return [(Frame(k, start_s + step_s * k, image),) * 2 for k in range(count)]
 
-    def film():
-        for k in range(4):
-            yield (Frame(k, 5.0 + 0.1 * k, image), None if k == 2 else Frame(k, 5.0, image))
-            clock.now_s += 0.03  # somebody works on it
-            if k == 1:
-                clock.now_s += 0.5  # and once for long
 
-    played = [(clock.now_s, frames) for frames in paced(film(), clock, clock.sleep)]
-    stamps = [frames[0].time_s for _, frames in played]
-    assert stamps == pytest.approx([100.0, 100.1, 100.2, 100.3])
-    assert [now_s for now_s, _ in played] == pytest.approx([100.0, 100.1, 100.63, 100.66])
-    assert played[2][1][1] is None
-    assert played[3][1][1].time_s == pytest.approx(100.0)
+def test_a_recording_plays_in_its_own_time():
+    steps = played(film(4), 0.03, 0.09, 0.0, 0.05)
+    assert [now_s for now_s, _ in steps] == pytest.approx([100.0, 100.1, 100.2, 100.3])
+    assert [frames[1].time_s for _, frames in steps] == pytest.approx([100.0, 100.1, 100.2, 100.3])
+    assert [frames[0].index for _, frames in steps] == [0, 1, 2, 3]
+
+
+def test_whoever_is_slower_than_a_recording_sees_the_newest_frames():
+    steps = played(film(12), 0.03, 0.35, 0.13, 0.0, 0.25, 0.25, 0.0)
+    given = [(now_s, frames[0].index) for now_s, frames in steps]
+    assert given == [
+        (pytest.approx(now_s), index)
+        for now_s, index in (
+            (100.0, 0),
+            (100.1, 1),
+            (100.45, 4),  # 2 and 3 are past
+            (100.58, 5),
+            (100.6, 6),  # waited for again
+            (100.85, 8),
+            (101.1, 11),  # the last comes however late
+        )
+    ]
+
+
+def test_of_views_with_rates_of_their_own_each_shows_its_newest_frame():
+    steps = [(left, right if k % 2 == 0 else None) for k, (left, right) in enumerate(film(6))]
+    given = [frames for _, frames in played(steps, 0.35, 0.02, 0.0, 0.0)]
+    assert [[frame and frame.index for frame in frames] for frames in given] == [
+        [0, 0],
+        [3, 2],
+        [4, 4],
+        [5, None],
+    ]
+
+
+def test_before_the_first_frame_nothing_is_due():
+    steps = played([(None, None), *film(2)], 7.0, 0.0, 0.0)
+    assert steps[0] == (100.0, [None, None])
+    assert [now_s for now_s, _ in steps[1:]] == pytest.approx([107.0, 107.1])
 
 
 def test_the_report_tells_the_lag_of_the_smoothing():

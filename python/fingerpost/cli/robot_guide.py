@@ -7,7 +7,6 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from functools import partial
-from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -143,7 +142,7 @@ def _guide(given: Mapping[str, Any], carry: PickPlaceOptions | None) -> None:
     from fingerpost.capture import SourceKind, open_views, read_views
     from fingerpost.config import Rig
     from fingerpost.guidance import Attendance, Keys, attended, guard_of, paced, robot_of
-    from fingerpost.pipeline import Pointer, steps
+    from fingerpost.pipeline import Pointer, at_most, steps
     from fingerpost.robot import FollowOptions, GuardOptions, check_heights, open_robot
 
     rig = Rig.load(given["rig_file"])
@@ -175,7 +174,7 @@ def _guide(given: Mapping[str, Any], carry: PickPlaceOptions | None) -> None:
         on_record = open_log(stack, given["log"])
         stack.enter_context(ending_orderly())
         sources = stack.enter_context(open_views(rig.sources))
-        frames: Iterator[Sequence[Frame | None]] = islice(read_views(sources), given["max_frames"])
+        frames: Iterator[Sequence[Frame | None]] = read_views(sources)
         stack.enter_context(robot)
         guard.check_limits()
         if carry is not None:
@@ -193,7 +192,7 @@ def _guide(given: Mapping[str, Any], carry: PickPlaceOptions | None) -> None:
                 frames = paced(frames, time.monotonic, time.sleep)
             try:
                 with session:
-                    for step in steps(pointer, frames):
+                    for step in steps(pointer, at_most(frames, given["max_frames"])):
                         session.take(step)
                         if session.done:
                             break

@@ -8,12 +8,14 @@ that stops does so there and then.
 
 from __future__ import annotations
 
+import math
 import threading
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from itertools import chain, pairwise, zip_longest
 from types import TracebackType
 from typing import Self
 
@@ -501,7 +503,11 @@ def paced(
     clock: Callable[[], float],
     sleep: Callable[[float], None],
 ) -> Iterator[Sequence[Frame | None]]:
-    """Play a recording as if it were live: every frame when it is due, and stamped with that time.
+    """Play a recording as if it were live: each frame when it is due, and stamped with that time.
+
+    Whoever is slower than the recording misses frames, as with cameras: of those that are due by
+    the time he asks for the next, each view's newest is given. Otherwise he would see the hand ever
+    later.
 
     Parameters
     ----------
@@ -512,20 +518,25 @@ def paced(
     sleep
         Waits for so many seconds of it.
     """
-    begin_s: float | None = None
-    for together in frames:
-        last_s = max((frame.time_s for frame in together if frame is not None), default=None)
-        if last_s is not None:
-            if begin_s is None:
-                begin_s = clock() - last_s
-            if (early_s := begin_s + last_s - clock()) > 0:
-                sleep(early_s)
+    begin_s = math.nan  # nothing is before or after it: until there is a frame, none is due
+    newest: Sequence[Frame | None] = ()
+    for together, following in pairwise(chain(frames, [()])):
+        newest = [old if new is None else new for new, old in zip_longest(together, newest)]
+        if math.isnan(begin_s):
+            begin_s = clock() - _last_s(newest)
+        if begin_s + _last_s(following) <= clock():
+            continue
+        if (early_s := begin_s + _last_s(newest) - clock()) > 0:
+            sleep(early_s)
         yield [
-            None
-            if frame is None or begin_s is None
-            else replace(frame, time_s=begin_s + frame.time_s)
-            for frame in together
+            None if frame is None else replace(frame, time_s=begin_s + frame.time_s)
+            for frame in newest
         ]
+        newest = ()
+
+
+def _last_s(frames: Sequence[Frame | None]) -> float:
+    return max((frame.time_s for frame in frames if frame is not None), default=math.nan)
 
 
 def _hand_seen(step: Step) -> bool:
