@@ -18,8 +18,8 @@ FAST = ("--speed", "0.3")
 
 
 def picking_film(tmp_path, film):
-    """The film with its last frame repeated, for as long as a block takes to be carried."""
-    frames = [*range(90), *([89] * 330)]
+    """The film, staying longer: before it moves on, and as long as a block takes to be carried."""
+    frames = [*range(45), *([44] * 60), *range(45, 90), *([89] * 330)]
     return write_rig(tmp_path, film, cut_film(tmp_path / "film", film, frames))
 
 

@@ -7,6 +7,7 @@ import termios
 import threading
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,10 +16,10 @@ from test_robot_guard import fix_at
 
 from fingerpost.capture import Frame
 from fingerpost.errors import InvalidInputError, RecordingError
-from fingerpost.guidance import CommandLog, Keys, SessionReport, paced
+from fingerpost.guidance import CommandLog, Keys, SessionReport, attended_at_first, paced
 from fingerpost.guidance.session import Worker
 from fingerpost.pointing import Status
-from fingerpost.robot import CommandRecord, FollowReport, FollowState, Pose
+from fingerpost.robot import CommandRecord, FollowReport, FollowState, GuardOptions, Pose
 
 
 def wait_until(true):
@@ -161,6 +162,28 @@ def test_what_a_job_raises_is_raised_where_it_can_be_seen():
         wait_until(lambda: worker._error is not None)
         with pytest.raises(ValueError, match="a job's"):
             worker.check()
+
+
+def test_the_operator_is_there_until_the_first_step_and_no_longer():
+    beats = []
+    guard = SimpleNamespace(
+        options=GuardOptions(operator_timeout_s=0.05), heartbeat=lambda: beats.append(None)
+    )
+
+    def steps():
+        wait_until(lambda: len(beats) > 3)
+        yield "first"
+        count = len(beats)
+        time.sleep(0.2)
+        assert len(beats) == count
+        yield "second"
+
+    assert list(attended_at_first(guard, steps())) == ["first", "second"]
+
+
+def test_where_there_is_no_step_there_is_no_first():
+    guard = SimpleNamespace(options=GuardOptions(), heartbeat=lambda: None)
+    assert list(attended_at_first(guard, iter(()))) == []
 
 
 class Clock:

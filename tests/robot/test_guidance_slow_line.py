@@ -16,7 +16,7 @@ from test_robot_guard import fix_at, scorbot_guard
 
 from fingerpost.closed_loop.line import LineToScorbot
 from fingerpost.guidance import Attendance, Session
-from fingerpost.pointing import Status
+from fingerpost.pointing import FingerLine, Status
 from fingerpost.robot import (
     TOOL_DOWN_RAD,
     DwellSelector,
@@ -183,8 +183,13 @@ def test_the_arm_makes_way_up_first_then_towards_its_base():
 # In a session, where threads do this side by side.
 
 
+FINGER = FingerLine([20.0, 20.0], 0.0, np.diag([1e-2, 1e-4]), [50.0, 20.0], 0.0)
+
+
 def step(fix):
-    return SimpleNamespace(fix=fix, observations=())
+    """A step of views, of which one shows a finger if there is a point."""
+    finger = FINGER if fix.status is Status.OK else fix.status
+    return SimpleNamespace(fix=fix, observations=(SimpleNamespace(finger=finger),))
 
 
 @contextmanager

@@ -141,7 +141,15 @@ def pick(**given: Any) -> None:
 def _guide(given: Mapping[str, Any], carry: PickPlaceOptions | None) -> None:
     from fingerpost.capture import SourceKind, open_views, read_views
     from fingerpost.config import Rig
-    from fingerpost.guidance import Attendance, Keys, attended, guard_of, paced, robot_of
+    from fingerpost.guidance import (
+        Attendance,
+        Keys,
+        attended,
+        attended_at_first,
+        guard_of,
+        paced,
+        robot_of,
+    )
     from fingerpost.pipeline import Pointer, at_most, steps
     from fingerpost.robot import FollowOptions, GuardOptions, check_heights, open_robot
 
@@ -190,9 +198,12 @@ def _guide(given: Mapping[str, Any], carry: PickPlaceOptions | None) -> None:
                 guard.enter()
             if sources[0].kind is SourceKind.RECORDED:
                 frames = paced(frames, time.monotonic, time.sleep)
+            taken = steps(pointer, at_most(frames, given["max_frames"]))
+            if attendance is Attendance.HAND:
+                taken = attended_at_first(guard, taken)
             try:
                 with session:
-                    for step in steps(pointer, at_most(frames, given["max_frames"])):
+                    for step in taken:
                         session.take(step)
                         if session.done:
                             break

@@ -37,6 +37,7 @@ from fingerpost.guidance.session import (
     Session,
     SessionReport,
     attended,
+    attended_at_first,
     paced,
 )
 from fingerpost.guidance.setup import guard_of, held_down, plane_of, region_of, robot_of
@@ -66,6 +67,7 @@ __all__ = [
     "Visit",
     "agree",
     "attended",
+    "attended_at_first",
     "define_plane",
     "guard_of",
     "held_down",

@@ -498,6 +498,19 @@ def attended(guard: Guard) -> Iterator[None]:
         thread.join()
 
 
+def attended_at_first(guard: Guard, steps: Iterator[Step]) -> Iterator[Step]:
+    """Give steps; until there is the first, take it that the operator is there.
+
+    The first frames take longest, on a slow computer longer than he may be missing, and before
+    them nothing moves the arm.
+    """
+    with attended(guard):
+        first = next(steps, None)
+    if first is not None:
+        yield first
+        yield from steps
+
+
 def paced(
     frames: Iterator[Sequence[Frame | None]],
     clock: Callable[[], float],
