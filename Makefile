@@ -60,9 +60,11 @@ lint: $(STAMPS)/extension ## formats, lints, types, documentation links, stubs
 	$(BIN)/mypy --no-error-summary
 	$(BIN)/stubtest --mypy-config-file pyproject.toml --concise fingerpost._core
 
-instructions: $(STAMPS)/rust $(STAMPS)/debian ## count those of fixed workloads against benches/instructions.txt
-	cargo bench --locked --quiet --package fingerpost-benches --profile release \
-		--bench instructions -- $(if $(RECORD),record)
+# Named beside the extension, the core is taken as it was built for it.
+instructions: $(STAMPS)/extension ## count those of fixed workloads against benches/instructions.txt
+	cargo build --locked --quiet --release --package fingerpost-py --package fingerpost-benches \
+		--bin instructions
+	$(or $(CARGO_TARGET_DIR),target)/release/instructions $(if $(RECORD),record)
 
 bench: $(STAMPS)/extension ## speed as ratios to the C limit, a pair from end to end, stages, the simulated rig
 	cargo bench --locked --package fingerpost-benches --bench ratios
