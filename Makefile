@@ -19,6 +19,8 @@ export PYO3_PYTHON := $(CURDIR)/$(BIN)/python
 unexport CONDA_PREFIX PYTHONHOME PYTHONPATH
 # Tests are built once and run: in one piece they take a quarter of the time.
 export CARGO_INCREMENTAL := 0
+# What is built here is run from there, whatever else Cargo is configured to do.
+export CARGO_TARGET_DIR ?= $(CURDIR)/target
 export PIP_QUIET := 1
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
@@ -64,7 +66,7 @@ lint: $(STAMPS)/extension ## formats, lints, types, documentation links, stubs
 instructions: $(STAMPS)/extension ## count those of fixed workloads against benches/instructions.txt
 	cargo build --locked --quiet --release --package fingerpost-py --package fingerpost-benches \
 		--bin instructions
-	$(or $(CARGO_TARGET_DIR),target)/release/instructions $(if $(RECORD),record)
+	$(CARGO_TARGET_DIR)/release/instructions $(if $(RECORD),record)
 
 bench: $(STAMPS)/extension ## speed as ratios to the C limit, a pair from end to end, stages, the simulated rig
 	cargo bench --locked --package fingerpost-benches --bench ratios

@@ -244,6 +244,10 @@ def test_of_views_with_rates_of_their_own_each_shows_its_newest_frame():
         [4, 4],
         [5, None],
     ]
+    # Each in its own time: they are given together and were not taken together.
+    stamps = [[frame and frame.time_s for frame in frames] for frames in given]
+    assert stamps[1] == pytest.approx([100.3, 100.2])
+    assert stamps[3] == [pytest.approx(100.5), None]
 
 
 def test_before_the_first_frame_nothing_is_due():
