@@ -100,8 +100,8 @@ $(STAMPS)/rust: Cargo.toml
 	fi
 	@mkdir -p $(@D) && touch $@
 
-# Rust links with the C compiler; valgrind counts instructions; Debian's Python comes without the module that makes .venv; the
-# simulated robot cell is drawn off the screen, by EGL.
+# Rust links with the C compiler; valgrind counts instructions; Debian's Python comes without the
+# module that makes .venv; the simulated robot cell is drawn off the screen, by EGL.
 $(STAMPS)/debian:
 	@if ! "$(PYTHON)" -c '$(NEW_ENOUGH)' 2>/dev/null; then \
 		echo "Python 3.11 or newer is needed; name one with make PYTHON=..." >&2; \

@@ -1,7 +1,5 @@
 //! Shape spaces: Jacobians against central differences, maps against their decomposition, and the
 //! band template against the bands.
-#![allow(clippy::unwrap_used, clippy::expect_used, missing_docs)]
-#![allow(clippy::float_cmp, reason = "where a value is exact, it is compared as such")]
 
 use fingerpost_core::Error;
 use fingerpost_core::nalgebra::{Matrix2, Point2, Rotation2, SMatrix, SVector, Vector2};

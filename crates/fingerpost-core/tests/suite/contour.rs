@@ -1,6 +1,4 @@
 //! Contour samples against the circle and the line, whose arc length and normals are known.
-#![allow(clippy::unwrap_used, clippy::expect_used, missing_docs)]
-#![allow(clippy::float_cmp, reason = "where a value is exact, it is compared as such")]
 
 use fingerpost_core::Error;
 use fingerpost_core::bspline::{BSpline, Degree};

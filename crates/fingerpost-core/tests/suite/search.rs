@@ -1,10 +1,6 @@
 //! The search along normals on rendered edges whose place is known, and on any bytes at all.
-#![allow(clippy::unwrap_used, clippy::expect_used, missing_docs)]
-#![allow(clippy::float_cmp, reason = "where a value is exact, it is compared as such")]
 
-mod common;
-
-use common::{Canvas, HalfPlane, Noise, Picture};
+use crate::common::{Canvas, HalfPlane, Noise, Picture};
 use fingerpost_core::appearance::Appearance;
 use fingerpost_core::frame::ColourView;
 use fingerpost_core::image::GrayView;

@@ -1,10 +1,7 @@
 //! Frames that cost no allocation: those of a template that waits, of a hand that is tracked and of one
 //! that is away. The few in which a template moulds itself to a hand and settles may allocate.
-#![allow(clippy::unwrap_used, clippy::expect_used, missing_docs)]
 
-mod common;
-
-use common::{Canvas, Hand, Noise, Picture};
+use crate::common::{Canvas, Hand, Noise, Picture};
 use fingerpost_core::Frame;
 use fingerpost_core::background::{Background, BackgroundOptions, ForegroundMap};
 use fingerpost_core::frame::ColourView;

@@ -1,9 +1,6 @@
 //! Round fingers against bodies whose light is worked out from their normals, rendered by supersampling.
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, missing_docs)]
 
-mod common;
-
-use common::Noise;
+use crate::common::Noise;
 use fingerpost_core::frame::ColourView;
 use fingerpost_core::nalgebra::{Point2, Vector2};
 use fingerpost_core::refine::RoundFinger;

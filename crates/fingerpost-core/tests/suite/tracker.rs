@@ -1,10 +1,6 @@
 //! The tracker on rendered hands that move as we say.
-#![allow(clippy::unwrap_used, clippy::expect_used, missing_docs)]
-#![allow(clippy::float_cmp, reason = "where a value is exact, it is compared as such")]
 
-mod common;
-
-use common::{BentFinger, Canvas, Hand, Noise, Picture, Shape, covered_part};
+use crate::common::{BentFinger, Canvas, Hand, Noise, Picture, Shape, covered_part};
 use fingerpost_core::fit::{FitOptions, Loss};
 use fingerpost_core::frame::ColourView;
 use fingerpost_core::image::GrayView;

@@ -1,10 +1,6 @@
 //! The filter against a dense one, random walks that were really walked, and tables.
-#![allow(clippy::unwrap_used, clippy::expect_used, missing_docs)]
-#![allow(clippy::float_cmp, reason = "where a value is exact, it is compared as such")]
 
-mod common;
-
-use common::Noise;
+use crate::common::Noise;
 use fingerpost_core::Error;
 use fingerpost_core::dynamics::{
     Component, Course, Domain, Dynamics, Expectation, Gate, Innovation, Prediction,

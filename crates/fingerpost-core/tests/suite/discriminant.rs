@@ -1,10 +1,6 @@
 //! The mixture of colours that shows a hand best, and what a tracker gains by it.
-#![allow(clippy::unwrap_used, clippy::expect_used, missing_docs)]
-#![allow(clippy::float_cmp, reason = "where a value is exact, it is compared as such")]
 
-mod common;
-
-use common::{Canvas, HalfPlane, Hand, Noise, Picture, Shape};
+use crate::common::{Canvas, HalfPlane, Hand, Noise, Picture, Shape};
 use fingerpost_core::discriminant::{Discriminant, DiscriminantImage, Mixture};
 use fingerpost_core::frame::{ColourView, Frame};
 use fingerpost_core::image::GrayView;

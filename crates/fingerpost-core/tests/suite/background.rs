@@ -1,9 +1,6 @@
 //! The background of a camera that keeps still: what it learns, and what it does not.
-#![allow(clippy::unwrap_used, clippy::expect_used, missing_docs)]
 
-mod common;
-
-use common::Noise;
+use crate::common::Noise;
 use fingerpost_core::background::{Background, BackgroundOptions, CELL_PX, ForegroundMap, KeepOut};
 use fingerpost_core::frame::ColourView;
 use fingerpost_core::nalgebra::{Point2, Vector2};

@@ -1,5 +1,4 @@
 //! The grey view against the definition of a strided image and of bilinear interpolation.
-#![allow(clippy::unwrap_used, clippy::expect_used, missing_docs)]
 
 use fingerpost_core::Error;
 use fingerpost_core::frame::ColourView;

@@ -1,6 +1,4 @@
 //! What votes a learned appearance casts, and how it learns, forgets and keeps.
-#![allow(clippy::unwrap_used, clippy::expect_used, missing_docs)]
-#![allow(clippy::float_cmp, reason = "where a value is exact, it is compared as such")]
 
 use fingerpost_core::appearance::Appearance;
 use fingerpost_core::frame::{ColourView, Frame};

@@ -3,7 +3,6 @@
 //! Shapes are painted by the area that they cover of each pixel; the image is then blurred by a
 //! Gaussian, gets white noise and is rounded to 8 bits, as a camera would do it. A straight edge so
 //! painted stands where the shape says, at any angle; a round one to within 1/(24 r) px.
-#![allow(dead_code, reason = "every test file takes what it needs")]
 
 use fingerpost_core::image::GrayView;
 use fingerpost_core::nalgebra::{Point2, Vector2};

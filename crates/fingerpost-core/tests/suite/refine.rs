@@ -1,10 +1,7 @@
 //! The refiner against fingers that are exact: spheres of falling size along a line in space, seen by
 //! a pinhole, whose axis projects to a line that is known to rounding.
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, missing_docs)]
 
-mod common;
-
-use common::{BentFinger, Canvas, Noise, Picture, Shape};
+use crate::common::{BentFinger, Canvas, Noise, Picture, Shape};
 use fingerpost_core::appearance::Appearance;
 use fingerpost_core::nalgebra::{Matrix2, Matrix4, Point2, Vector2, Vector3, Vector4};
 use fingerpost_core::refine::{
@@ -155,7 +152,7 @@ impl Cone {
                 };
                 let normal = Vector2::new(slope(Vector2::x()), slope(Vector2::y()));
                 let steep = normal.norm();
-                let cover = common::covered_part(-g / steep / step, &(normal / steep));
+                let cover = crate::common::covered_part(-g / steep / step, &(normal / steep));
                 let d = at - p0;
                 let (p, q) = (d.dot(&e), e.perp(&d));
                 let part = (p / length).clamp(0.0, 1.0);

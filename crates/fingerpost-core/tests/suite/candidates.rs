@@ -1,10 +1,7 @@
 //! Where a hand may be: the true finger is among the first candidates, wherever it is and whatever
 //! it looks like.
-#![allow(clippy::unwrap_used, clippy::expect_used, missing_docs)]
 
-mod common;
-
-use common::{Canvas, HalfPlane, Hand, Noise, Picture};
+use crate::common::{Canvas, HalfPlane, Hand, Noise, Picture};
 use fingerpost_core::background::{Background, BackgroundOptions};
 use fingerpost_core::candidates::{Candidate, FinderOptions, HandFinder};
 use fingerpost_core::frame::ColourView;

@@ -1,7 +1,5 @@
 //! The pistol against the bands that it is made of, and traced outlines against the pose they come
 //! from.
-#![allow(clippy::unwrap_used, clippy::expect_used, missing_docs)]
-#![allow(clippy::float_cmp, reason = "where a value is exact, it is compared as such")]
 
 use fingerpost_core::Error;
 use fingerpost_core::bspline::{BSpline, Degree};

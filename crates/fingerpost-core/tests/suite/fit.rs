@@ -1,10 +1,6 @@
 //! The solver against singular values, hand-made normal equations and Monte Carlo.
-#![allow(clippy::unwrap_used, clippy::expect_used, missing_docs)]
-#![allow(clippy::float_cmp, reason = "where a value is exact, it is compared as such")]
 
-mod common;
-
-use common::Noise;
+use crate::common::Noise;
 use fingerpost_core::Error;
 use fingerpost_core::fit::{
     EquationBuffer, FitOptions, FitReport, Fitter, Loss, Outcome, Prior, Solve,
