@@ -42,16 +42,18 @@ def test_fixes_that_stop_coming_stop_the_arm(hand_film, tmp_path):
     with JpegStreams(films) as streams:
         rig = write_rig(folder, hand_film, streams.urls, z_m=(0.03, 0.4))
         with Travelling(rig, folder, "--max-age", MAX_AGE_S) as run:
-            aborts = run.travel()
+            aborts, held_before = run.travel(), len(run.reasons())
             streams.stalled = True
             stalled_s = time.monotonic()
             run.guided.until(lambda: run.arm.controller.aborts > aborts, "held")
             assert time.monotonic() - stalled_s < MAX_AGE_S + 5 / FPS + STOPPED_S
             run.arm.assert_stopped(aborts, STOPPED_S)
             assert run.guided.end() == 1
-    if "are bridged" in run.reasons()[0]:
-        raise CrowdedError(run.reasons()[0])  # a frame came late by itself
-    assert "s old" in run.reasons()[0]
+    # Frames that came late by themselves, on a crowded machine, have held the arm before.
+    reason = run.reasons()[held_before]
+    if "are bridged" in reason:
+        raise CrowdedError(reason)
+    assert "s old" in reason
     assert "no new frame" in run.guided.said()
 
 
