@@ -1,6 +1,7 @@
 """`fingerpost robot follow` as a user meets it, on a film and an emulated Scorbot; refusals."""
 
 import json
+import re
 import subprocess
 import sys
 
@@ -38,12 +39,13 @@ def test_the_arm_follows_the_hand_and_every_command_has_its_fix(rig, tmp_path):
         assert not arm.is_moving()
     np.testing.assert_allclose(there.position_m, [*robot_xy(SECOND_MM), HEIGHT_M + 0.05], atol=0.01)
     assert "lag      smoothing makes the target late by" in guided.out
-    assert "119 ok" in guided.out
+    (found,) = re.findall(r"^fixes    (\d+) ok, ", guided.out, re.MULTILINE)
     rows = commands(log)
     assert [row["command"] for row in rows][:2] == ["arm", "enter"]
     assert rows[-1]["command"] == "halt"
     moves = [row for row in rows if row["command"] == "move"]
     assert len(moves) == sum(row["outcome"] == "sent" for row in moves) > 5
+    assert len(moves) < int(found) < 120  # the first frame finds the hand, and tells no point
     for row in moves:
         assert row["fix_status"] == "ok"
         assert 0 <= float(row["time_s"]) - float(row["fix_time_s"]) < 0.3
@@ -58,7 +60,8 @@ def test_json_lines_tell_lag_and_goal(rig):
         with Guided("follow", rig, "--url", arm.url, *options) as guided:
             assert guided.end() == 0, guided.said()
     *reports, summary = map(json.loads, guided.out.splitlines())
-    assert summary["fixes"]["ok"] == 59
+    assert sum(summary["fixes"].values()) <= 60
+    assert sum(summary["states"].values()) == len(reports)
     assert summary["lag_ms"]["largest"] <= 160.0
     moving = [report for report in reports if report["state"] == "moving"]
     assert moving
