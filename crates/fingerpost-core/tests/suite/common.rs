@@ -276,6 +276,38 @@ impl Canvas {
         self
     }
 
+    /// Gaussian blur, then the mean of every `factor` × `factor` pixels; the border repeats.
+    pub fn shrink(&self, factor: usize, sigma_px: f64) -> Self {
+        let reach = (4.0 * sigma_px).ceil() as usize;
+        let weight = |k: usize| (-0.5 * (k.abs_diff(reach) as f64 / sigma_px).powi(2)).exp();
+        let sum: f64 = (0..=2 * reach).map(weight).sum();
+        // What each pixel counts for in the mean of `factor` blurred ones.
+        let mut weights = vec![0.0; 2 * reach + factor];
+        for first in 0..factor {
+            for k in 0..=2 * reach {
+                weights[first + k] += weight(k) / sum / factor as f64;
+            }
+        }
+        // Lines come out as columns: twice, and they are lines again.
+        let shrink_lines = |grey: &[f64], length: usize| -> Vec<f64> {
+            let mut padded = vec![0.0; length + 2 * reach];
+            let mut columns = vec![0.0; grey.len() / factor];
+            for (line, of_line) in grey.chunks_exact(length).enumerate() {
+                padded[..reach].fill(of_line[0]);
+                padded[reach..][..length].copy_from_slice(of_line);
+                padded[reach + length..].fill(of_line[length - 1]);
+                for i in 0..length / factor {
+                    let under = padded[i * factor..].iter().zip(&weights);
+                    columns[i * (grey.len() / length) + line] = under.map(|(g, w)| g * w).sum();
+                }
+            }
+            columns
+        };
+        let (width, height) = (self.width / factor, self.height / factor);
+        let columns = shrink_lines(&self.grey, self.width);
+        Self { width, height, grey: shrink_lines(&columns, self.height) }
+    }
+
     /// The picture that a camera takes of it.
     pub fn take(&self, sigma_grey: f64, noise: &mut Noise) -> Picture {
         let bytes = self.grey.iter().map(|g| (g + sigma_grey * noise.normal()).round() as u8);

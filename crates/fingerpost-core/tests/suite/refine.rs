@@ -133,6 +133,16 @@ impl Cone {
         information.try_inverse().unwrap().fixed_view::<2, 2>(0, 0).into_owned()
     }
 
+    /// The part that the finger covers of a square about a point.
+    fn cover(&self, at: Point2<f64>, side: f64) -> f64 {
+        let d = 1e-3;
+        let slope =
+            |v: Vector2<f64>| (self.outside(at + v * d) - self.outside(at - v * d)) / (2.0 * d);
+        let normal = Vector2::new(slope(Vector2::x()), slope(Vector2::y()));
+        let steep = normal.norm();
+        crate::common::covered_part(-self.outside(at) / steep / side, &(normal / steep))
+    }
+
     /// The light that falls on each pixel: 4 × 4 samples, each by the part that the finger covers.
     fn render(&self, light: &Light, scale: usize, behind: &dyn Fn(f64, f64) -> f64) -> Canvas {
         const FINE: usize = 4;
@@ -141,18 +151,23 @@ impl Cone {
         let [w0, w1] = self.half_widths();
         let (length, e) = ((p1 - p0).norm(), (p1 - p0).normalize());
         let step = 1.0 / FINE as f64;
+        let place = |i: usize| (i as f64 + 0.5) * step - 0.5;
+        // With a margin of one all round: where all neighbours are on one side, so is the sample.
+        let wide = size * FINE + 2;
+        let on_finger: Vec<bool> = (0..wide * wide)
+            .map(|i| Point2::new(place(i % wide) - step, place(i / wide) - step))
+            .map(|at| self.outside(at) < 0.0)
+            .collect();
         let mut fine = Canvas::new(size * FINE, size * FINE, 0.0);
         for y in 0..size * FINE {
             for x in 0..size * FINE {
-                let place = |i: usize| (i as f64 + 0.5) * step - 0.5;
                 let at = Point2::new(place(x), place(y));
-                let (g, d) = (self.outside(at), 1e-3);
-                let slope = |v: Vector2<f64>| {
-                    (self.outside(at + v * d) - self.outside(at - v * d)) / (2.0 * d)
+                let near = (y..y + 3).flat_map(|j| &on_finger[j * wide + x..][..3]);
+                let cover = match near.filter(|on| **on).count() {
+                    0 => 0.0,
+                    9 => 1.0,
+                    _ => self.cover(at, step),
                 };
-                let normal = Vector2::new(slope(Vector2::x()), slope(Vector2::y()));
-                let steep = normal.norm();
-                let cover = crate::common::covered_part(-g / steep / step, &(normal / steep));
                 let d = at - p0;
                 let (p, q) = (d.dot(&e), e.perp(&d));
                 let part = (p / length).clamp(0.0, 1.0);
@@ -166,13 +181,7 @@ impl Cone {
                 fine.grey[y * size * FINE + x] = back + cover * (front - back);
             }
         }
-        let fine = fine.blur(light.blur_px * FINE as f64);
-        let mut canvas = Canvas::new(size, size, 0.0);
-        for (i, grey) in fine.grey.iter().enumerate() {
-            let (x, y) = (i % (size * FINE) / FINE, i / (size * FINE) / FINE);
-            canvas.grey[y * size + x] += grey / (FINE * FINE) as f64;
-        }
-        canvas
+        fine.shrink(FINE, light.blur_px * FINE as f64)
     }
 }
 
@@ -200,7 +209,9 @@ fn clutter(noise: &mut Noise, amplitude: f64) -> impl Fn(f64, f64) -> f64 + use<
     move |u, v| {
         let hit = shapes.iter().rev().find(|(middle, long, short, (s, c), _)| {
             let d = Point2::new(u, v) - middle;
-            ((d.x * c + d.y * s) / long).powi(2) + ((d.y * c - d.x * s) / short).powi(2) < 1.0
+            let (along, across) = (d.x * c + d.y * s, d.y * c - d.x * s);
+            d.norm_squared() < long * long
+                && (along / long).powi(2) + (across / short).powi(2) < 1.0
         });
         TABLE + hit.map_or(0.0, |shape| shape.4)
     }
