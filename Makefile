@@ -65,8 +65,9 @@ lint-python: $(STAMPS)/extension
 	$(BIN)/mypy --no-error-summary
 	$(BIN)/stubtest --mypy-config-file pyproject.toml --concise fingerpost._core
 
+# The compiler of documentation's tests would ask a jobserver that is make's alone.
 test-rust: lint-rust
-	cargo test --locked --quiet
+	MAKEFLAGS= cargo test --locked --quiet
 
 # Named beside the extension, the core is taken as it was built for it.
 instructions: $(STAMPS)/extension ## count those of fixed workloads against benches/instructions.txt
