@@ -65,19 +65,30 @@ def write_hand(folder: Path, seconds: float, targets=(FIRST_MM, SECOND_MM), hove
     )
 
 
-def cut_film(folder: Path, film: Path, frames, blank_from=None) -> list[str]:
-    """Another film of some frames of one, blank from some place on; returns the views' sources."""
+def cut_film(folder: Path, film: Path, frames) -> list[str]:
+    """Another film of some frames of one; returns the views' sources."""
     sources = []
     for view in ("left", "right"):
         (folder / view).mkdir(parents=True)
         for place, frame in enumerate(frames):
             path = folder / view / f"{place:05d}.jpg"
-            if blank_from is not None and place >= blank_from:
-                path.write_bytes(jpeg(np.full((480, 640), 70, np.uint8)))
-            else:
-                path.hardlink_to(film / view / f"{frame:05d}.jpg")
+            path.hardlink_to(film / view / f"{frame:05d}.jpg")
         sources.append(str(folder / view / "*.jpg"))
     return sources
+
+
+def still_film(folder: Path, film: Path) -> list[str]:
+    """Another film, of a hand that points at one place for six seconds."""
+    return cut_film(folder, film, [*range(45), *([44] * 135)])
+
+
+def show_instead(folder: Path, image) -> None:
+    """Have every frame of a film that is still to be read show an image."""
+    shown = jpeg(image)
+    for path in folder.glob("*/*.jpg"):
+        new = path.with_suffix(".new")
+        new.write_bytes(shown)
+        new.replace(path)
 
 
 def write_rig(folder: Path, recording: Path, sources=None, **changes) -> Path:

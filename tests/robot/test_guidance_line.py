@@ -3,10 +3,9 @@
 The command runs as a process of its own; nothing of it is known here but its bytes on the line.
 """
 
-import cv2
 import numpy as np
 import pytest
-from guided_process import STOPPED_S, Travelling, cut_film, write_rig
+from guided_process import STOPPED_S, Travelling, show_instead, still_film, write_rig
 
 from fingerpost.robot.emulator.faults import Fault
 
@@ -36,13 +35,11 @@ def test_a_cable_pulled_ends_the_command(rig, tmp_path):
 
 def test_an_error_anywhere_else_stops_the_arm(hand_film, tmp_path):
     """A frame of another size, in the middle of the film, is an error of the views."""
-    sources = cut_film(tmp_path / "film", hand_film, range(90))
-    odd = next((tmp_path / "film" / "left").glob("00035.jpg"))
-    odd.unlink()
-    cv2.imwrite(str(odd), np.zeros((100, 100), np.uint8))
+    sources = still_film(tmp_path / "film", hand_film)
     rig = write_rig(tmp_path, hand_film, sources, z_m=(0.03, 0.4))
     with Travelling(rig, tmp_path) as run:
         aborts = run.travel()
+        show_instead(tmp_path / "film", np.zeros((100, 100), np.uint8))
         run.guided.until(lambda: run.arm.controller.aborts > aborts, "halted")
         run.arm.assert_stopped(aborts, STOPPED_S)
         assert run.guided.end() == 1

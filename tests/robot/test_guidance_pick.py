@@ -5,6 +5,7 @@ import pytest
 from guided_process import (
     FIRST_MM,
     HEIGHT_M,
+    PATIENT,
     SECOND_MM,
     EmulatedArm,
     Guided,
@@ -14,7 +15,7 @@ from guided_process import (
     write_rig,
 )
 
-FAST = ("--speed", "0.3")
+FAST = ("--speed", "0.3", *PATIENT)
 
 
 def picking_film(tmp_path, film):
