@@ -38,7 +38,7 @@ SPEED = ("--speed", "0.1")
 STOPPED_S = 0.3
 """A stop that a process decides on is seen within this; the stop itself takes 20 ms."""
 
-PATIENT = ("--max-age", "3")
+PATIENT = ("--max-age", "3", "--operator-timeout", "5")
 """A crowded machine may keep frames waiting, which is itself a reason to stop."""
 
 PATIENCE_S = 20.0
