@@ -1,7 +1,6 @@
 """`fingerpost robot follow` as a user meets it, on a film and an emulated Scorbot; refusals."""
 
 import json
-import re
 import subprocess
 import sys
 
@@ -25,8 +24,8 @@ OPTIONS = (*FAST, "--max-frames", "120")
 
 @pytest.fixture
 def rig(hand_film, tmp_path):
-    # Longer than what is watched of it: a crowded machine misses frames.
-    frames = [*range(90), *([89] * 210)]
+    # Far longer than what is watched of it: a crowded machine misses frames.
+    frames = [*range(90), *([89] * 810)]
     return write_rig(tmp_path, hand_film, cut_film(tmp_path / "film", hand_film, frames))
 
 
@@ -39,13 +38,12 @@ def test_the_arm_follows_the_hand_and_every_command_has_its_fix(rig, tmp_path):
         assert not arm.is_moving()
     np.testing.assert_allclose(there.position_m, [*robot_xy(SECOND_MM), HEIGHT_M + 0.05], atol=0.01)
     assert "lag      smoothing makes the target late by" in guided.out
-    (found,) = re.findall(r"^fixes    (\d+) ok, ", guided.out, re.MULTILINE)
+    assert "119 ok" in guided.out
     rows = commands(log)
     assert [row["command"] for row in rows][:2] == ["arm", "enter"]
     assert rows[-1]["command"] == "halt"
     moves = [row for row in rows if row["command"] == "move"]
     assert len(moves) == sum(row["outcome"] == "sent" for row in moves) > 5
-    assert len(moves) < int(found) < 120  # the first frame finds the hand, and tells no point
     for row in moves:
         assert row["fix_status"] == "ok"
         assert 0 <= float(row["time_s"]) - float(row["fix_time_s"]) < 0.3
@@ -60,7 +58,7 @@ def test_json_lines_tell_lag_and_goal(rig):
         with Guided("follow", rig, "--url", arm.url, *options) as guided:
             assert guided.end() == 0, guided.said()
     *reports, summary = map(json.loads, guided.out.splitlines())
-    assert sum(summary["fixes"].values()) <= 60
+    assert summary["fixes"]["ok"] == 59
     assert sum(summary["states"].values()) == len(reports)
     assert summary["lag_ms"]["largest"] <= 160.0
     moving = [report for report in reports if report["state"] == "moving"]
