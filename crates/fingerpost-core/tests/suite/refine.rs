@@ -1,7 +1,7 @@
 //! The refiner against fingers that are exact: spheres of falling size along a line in space, seen by
 //! a pinhole, whose axis projects to a line that is known to rounding.
 
-use crate::common::{BentFinger, Canvas, Noise, Picture, Shape};
+use crate::common::{BentFinger, Canvas, Noise, Picture, Shape, covered_part};
 use fingerpost_core::appearance::Appearance;
 use fingerpost_core::nalgebra::{Matrix2, Matrix4, Point2, Vector2, Vector3, Vector4};
 use fingerpost_core::refine::{
@@ -140,7 +140,7 @@ impl Cone {
             |v: Vector2<f64>| (self.outside(at + v * d) - self.outside(at - v * d)) / (2.0 * d);
         let normal = Vector2::new(slope(Vector2::x()), slope(Vector2::y()));
         let steep = normal.norm();
-        crate::common::covered_part(-self.outside(at) / steep / side, &(normal / steep))
+        covered_part(-self.outside(at) / steep / side, &(normal / steep))
     }
 
     /// The light that falls on each pixel: 4 × 4 samples, each by the part that the finger covers.
