@@ -22,6 +22,7 @@ PYTHON_GROUPS = {
     "checks": "checks",
     "homography": "geometry",
     "lens": "geometry",
+    "silhouette": "geometry",
     "lines": "geometry",
     "uncertainty": "geometry",
     "pointing": "pointing",

@@ -14,7 +14,7 @@ from __future__ import annotations
 import numbers
 import sys
 from collections import deque
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -33,7 +33,9 @@ from fingerpost.errors import FingerpostError, InvalidInputError
 from fingerpost.finding import (
     BETWEEN_EDGES,
     Aside,
+    Hand,
     HandView,
+    Identity,
     Shared,
     compare_lengths,
     compare_widths,
@@ -55,6 +57,7 @@ from fingerpost.pointing import (
 from fingerpost.recording import PointRow, TrackRow
 from fingerpost.recording.picture import SearchMarks
 from fingerpost.references import ReferenceWatch
+from fingerpost.silhouette import Capsule
 
 DEFAULT_REFERENCE_SIGMA_PX = 0.5
 """Standard deviation of a reference point that a person clicked or a line fit gave [px]."""
@@ -97,6 +100,8 @@ class Observation:
         How the view saw the plane; of a camera that is adrift, when that was known last.
     aside
         How the finger's axis lies to the line between the edges that show.
+    is_body
+        Whether the tracker has found what the system itself moves, as a robot's arm.
     """
 
     view: str
@@ -109,12 +114,13 @@ class Observation:
     is_adrift: bool = False
     plane_view: PlaneView | None = None
     aside: Aside = BETWEEN_EDGES
+    is_body: bool = False
 
     @classmethod
     def of(cls, view: HandView, frame: Frame | None, watch: ReferenceWatch) -> Observation:
         """Return what a view saw in the frame that it and the watch have had last."""
         tracker = view.tracker
-        camera = watch.moved_px, watch.is_adrift, view.plane_view, view.aside
+        camera = watch.moved_px, watch.is_adrift, view.plane_view, view.aside, view.shows_body
         if frame is None or tracker is None:
             return cls(view.name, frame, None, np.empty((0, 2)), None, view.missing, *camera)
         contour_px, searched = tracker.contour(), tracker.search_lines()
@@ -151,6 +157,8 @@ class Observation:
 
     @property
     def _reasons(self) -> tuple[str, ...]:
+        if self.is_body:
+            return ("refused: it is what the system itself moves",)
         if self.track is None and self.searched is not None:
             return ("refused: it lies on the table",)
         if self.track is None:
@@ -236,11 +244,14 @@ class Step:
         One per view, in the rig's order, of the frames that were captured together.
     fix
         Where the hand points at the time of the first view's frame.
+    hand
+        Whose that is.
     """
 
     index: int
     observations: tuple[Observation, ...]
     fix: Fix
+    hand: Hand = Hand()
 
     def point_row(self) -> PointRow:
         """Return the row of `points.csv`; a covariance without bound is left empty."""
@@ -275,6 +286,7 @@ class _Pending:
     index: int
     time_s: float
     observations: tuple[Observation, ...]
+    hand: Hand
 
 
 @dataclass(frozen=True, slots=True)
@@ -361,6 +373,9 @@ class Pointer:
         bare hand.
     reference_sigma_px
         Standard deviation of reference points that come without a covariance [px], 1e-6 to 1e6.
+    moving
+        Asked with every frame where the system's own moving bodies may be, as a robot's arm, in
+        plane coordinates: what a view shows there is never a hand.
 
     Raises
     ------
@@ -376,6 +391,7 @@ class Pointer:
         tracker_options: Mapping[str, Any] | None = None,
         pointing_options: PointingOptions = BARE_HAND,
         reference_sigma_px: float = DEFAULT_REFERENCE_SIGMA_PX,
+        moving: Callable[[], Sequence[Capsule]] = tuple,
     ) -> None:
         if not isinstance(rig, Rig):
             raise InvalidInputError(
@@ -398,6 +414,7 @@ class Pointer:
         if (wrong := different_sides(rig, self.plane_views)) is not None:
             raise InvalidInputError(f"{wrong.what}; {wrong.right}")
         self._admission = Admission(rig.views)
+        self._moving = moving
         self._options = pointing_options
         self._still = self.plane_views
         self._watches = tuple(
@@ -405,6 +422,7 @@ class Pointer:
         )
         self._histories = tuple(_History() for _ in self.views)
         self._pending: deque[_Pending] = deque()
+        self._identity = Identity()
 
     @property
     def plane_views(self) -> tuple[PlaneView, ...]:
@@ -432,6 +450,9 @@ class Pointer:
         """
         self._admission.admit(frames)
         self._watch(frames)
+        bodies = self._moving()
+        for view, frame in zip(self.views, frames, strict=True):
+            view.look_past(bodies, frame)
         self._follow(frames)
         self._leave_table(frames)
         for view, frame in zip(self.views, frames, strict=True):
@@ -457,7 +478,9 @@ class Pointer:
             history.add(observation, view.plane_view)
         first = frames[0]
         if first is not None:
-            self._pending.append(_Pending(first.index, first.time_s, observations))
+            self._identity.update(self.views, first.time_s)
+            hand = self._identity.hand
+            self._pending.append(_Pending(first.index, first.time_s, observations, hand))
         yield from self._ready()
         needed_s = self._pending[0].time_s if self._pending else np.inf
         for history in self._histories:
@@ -548,7 +571,7 @@ class Pointer:
             else:
                 continue
             fix = replace(fix, reason=fix.reason.replace(without, why))
-        return Step(pending.index, pending.observations, fix)
+        return Step(pending.index, pending.observations, fix, pending.hand)
 
 
 def at_most(frames: Iterator[Frames], count: int | None) -> Iterator[Frames]:

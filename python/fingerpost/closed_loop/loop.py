@@ -194,7 +194,7 @@ class ClosedLoop:
         self.looking = True
         self._world = world
         self._plane_mm = 1000 * table.height_m
-        self._pointer = Pointer(rig)
+        self._pointer = Pointer(rig, moving=self.guard.body)
         self._operator = operator
         self.on_moment = on_moment
         self._aim = aim or Aim((0.0, 0.0))

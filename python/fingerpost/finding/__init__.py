@@ -23,6 +23,7 @@ has moved (`views`). A template that waits for the hand may lock on to the table
 
 from fingerpost.finding.finger import BETWEEN_EDGES, Aside, Sighting, measured_line
 from fingerpost.finding.hand_view import HandView
+from fingerpost.finding.identity import Hand, Identity
 from fingerpost.finding.look import flatness, widening
 from fingerpost.finding.one_finger import (
     Shared,
@@ -40,8 +41,10 @@ from fingerpost.finding.views import find_hand, how_flat
 __all__ = [
     "BETWEEN_EDGES",
     "Aside",
+    "Hand",
     "HandSearch",
     "HandView",
+    "Identity",
     "Shared",
     "Sighting",
     "Viewpoint",

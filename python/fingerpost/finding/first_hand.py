@@ -13,6 +13,7 @@ import numpy as np
 
 from fingerpost._core import Background, ContourTracker, FingerLine, StartPose
 from fingerpost.capture import Frame
+from fingerpost.finding.body import Body
 from fingerpost.finding.finger import (
     LATELY,
     hand_region,
@@ -60,6 +61,8 @@ class FirstHand:
         """Whether something has come in this frame to where nothing was followed yet."""
         self.is_newcomer = False
         """Whether the hand has come after the table was known, and did not stand there before."""
+        self.body = Body.none()
+        """What the system itself moves, as the next frame shows it: no hand."""
         self._background = background
         self._start = start
         self._waiting = waiting
@@ -93,7 +96,7 @@ class FirstHand:
 
     def wait_anew(self) -> ContourTracker:
         """Forget what was followed; return a tracker that waits for the hand."""
-        self._earliest, self._raised_frames = None, 0
+        self._earliest, self._raised_frames, self.has_come = None, 0, False
         self._latest.clear()
         return self._waiting()
 
@@ -141,6 +144,9 @@ class FirstHand:
         )
         line = track.finger_line
         if line is None:
+            return None
+        if self.body.shows_as(line):
+            self._second = None
             return None
         if not has_come_whole(self._background, frame, line):
             # It may be what covers the hand that is followed already, in part.

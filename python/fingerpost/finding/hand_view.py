@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from fingerpost._core import Background, ContourTracker, FingerLine, StartPose, Template, Track
 from fingerpost.capture import Frame
 from fingerpost.config import View
+from fingerpost.finding.body import Body
 from fingerpost.finding.finger import (
     Aside,
     LastSeen,
@@ -25,11 +26,14 @@ from fingerpost.finding.finger import (
 from fingerpost.finding.first_hand import FirstHand
 from fingerpost.finding.flanks import Flanks
 from fingerpost.finding.foreground import is_background, may_have_come
+from fingerpost.finding.identity import Looks, Memory
 from fingerpost.finding.length import Lengthening, length_px
 from fingerpost.finding.one_finger import Shared
 from fingerpost.finding.pairs import Viewpoint
 from fingerpost.finding.search import HandSearch
+from fingerpost.finding.trial import Trial
 from fingerpost.pointing import PlaneView, Status
+from fingerpost.silhouette import Capsule
 
 ViewFrame = tuple[
     ContourTracker, NDArray[np.uint8], float, NDArray[np.uint8] | None, Background | None
@@ -107,11 +111,18 @@ class HandView:
         )
         self.viewpoint = Viewpoint(self.plane_view, np.full(3, np.nan))
         self._size_px: tuple[int, int] | None = None
+        self._body = Body.none()
+        self.shows_body = False
+        """Whether its tracker has followed in the last frame what the system itself moves."""
         self.search = HandSearch(tracker_options)
         self._tracker: ContourTracker | None = None
         self._track: Track | None = None
         self._latest: deque[FingerLine] = deque(maxlen=STOOD_FRAMES)
         self._last_seen: LastSeen | None = None
+        self._memory = Memory()
+        self.is_recognised = False
+        """Whether what it follows looks like the hand that it had followed before."""
+        self._was_found = False
         self._background_frames = 0
         self._is_table = False
         self._table_frames = 0
@@ -180,6 +191,29 @@ class HandView:
         if self._size_px is not None:
             self.viewpoint = Viewpoint.of(plane_view, self._size_px)
 
+    def look_past(self, bodies: Sequence[Capsule], frame: Frame | None) -> None:
+        """Take nothing for a hand in this frame that is a part of what the system itself moves.
+
+        Parameters
+        ----------
+        bodies
+            Where that may be, in plane coordinates.
+        frame
+            The view's next; None where there is none.
+        """
+        if frame is None:
+            return
+        height_px, width_px = frame.image.shape[:2]
+        if self._size_px != (width_px, height_px):
+            self._size_px = width_px, height_px
+            self.viewpoint = Viewpoint.of(self.plane_view, self._size_px)
+        self._body = Body.none()
+        if bodies:
+            self._body = Body(self.viewpoint.silhouette(bodies), self.plane_view.lens)
+        self.search.body = self._body
+        if self._first_hand is not None:
+            self._first_hand.body = self._body
+
     def hear(self, others: Sequence[HandView]) -> None:
         """Take notice of a hand that has come to another view, or is followed there alone."""
         self._is_elsewhere = any(other.has_newcomer or other._is_alone_for_long for other in others)
@@ -207,6 +241,20 @@ class HandView:
         self._foreshortening = foreshortening
         if self.tracker is not None:
             self.tracker.foreshortening = foreshortening
+
+    def may_follow(self, trial: Trial) -> bool:
+        """Whether a trial may be the hand that was lost here, by its colour and width."""
+        return self._memory.may_be(trial.looks, trial.track.time_s)
+
+    @property
+    def follows_hand(self) -> bool:
+        """Whether it shows the finger of a hand for good, and not perhaps the table."""
+        return self._shows_finger and self.is_sure
+
+    @property
+    def is_presented(self) -> bool | None:
+        """Whether what it follows was held up to its template; None where none waits."""
+        return None if self._first_hand is None else not self._was_found
 
     def would_lead_to(self, angle_rad: float, time_s: float) -> float:
         """Return how likely the finger that was lost here leads there now, 0 to 1.
@@ -255,6 +303,12 @@ class HandView:
 
     def follow(self, frame: Frame, track: Track) -> None:
         """Take over what the tracker made of the view's frame."""
+        self.shows_body = self._body.shows_as(track.finger_line)
+        if self.shows_body:
+            memory = self._memory  # of the hand, not of the body
+            self._leave(had_hand=self.is_sure)
+            self._memory = memory
+            return
         self._count_missed(track)
         self._count_waited(frame, track)
         self._track = track
@@ -268,6 +322,13 @@ class HandView:
         if track.finger_line is not None and self.is_sure:
             self._latest.append(track.finger_line)
             self._last_seen = LastSeen(track.finger_line.angle_rad, frame.time_s)
+            self._learn_looks(frame, track.finger_line)
+
+    def _learn_looks(self, frame: Frame, line: FingerLine) -> None:
+        """Learn how the hand looks that is followed for good."""
+        half_width_px = fitted_half_width_px(self._track) if self._track is not None else None
+        if half_width_px is not None:
+            self._memory.learn(Looks.of(frame, line, half_width_px), frame.time_s)
 
     def _count_waited(self, frame: Frame, track: Track) -> None:
         """Count the frames in which a hand may be there, but not where a template waits for it."""
@@ -310,10 +371,13 @@ class HandView:
                 self._let_go()
                 self.search.forget_behind()
             return
-        if not first.looks_flat(flat):
-            return
-        had_hand, waiting = first.has_moved, first.wait_anew()
-        if had_hand:
+        if first.looks_flat(flat):
+            self._leave(had_hand=first.has_moved)
+
+    def _leave(self, *, had_hand: bool) -> None:
+        """Leave what is no hand: a template that has followed none yet waits for it anew."""
+        waiting = None if self._first_hand is None else self._first_hand.wait_anew()
+        if had_hand or waiting is None:
             self._let_go()
         else:
             self._tracker, self._track = waiting, None
@@ -326,10 +390,6 @@ class HandView:
         if frame is None:
             return
         self._frames += 1
-        height_px, width_px = frame.image.shape[:2]
-        if self._size_px != (width_px, height_px):
-            self._size_px = width_px, height_px
-            self.viewpoint = Viewpoint.of(self.plane_view, self._size_px)
         self._is_table = self._shows_background(frame)
         if self._first_hand is None and self._is_table:
             self._let_go()
@@ -373,6 +433,8 @@ class HandView:
         """Follow for good the hand that the search has found, once it is proven."""
         found = self.search.found
         if found is not None and found.is_proven:
+            self.is_recognised = self._memory.recognises(found.looks, found.track.time_s)
+            self._was_found = True
             self._tracker, self._track = found.tracker, found.track
             self._lengthening = found.lengthening
             if self._first_hand is not None:
@@ -484,5 +546,6 @@ class HandView:
         self._foreshortening = None
         self._latest.clear()
         self._last_seen = None
+        self._memory = Memory()
         self.missing = Status.LOST
         self.search.rest()

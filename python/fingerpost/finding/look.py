@@ -117,12 +117,10 @@ def widening(frame: Frame, line: FingerLine, half_width_px: float) -> float:
         the finger, 0 to 1: an index finger is at the edge of its hand.
     """
     finger = frame, line, half_width_px
-    inside = _levels(*finger, -np.linspace(1.0, 4.0, 12), np.linspace(-0.5, 0.5, 5))
-    channels = inside.shape[2]
-    inside = inside.reshape(-1, channels)
-    inside = inside[np.isfinite(inside).all(axis=1)]
-    if len(inside) < INSIDE_SEEN:
+    inside = inside_levels(*finger)
+    if inside is None:
         return 0.0
+    channels = inside.shape[1]
     covariance = np.atleast_2d(np.cov(inside, rowvar=False)) + NOISE_GREY**2 * np.eye(channels)
     rows = -np.linspace(*WIDENS, 12)
     alike = []
@@ -134,6 +132,16 @@ def widening(frame: Frame, line: FingerLine, half_width_px: float) -> float:
         alike.append(np.convolve(part, np.full(4, 0.25), mode="valid"))
     behind, left, right = alike
     return float(np.minimum(behind, np.maximum(left, right)).max())
+
+
+def inside_levels(frame: Frame, line: FingerLine, half_width_px: float) -> Array | None:
+    """Return the levels (N, channels) of a finger's inside; None if hardly any of it is seen."""
+    inside = _levels(
+        frame, line, half_width_px, -np.linspace(1.0, 4.0, 12), np.linspace(-0.5, 0.5, 5)
+    )
+    inside = inside.reshape(-1, inside.shape[2])
+    inside = inside[np.isfinite(inside).all(axis=1)]
+    return None if len(inside) < INSIDE_SEEN else inside
 
 
 ALONG = -np.linspace(1.2, 5.0, 9)

@@ -14,6 +14,7 @@ import numpy as np
 
 from fingerpost.finding.finger import Array, Sighting
 from fingerpost.pointing import PlaneView
+from fingerpost.silhouette import Capsule, Silhouette, image_from_space
 from fingerpost.uncertainty import Numbers
 
 Direction = tuple[float, float, float]
@@ -37,6 +38,11 @@ class Viewpoint:
 
     plane_view: PlaneView
     centre: Array
+
+    def silhouette(self, bodies: Sequence[Capsule]) -> Silhouette:
+        """Return what bodies in plane coordinates cover of the image, in ideal pixels."""
+        matrix = image_from_space(self.plane_view.image_from_plane, self.centre)
+        return Silhouette.of(bodies, matrix, self.centre)
 
     @classmethod
     def of(cls, view: PlaneView, size_px: tuple[int, int]) -> Viewpoint:

@@ -18,6 +18,7 @@ from fingerpost._core import (
     Track,
 )
 from fingerpost.capture import Frame
+from fingerpost.finding.body import Body
 from fingerpost.finding.finger import Array, Sighting, are_near, hand_region
 from fingerpost.finding.length import Lengthening
 from fingerpost.finding.look import widening
@@ -62,6 +63,8 @@ class HandSearch:
         Those of the last frame.
     found
         The trial that is believed to be the hand, if any.
+    body
+        What the system itself moves, as the next frame shows it: nothing is looked for there.
     """
 
     def __init__(self, tracker_options: Mapping[str, Any] | None = None) -> None:
@@ -69,6 +72,7 @@ class HandSearch:
         self.candidates: list[Candidate] = []
         self.trials: list[Trial] = []
         self.found: Trial | None = None
+        self.body = Body.none()
         self._tracker_options = dict(tracker_options or {})
         self._finder = HandFinder()
         self._refused: list[_Refusal] = []
@@ -105,13 +109,16 @@ class HandSearch:
         """Go on with the trials, and find what else could be tried."""
         for trial in self.trials:
             trial.update(frame, self.background)
-        self.candidates = self._finder.find(
-            frame.grey(), frame.colour(), background=self.background
-        )
+        candidates = self._finder.find(frame.grey(), frame.colour(), background=self.background)
+        self.candidates = [c for c in candidates if not self.body.shows_at(c.start)]
         for refusal in self._refused:
             refusal.frames += 1
         self._refused = [refusal for refusal in self._refused if refusal.frames < TRY_AGAIN]
-        self.trials = distinct(trial for trial in self.trials if not trial.is_over)
+        self.trials = distinct(
+            trial
+            for trial in self.trials
+            if not (trial.is_over or self.body.shows_as(trial.track.finger_line))
+        )
         if self.found not in self.trials:
             self.found = None
 
@@ -159,8 +166,12 @@ class HandSearch:
         tracker = self._tracker_at(start, half_width_px)
         track = tracker.update(frame.grey(), frame.time_s, frame.colour())
         line = track.finger_line
-        if line is None or self._is_tried(
-            StartPose(line.tip_px, line.angle_rad, start.length_px), half_width_px
+        if (
+            line is None
+            or self.body.shows_as(line)
+            or self._is_tried(
+                StartPose(line.tip_px, line.angle_rad, start.length_px), half_width_px
+            )
         ):
             self._refused.append(_Refusal(start))
             return True

@@ -26,6 +26,7 @@ from fingerpost.finding.finger import (
     fitted_half_width_px,
 )
 from fingerpost.finding.foreground import IN_FOREGROUND, foreground_part
+from fingerpost.finding.identity import Looks
 from fingerpost.finding.length import Lengthening, length_px
 from fingerpost.finding.look import widening
 
@@ -71,6 +72,8 @@ class Trial:
         How many frames it has held: those with an accepted fit; one without takes half of them.
     misses
         Frames in a row without an accepted fit.
+    looks
+        How it looked when it was judged last.
     lengthening
         What has a template as long as the finger take over.
     """
@@ -87,6 +90,7 @@ class Trial:
     lengthening: Lengthening
     frames: int = 1
     misses: int = 0
+    looks: Looks | None = None
 
     @property
     def is_over(self) -> bool:
@@ -181,6 +185,7 @@ class Trial:
         if line is None:
             return
         half_width_px = self.half_width_px
+        self.looks = Looks.of(frame, line, half_width_px)
         likeness = HandFinder.likeness(
             frame.grey(), line.tip_px, line.angle_rad, half_width_px, frame.colour()
         )

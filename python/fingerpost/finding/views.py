@@ -43,6 +43,9 @@ class SearchingView(FollowingView, Protocol):
     def is_sure(self) -> bool:
         """Whether what it follows, if anything, is a hand and not perhaps the table."""
 
+    def may_follow(self, trial: Trial) -> bool:
+        """Whether a trial may be the hand that was lost here."""
+
     def would_lead_to(self, angle_rad: float, time_s: float) -> float:
         """Return how likely the finger that was lost here leads there now, 0 to 1."""
 
@@ -215,6 +218,8 @@ def _possible_pairs(views: Sequence[SearchingView]) -> list[TriedPair]:
             both = ((i, tried_i[a]), (j, tried_j[b]))
             trials = {k: trial for k, trial in both if trial is not None}
             if not trials or are_left_standing(trials, moving):
+                continue
+            if not all(views[k].may_follow(trial) for k, trial in trials.items()):
                 continue
             score, seen = float(scores[a, b]), (seen_i[a], seen_j[b])
             if len(trials) == 1:

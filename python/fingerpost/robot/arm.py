@@ -52,6 +52,7 @@ from fingerpost.robot.protocol import (
     RobotState,
     RobotStatus,
 )
+from fingerpost.robot.shape import ArmShape
 
 logger = logging.getLogger(__name__)
 
@@ -124,6 +125,9 @@ class Arm(ABC):
     sleep : callable
         Waits for so many seconds of that clock.
     """
+
+    shape: ArmShape | None = None
+    """The arm's build, for drivers that know it; others are taken for the usual one."""
 
     def __init__(
         self,

@@ -49,7 +49,9 @@ from fingerpost.robot.options import CheckedOptions
 from fingerpost.robot.plane import RobotPlane
 from fingerpost.robot.protocol import GripperTarget, Limits, Pose, Robot, RobotState
 from fingerpost.robot.region import SafeRegion
+from fingerpost.robot.shape import ArmShape, along
 from fingerpost.robot.signals import stopping_on
+from fingerpost.silhouette import Capsule
 from fingerpost.uncertainty import confidence_ellipse
 
 logger = logging.getLogger(__name__)
@@ -65,6 +67,10 @@ ROUNDING_M = 1e-6
 
 RECORDS_KEPT = 10_000
 """Commands that a guard remembers; `on_record` sees all."""
+
+
+GOALS_KEPT = 2
+"""The arm is on its way to one of so many goals: a stride is sent before the last one is done."""
 
 
 class GuardOptions(CheckedOptions, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -204,6 +210,8 @@ class Guard:
         self._why_stopped = ""
         self._stop_error: RobotError | None = None
         self._needs: Presence | None = None
+        self._read: Pose | None = None
+        self._goals: deque[Pose] = deque(maxlen=GOALS_KEPT)
         self._fix: Fix | None = None
         self._heard_s = -np.inf
 
@@ -360,7 +368,21 @@ class Guard:
         """
         with self._halting("reading the pose"):
             pose = self._robot.pose()
+        self._read = pose
         return self.plane.point(pose.position_m[:2]), self.plane.above_m(pose)
+
+    def body(self) -> tuple[Capsule, ...]:
+        """Return the room that the arm may take up now, in plane coordinates; never waits.
+
+        That is the arm with its gripper anywhere on the way from where it was read last to where it
+        has been sent since. Empty until `arm`, `enter` or `where` has read a pose.
+        """
+        # Copied at once: the goals grow in another thread.
+        poses = [pose for pose in (self._read, *tuple(self._goals)) if pose is not None]
+        shape = getattr(self._robot, "shape", None) or ArmShape.of_limits(self._robot.limits)
+        return self.plane.capsules(
+            part for pose in along(poses) for part in shape.capsules(pose)
+        )
 
     @property
     def time_s(self) -> float:
@@ -388,6 +410,7 @@ class Guard:
         """
         interruptions = self._interruptions
         self._need_armed("enter", None)
+        self.where()
         goal = self.plane.pose(self._allowed.centre, self._allowed.highest_m)
         self._send("enter", goal, None, Presence.OPERATOR, None, interruptions)
         self._finish(interruptions)
@@ -662,6 +685,7 @@ class Guard:
         """Send a motion."""
         speed = self._speed(speed_m_s)
         self._needs = needs
+        self._goals.append(goal)
         self._record(command, str(goal), pose=goal, fix=fix)
         with self._uninterrupted(command, interruptions):
             self._robot.move_to(goal, speed_m_s=speed, wait=False)
@@ -672,6 +696,9 @@ class Guard:
         with self._uninterrupted("wait", interruptions):
             self._robot.wait()
         self._needs = None
+        if self._goals:
+            self._read = self._goals[-1]
+            self._goals.clear()
 
     @contextmanager
     def _uninterrupted(self, command: str, interruptions: int) -> Iterator[None]:

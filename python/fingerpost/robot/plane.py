@@ -7,6 +7,8 @@ coordinates to the robot's X and Y, with the covariance of its entries, and the 
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -21,6 +23,7 @@ from fingerpost.homography import (
     transfer_to_plane,
 )
 from fingerpost.robot.protocol import Pose
+from fingerpost.silhouette import Capsule
 
 
 def _exact() -> NDArray[np.float64]:
@@ -142,6 +145,24 @@ class RobotPlane:
             roll_rad=self.roll_rad,
             yaw_rad=self.yaw_rad,
         )
+
+    def capsules(self, parts: Iterable[Capsule]) -> tuple[Capsule, ...]:
+        """Return parts of the robot's frame [m] in plane coordinates and units.
+
+        A part that ends beyond the horizon of the tie is left out: no view of the plane shows it.
+        """
+        known = []
+        for part in parts:
+            ends = np.array([part.start, part.end])
+            feet = transfer_to_plane(self.robot_from_plane, ends[:, :2])
+            if np.isnan(feet).any():
+                continue
+            stretch = transfer_jacobian_by_point(self.robot_from_plane, feet.mean(axis=0))
+            unit_m = math.sqrt(abs(float(np.linalg.det(stretch))))
+            heights = (ends[:, 2] - self.height_m - ends[:, :2] @ self.slope) / unit_m
+            start, end = ((x, y, z) for (x, y), z in zip(feet.tolist(), heights, strict=True))
+            known.append(Capsule(start, end, part.radius / unit_m))
+        return tuple(known)
 
     def above_m(self, pose: Pose) -> float:
         """Return how high a pose is above the plane [m]; negative below."""

@@ -43,6 +43,7 @@ from fingerpost.robot.options import CheckedOptions
 from fingerpost.robot.protocol import Angle, GripperKind, Limits, Pose
 from fingerpost.robot.readings import Reading, ReadingFilter
 from fingerpost.robot.serial_line import Flow, SerialLine, Tap
+from fingerpost.robot.shape import ArmShape
 
 logger = logging.getLogger(__name__)
 
@@ -81,6 +82,15 @@ SCORBOT_ER7_LIMITS = Limits(
 )
 """Round figures for an arm of this size, at a third of its speed. Z = 0 is the floor its base
 stands on; declare your own table's height before the arm goes near it."""
+
+
+SCORBOT_ER7_SHAPE = ArmShape(
+    base_height_m=0.3585,
+    shoulder_offset_m=0.05,
+    upper_arm_m=0.3,
+    forearm_m=0.25,
+    tool_m=0.27,
+)
 
 
 class ScorbotOptions(CheckedOptions, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -149,6 +159,8 @@ class Scorbot(Arm):
     ...     robot.home()
     ...     robot.move_to(Pose(0.4, 0.0, 0.1, pitch_rad=TOOL_DOWN_RAD), speed_m_s=0.1)
     """
+
+    shape = SCORBOT_ER7_SHAPE
 
     def __init__(
         self,
