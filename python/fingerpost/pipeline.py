@@ -43,6 +43,7 @@ from fingerpost.finding import (
     how_flat,
     measured_line,
     other_fingers,
+    tell_from_hands,
 )
 from fingerpost.pointing import (
     BARE_HAND,
@@ -138,6 +139,8 @@ class Observation:
             return Status.LOST
         if self.track is None:
             return self.missing
+        if self.is_body:
+            return Status.LOST
         line = measured_line(self.track, self.frame.time_s, self.aside)
         if line is not None:
             return Status.ILL_CONDITIONED if self.is_adrift else line
@@ -454,6 +457,7 @@ class Pointer:
         for view, frame in zip(self.views, frames, strict=True):
             view.look_past(bodies, frame)
         self._follow(frames)
+        tell_from_hands(self.views, bodies)
         self._leave_table(frames)
         for view, frame in zip(self.views, frames, strict=True):
             view.hear([other for other in self.views if other is not view])

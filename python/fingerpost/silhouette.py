@@ -13,7 +13,7 @@ image of r, exact to second order in r over the distance.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -48,6 +48,13 @@ class Capsule:
         count = 1 + math.ceil(math.dist(self.start, self.end) / (SPACING * self.radius))
         shares = np.linspace(0.0, 1.0, count)[:, None]
         return np.column_stack([start + shares * (end - start), np.full(count, self.radius)])
+
+    def distance(self, point: Array) -> float:
+        """Return how far a point (3,) is from the segment [plane units]."""
+        start = np.array(self.start)
+        way = np.array(self.end) - start
+        share = float((point - start) @ way) / max(float(way @ way), np.finfo(float).tiny)
+        return float(np.linalg.norm(point - start - min(max(share, 0.0), 1.0) * way))
 
 
 def image_from_space(image_from_plane: ArrayLike, centre: ArrayLike) -> Array:
@@ -128,13 +135,3 @@ def _projected(camera_matrix: Array, points: Array) -> tuple[Array, Array]:
     image = points @ camera_matrix[:, :3].T + camera_matrix[:, 3]
     with np.errstate(divide="ignore", invalid="ignore"):
         return image[:, :2] / image[:, 2:], image[:, 2]
-
-
-def moved(capsules: Sequence[Capsule], offset: tuple[float, float, float]) -> tuple[Capsule, ...]:
-    """Return capsules displaced by a vector [plane units]."""
-
-    def shifted(point: tuple[float, float, float]) -> tuple[float, float, float]:
-        x, y, z = (a + b for a, b in zip(point, offset, strict=True))
-        return x, y, z
-
-    return tuple(Capsule(shifted(c.start), shifted(c.end), c.radius) for c in capsules)

@@ -78,9 +78,9 @@ def _guiding_options(command: Command) -> Command:
             click.option(
                 "--attendance",
                 type=click.Choice(["hand", "key"]),
-                default="hand",
+                default="key",
                 show_default=True,
-                help="What shows the operator is there: a tracked hand, or a key held down.",
+                help="What shows the operator is there: a key held down, or his tracked hand.",
             ),
             click.option("--max-frames", metavar="N", type=click.IntRange(1, MOST_FRAMES)),
             click.option("--json", "as_json", is_flag=True, help="Print JSON lines."),
@@ -97,9 +97,10 @@ def follow(**given: Any) -> None:
     """Let the arm follow the pointing hand.
 
     RIG.TOML is one that `fingerpost robot plane` has written. The arm homes, goes to the middle of
-    the safe region, then follows, within the region and only on fixes that are sure enough. On a
-    terminal: x or Esc stops, c arms again, w held down has the arm make way for a hand that it
-    hides, q quits.
+    the safe region, then follows the hand that was held up to its template (or confirmed by the
+    key h), within the region and only on fixes that are sure enough. It moves only while you hold
+    the space bar down. On a terminal: x or Esc stops, c arms again, w held down has the arm make
+    way for a hand that it hides, q quits.
     """
     _guide(given, None)
 
@@ -144,7 +145,6 @@ def _guide(given: Mapping[str, Any], carry: PickPlaceOptions | None) -> None:
     from fingerpost.guidance import (
         Attendance,
         Keys,
-        attended,
         attended_at_first,
         guard_of,
         paced,
@@ -159,7 +159,15 @@ def _guide(given: Mapping[str, Any], carry: PickPlaceOptions | None) -> None:
     attendance = Attendance(given["attendance"])
     has_keys = has_terminal()
     if attendance is Attendance.KEY and not has_keys:
-        raise click.UsageError("--attendance key needs a terminal as standard input")
+        raise click.UsageError(
+            "--attendance key needs a terminal as standard input; without one, --attendance hand "
+            "takes your tracked hand for it"
+        )
+    if not has_keys and all(view.start is None for view in rig.views):
+        raise click.UsageError(
+            "no view has a [view.start] to hold the hand up to, and without a terminal as standard "
+            "input no key can confirm it"
+        )
     guard_options = laid_over(
         GuardOptions,
         given,
@@ -170,10 +178,10 @@ def _guide(given: Mapping[str, Any], carry: PickPlaceOptions | None) -> None:
     )
     names = ("above_m", "speed_m_s", "stride_s", "min_cutoff_hz", "slope_hz_m")
     follow_options = laid_over(FollowOptions, given, **{name: name for name in names})
-    pointer = Pointer(rig)
     robot = open_robot(given["url"] or table.url)
     # A region that is none, and what will not do in this one, is refused before all else.
     guard = guard_of(robot, table, guard_options)
+    pointer = Pointer(rig, moving=lambda: guard.body())  # the guard of then, which keeps a log
     _selector(guard, given)
     if carry is not None:
         check_heights(guard, carry)
@@ -193,9 +201,6 @@ def _guide(given: Mapping[str, Any], carry: PickPlaceOptions | None) -> None:
             session = _session(guard, follow_options, carry, attendance, given)
             if has_keys:
                 stack.enter_context(Keys(session.press, session.leave))
-            guard.arm()
-            with attended(guard) if attendance is Attendance.HAND else ExitStack():
-                guard.enter()
             if sources[0].kind is SourceKind.RECORDED:
                 frames = paced(frames, time.monotonic, time.sleep)
             taken = steps(pointer, at_most(frames, given["max_frames"]))
@@ -203,6 +208,7 @@ def _guide(given: Mapping[str, Any], carry: PickPlaceOptions | None) -> None:
                 taken = attended_at_first(guard, taken)
             try:
                 with session:
+                    session.begin()
                     for step in taken:
                         session.take(step)
                         if session.done:

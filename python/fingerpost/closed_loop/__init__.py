@@ -9,8 +9,8 @@ under physics, driven by the package's own driver through the emulated controlle
     result = run_guidance(50)                  # fingerpost experiment --guidance 50
 """
 
-from fingerpost.closed_loop.course import Course, Leg
 from fingerpost.closed_loop.demo import RobotDemoSummary, run_robot_demo
+from fingerpost.closed_loop.errand import Errand, Leg
 from fingerpost.closed_loop.kinematic import KinematicCell
 from fingerpost.closed_loop.layout import Aim, CameraPlacement
 from fingerpost.closed_loop.loop import ClosedLoop, LoopOptions, Moment
@@ -30,7 +30,7 @@ __all__ = [
     "CameraPlacement",
     "Cell",
     "ClosedLoop",
-    "Course",
+    "Errand",
     "GuidanceOptions",
     "GuidanceResult",
     "GuidanceTrial",

@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fingerpost.closed_loop.course import Course, Leg, block_and_place_mm
 from fingerpost.closed_loop.engine import require_mujoco
+from fingerpost.closed_loop.errand import ERRAND_S, Errand, Leg, block_and_place_mm
 from fingerpost.closed_loop.kinematic import KinematicCell
 from fingerpost.closed_loop.layout import Aim, CameraPlacement
 from fingerpost.closed_loop.loop import ClosedLoop, FixAccuracy, LoopOptions, Moment
@@ -84,6 +84,8 @@ class RobotDemoSummary:
         Bytes that the controller sent over its serial line, echoes included; None without one.
     frames, fixes
         Frames in which the hand was there, and those with an indicated point.
+    false_fixes
+        Frames with an indicated point in which there was no hand.
     fix_rms_mm
         From the indicated point to where the hand pointed; None without a fix.
     time_s
@@ -103,6 +105,7 @@ class RobotDemoSummary:
     line_bytes: int | None
     frames: int
     fixes: int
+    false_fixes: int
     fix_rms_mm: float | None
     time_s: float
     files: tuple[str, ...]
@@ -300,9 +303,7 @@ def _play(
     ]
     rig.save(files[0])
     operator = Operator(Habits(), WAITING_MM, rng, time_s=stage.world.time_s)
-    loop = ClosedLoop(
-        stage.world, stage.robot, rig, operator, stage.options, aim=waiting, at_once=False
-    )
+    loop = ClosedLoop(stage.world, stage.robot, rig, operator, stage.options, aim=waiting)
     accuracy = FixAccuracy()
     film = _Film(stack, files, stage, loop, place_mm)
     begin_s = stage.world.time_s
@@ -315,28 +316,28 @@ def _play(
             raise _EnoughError
 
     loop.on_moment = on_moment
-    course = Course(stage.world, loop, operator, looking=True)
-    placed_mm, shortened = None, False
+    errand = Errand(stage.world, loop, operator, block_mm, place_mm)
+    shortened = False
     try:
-        placed_mm = course.carry(block_mm, place_mm)
+        loop.run(errand, ERRAND_S)
     except RobotError as error:
-        course.problem = f"{type(error).__name__}: {error}"
+        errand.problem = f"{type(error).__name__}: {error}"
     except _EnoughError:
         shortened = True
-    loop.close()
     film.picture()
     return RobotDemoSummary(
         cell=stage.name,
         note=note,
         plane=stage.plane,
-        legs=tuple(course.legs),
-        placed_mm=placed_mm,
-        problem=course.problem,
+        legs=tuple(errand.legs),
+        placed_mm=errand.placed_mm,
+        problem=errand.problem,
         shortened=shortened,
         table_steps=stage.table_steps(),
         line_bytes=stage.line_bytes(),
         frames=accuracy.moments,
         fixes=accuracy.fixes,
+        false_fixes=accuracy.false_fixes,
         fix_rms_mm=accuracy.rms_mm,
         time_s=stage.world.time_s - begin_s,
         files=tuple(str(file) for file in files),

@@ -1,8 +1,8 @@
-"""The whole product on a cell's pixels: pictures → fixes → guard → robot, and the operator's eyes.
+"""The whole product on a cell's pixels: pictures → fixes → session → robot, and the operator's eyes.
 
-Whatever a real set-up runs side by side happens here on the beat of the cameras, in between the
-bytes that the driver exchanges with its controller: the pointer takes every picture, the guard sees
-every fix and may stop the arm, and the operator sees the gripper and moves his hand.
+What a real set-up runs in threads happens here on the beat of the cameras, in between the bytes that
+the driver exchanges with its controller: a person presses keys and moves a hand, the pointer takes
+every picture, and the same `Session` that drives a real arm takes every step.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Annotated
+from typing import Annotated, Protocol
 
 import msgspec
 import numpy as np
@@ -21,7 +21,7 @@ from fingerpost.closed_loop.layout import Aim, indicated_mm
 from fingerpost.closed_loop.operator import Operator
 from fingerpost.closed_loop.world import World
 from fingerpost.config import Rig
-from fingerpost.guidance import guard_of, robot_of
+from fingerpost.guidance import Attendance, Session, Turns, guard_of, robot_of
 from fingerpost.pipeline import Pointer, Step
 from fingerpost.pointing import Fix, PlaneView, Status
 from fingerpost.robot import (
@@ -29,23 +29,15 @@ from fingerpost.robot import (
     Follower,
     FollowOptions,
     FollowReport,
+    FollowState,
     Guard,
     GuardOptions,
-    PickPlace,
     PickPlaceOptions,
     Robot,
-    Selection,
 )
-from fingerpost.robot import Step as PickStep
 from fingerpost.simulate import DevicePose
 
 Array = NDArray[np.float64]
-
-ASIDE_M = (0.0, 1.0)
-"""Towards where the arm makes room; the nearest corner of the safe region is taken [m]."""
-
-LOST_S = 2.0
-"""A hand without a fix for so long is not about to be found where it is [s]."""
 
 AWAY_MM = 700.0
 """A hand drawn back so far along its finger is out of every view [mm]."""
@@ -70,7 +62,8 @@ class LoopOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
         # rest.
         tolerance_m=0.02,
     )
-    follow: FollowOptions = FollowOptions(above_m=0.06, stride_s=0.8, dead_band_m=0.002)
+    # The hand points from below the gripper, and passes it.
+    follow: FollowOptions = FollowOptions(above_m=0.15, stride_s=0.8, dead_band_m=0.002)
     pick_place: PickPlaceOptions = PickPlaceOptions()
     dwell_s: Annotated[float, msgspec.Meta(gt=0)] = 2.5
     dwell_m: Annotated[float, msgspec.Meta(gt=0)] = 0.006
@@ -117,26 +110,112 @@ class FixAccuracy:
     ----------
     moments, fixes : int
         Frames in which the hand was there, and those with an indicated point.
+    false_fixes : int
+        Frames with an indicated point in which there was no hand.
     """
 
     def __init__(self) -> None:
         self.moments = 0
         self.fixes = 0
+        self.false_fixes = 0
         self._sum_mm2 = 0.0
 
     def add(self, moment: Moment) -> None:
         """Count a frame."""
+        point = moment.step.fix.point
         if moment.indicated_m is None:
+            self.false_fixes += point is not None
             return
         self.moments += 1
-        if moment.step.fix.point is not None:
+        if point is not None:
             self.fixes += 1
-            self._sum_mm2 += 1e6 * float(((moment.step.fix.point - moment.indicated_m) ** 2).sum())
+            self._sum_mm2 += 1e6 * float(((point - moment.indicated_m) ** 2).sum())
 
     @property
     def rms_mm(self) -> float | None:
         """Of the distance [mm]; None without a fix."""
         return math.sqrt(self._sum_mm2 / self.fixes) if self.fixes else None
+
+
+class Person(Protocol):
+    """Who stands before the cell: presses keys, and shows a hand or does not."""
+
+    @property
+    def done(self) -> bool:
+        """Whether nothing more is to come."""
+
+    @property
+    def hand_is_away(self) -> bool:
+        """Whether the hand is to be out of sight."""
+
+    @property
+    def doing(self) -> str:
+        """What is being done, in a word or two."""
+
+    def act(self, time_s: float) -> None:
+        """Do what is to be done on a beat."""
+
+
+class CellViews:
+    """The cameras of a cell, the hand before them, and what the pointer makes of their pictures.
+
+    Parameters
+    ----------
+    world
+        With its cell.
+    pointer
+        Of the cell's rig.
+    operator
+        Whose hand it is.
+    aim
+        How the hand is held; its point does not count.
+
+    Attributes
+    ----------
+    fix
+        The newest; None before the first.
+    away_mm
+        How far the hand is drawn back; it goes to `AWAY_MM` while `is_away`, and else to 0.
+    is_away
+        Whether the hand is to be out of sight.
+    """
+
+    def __init__(self, world: World, pointer: Pointer, operator: Operator, aim: Aim) -> None:
+        self.fix: Fix | None = None
+        self.is_away = False
+        self.away_mm = AWAY_MM
+        self._world = world
+        self._pointer = pointer
+        self._operator = operator
+        self._aim = aim
+        self._index = 0
+
+    def vanish(self) -> None:
+        """Have the hand out of sight from the next frame on."""
+        self.is_away, self.away_mm = True, AWAY_MM
+
+    def take(self, time_s: float) -> tuple[DevicePose | None, list[Step]]:
+        """Move the hand, take a picture with every camera; return the hand and what was seen."""
+        pose = self._hand(time_s)
+        self._world.cell.put_hand(pose)
+        images = self._world.cell.picture()
+        steps = list(
+            self._pointer.update([Frame(self._index, time_s, image) for image in images])
+        )
+        self._index += 1
+        if steps:
+            self.fix = steps[-1].fix
+        return pose, steps
+
+    def _hand(self, time_s: float) -> DevicePose | None:
+        """Return where the hand is, on its way in or out as well."""
+        step_mm = AWAY_SPEED_MM_S * self._world.frame_s
+        way_mm = (AWAY_MM if self.is_away else 0.0) - self.away_mm
+        self.away_mm += min(max(way_mm, -step_mm), step_mm)
+        if self.away_mm == AWAY_MM:
+            return None
+        x, y = self._operator.indicated_mm(time_s)
+        return replace(self._aim, point_mm=(float(x), float(y))).pose().retreated(self.away_mm)
 
 
 class ClosedLoop:
@@ -156,23 +235,19 @@ class ClosedLoop:
         How the product is run.
     aim
         How the hand is held; its point and plane do not count.
-    at_once
-        Whether the hand is there from the beginning, or comes in.
     on_moment
         Called with every frame.
 
     Attributes
     ----------
-    guard
-        The robot's guard; to be armed.
-    doing
-        What is being done, in a word or two, for `Moment`.
-    looking
-        Whether the cameras take pictures; without them there are no fixes.
-    fix
-        The newest; None before the first.
-    on_moment
-        Called with every frame.
+    guard, session
+        The product's own.
+    views
+        Cameras and hand.
+    report
+        What the follower did last; None while it does nothing.
+    seen_s
+        When there was a fix last [s].
     """
 
     def __init__(
@@ -184,27 +259,36 @@ class ClosedLoop:
         options: LoopOptions | None = None,
         *,
         aim: Aim | None = None,
-        at_once: bool = True,
         on_moment: Callable[[Moment], None] = lambda _: None,
     ) -> None:
-        self.options = options = options or LoopOptions()
+        options = options or LoopOptions()
         table = robot_of(rig)
         self.guard: Guard = guard_of(robot, table, options.guard, clock=world.now)
-        self.doing = "waiting"
-        self.looking = True
-        self._world = world
+        self._turns = Turns()
+        self.session = Session(
+            self.guard,
+            Follower(self.guard, options.follow),
+            attendance=Attendance.KEY,
+            selector=DwellSelector(self.guard, dwell_s=options.dwell_s, radius_m=options.dwell_m),
+            carry=options.pick_place,
+            keys=True,
+            worker=self._turns,
+            sleep=world.advance,
+            say=self._hear,
+            on_report=self._see_report,
+        )
         self._plane_mm = 1000 * table.height_m
+        aim = replace(aim or Aim((0.0, 0.0)), plane_mm=self._plane_mm)
         self._pointer = Pointer(rig, moving=self.guard.body)
-        self._operator = operator
+        self.views = CellViews(world, self._pointer, operator, aim)
+        self.report: FollowReport | None = None
+        self.seen_s = world.time_s
         self.on_moment = on_moment
-        self._aim = aim or Aim((0.0, 0.0))
-        self._index = 0
-        self._entered = False
-        self._seen_s = world.time_s
-        self._withdrawn = False
-        self._away_mm = 0.0 if at_once else AWAY_MM
-        self.fix: Fix | None = None
-        world.on_frame = self._on_frame
+        self._world = world
+        self._operator = operator
+        self._person: Person | None = None
+        self._begun = False
+        self._said = ""
 
     @property
     def plane_views(self) -> tuple[PlaneView, ...]:
@@ -213,162 +297,61 @@ class ClosedLoop:
 
     @property
     def gripper_m(self) -> Array:
-        """(2,) the robot's X, Y where the gripper really is [m]."""
-        return np.asarray(self._world.cell.gripper_mm[:2] / 1000)
+        """(3,) where the gripper really is in the robot's frame [m]."""
+        return np.asarray(self._world.cell.gripper_mm / 1000)
 
     @property
-    def hand_lost(self) -> bool:
-        """Whether there has been no fix for `LOST_S`: the arm may be in the way."""
-        return self._world.time_s - self._seen_s > LOST_S
+    def is_there(self) -> bool:
+        """Whether the arm stands where the hand points."""
+        return self.report is not None and self.report.state is FollowState.THERE
 
-    def go_aside(self) -> None:
-        """Have the arm wait where it hides nothing from the cameras: beside and behind the hand.
+    def run(self, person: Person, timeout_s: float) -> None:
+        """Have a person guide the arm until the session or the person is done, or time is up.
 
         Raises
         ------
         RobotError
             The robot's own; it has been stopped.
         """
-        if not self.guard.armed:
-            self.guard.arm()
-        if not self._entered:
-            self.guard.enter()
-            self._entered = True
-        self.guard.make_way(ASIDE_M, speed_m_s=self.options.guard.max_speed_m_s)
-        self.fix = None  # the hand may have been hidden
-
-    def wait_for_fix(self, timeout_s: float) -> bool:
-        """Let time pass until the hand is tracked in every view; False if it is not in time."""
+        self._person = person
+        self._world.on_frame = self._on_frame
         end_s = self._world.time_s + timeout_s
-        while self._world.time_s < end_s:
-            self._world.to_next_frame()
-            if self.fix is not None and self.fix.status is Status.OK:
-                return True
-        return False
+        try:
+            with self.session as session:
+                session.begin()
+                self._begun = True
+                while not (session.done or person.done) and self._world.time_s < end_s:
+                    if not self._turns.run():
+                        self._world.to_next_frame()
+        finally:
+            self._world.on_frame = None
 
-    def follow(self, until: Callable[[Fix, FollowReport], bool], timeout_s: float) -> bool:
-        """Have the robot follow the hand.
+    def _hear(self, words: str) -> None:
+        self._said = words
 
-        Parameters
-        ----------
-        until
-            Ends it; called after every decision of the follower.
-        timeout_s
-            Ends it as well, and so does a hand that stays lost (`hand_lost`).
-
-        Returns
-        -------
-        bool
-            Whether `until` ended it.
-
-        Raises
-        ------
-        RobotError
-            The robot's own; it has been stopped.
-        """
-        follower = Follower(self.guard, self.options.follow)
-        self._seen_s = self._world.time_s
-        end_s = self._world.time_s + timeout_s
-        while self._world.time_s < end_s and not self.hand_lost:
-            before_s = self._world.time_s
-            fix = self.fix
-            if fix is not None:
-                report = follower.update(fix)
-                if until(fix, report):
-                    return True
-            if self._world.time_s - before_s < self._world.frame_s:
-                self._world.to_next_frame()
-        return False
-
-    def select(self, timeout_s: float) -> Selection | None:
-        """Follow until the hand has selected a point by staying; None if not in time, or if lost.
-
-        A point outside the safe region is none.
-        """
-        selection: Selection | None = None
-        selector = DwellSelector(
-            self.guard, dwell_s=self.options.dwell_s, radius_m=self.options.dwell_m
-        )
-
-        def selected(fix: Fix, report: FollowReport) -> bool:
-            nonlocal selection
-            selection = selector.update(self.fix or fix, report)
-            if selection is not None and not self._within_reach(selection):
-                selection = None
-            return selection is not None
-
-        self.follow(selected, timeout_s)
-        return selection
-
-    def pick_and_place(
-        self,
-        pick: Selection,
-        place: Selection,
-        on_step: Callable[[PickStep], None] = lambda _: None,
-    ) -> None:
-        """Carry the block.
-
-        Raises
-        ------
-        RobotError
-            The robot's own; it has been stopped.
-        """
-        carrying = PickPlace(self.guard, pick, place, self.options.pick_place)
-        while (step := carrying.next_step) is not None:
-            self.doing = step.value
-            on_step(step)
-            carrying.advance()
-
-    def withdraw(self) -> None:
-        """Have the operator take his hand away."""
-        self._withdrawn = True
-
-    def close(self) -> None:
-        """Stop the arm and look no more."""
-        self._world.on_frame = None
-        if self.guard.armed:
-            self.guard.halt("the end")
-
-    def _within_reach(self, selection: Selection) -> bool:
-        low_m = self.options.pick_place.grip_m
-        allowed, allowed_m = self.guard.clamp(selection.point, low_m)
-        return bool((allowed == selection.point).all()) and allowed_m == low_m
+    def _see_report(self, _: Fix, report: FollowReport) -> None:
+        self.report = report
 
     def _on_frame(self, time_s: float) -> None:
-        """Do what happens on every beat: hand, picture, fix, guard, eyes."""
-        self.guard.heartbeat()
-        if not self.looking:
-            self.guard.check()
-            return
-        cell = self._world.cell
-        pose = self._hand(time_s)
-        cell.put_hand(pose)
-        frames = [Frame(self._index, time_s, image) for image in cell.picture()]
-        self._index += 1
-        for step in self._pointer.update(frames):
-            self.fix = step.fix
-            if step.fix.status is Status.OK:
-                self._seen_s = time_s
-            self.guard.observe(step.fix)
-            self._tell(step, pose, time_s)
+        """Do what happens on every beat: keys, hand, pictures, session, guard, eyes."""
+        assert self._person is not None  # noqa: S101 - set before there is a beat
+        self._person.act(time_s)
+        if self._begun:
+            self.views.is_away = self._person.hand_is_away
+            pose, steps = self.views.take(time_s)
+            for step in steps:
+                if step.fix.status is Status.OK:
+                    self.seen_s = time_s
+                self.session.take(step)
+                self._tell(step, pose, time_s)
         self.guard.check()
-        self._operator.see(cell.gripper_mm[:2], time_s)
-
-    def _hand(self, time_s: float) -> DevicePose | None:
-        """Return where the hand is, on its way in or out as well."""
-        step_mm = AWAY_SPEED_MM_S * self._world.frame_s
-        goal_mm = AWAY_MM if self._withdrawn else 0.0
-        way_mm = goal_mm - self._away_mm
-        self._away_mm += min(max(way_mm, -step_mm), step_mm)
-        if self._away_mm == AWAY_MM:
-            return None
-        x, y = self._operator.indicated_mm(time_s)
-        aim = replace(self._aim, point_mm=(float(x), float(y)), plane_mm=self._plane_mm)
-        return aim.pose().retreated(self._away_mm)
+        self._operator.see(self._world.cell.gripper_mm[:2], time_s)
 
     def _tell(self, step: Step, pose: DevicePose | None, time_s: float) -> None:
         cell = self._world.cell
         indicated = None if pose is None else indicated_mm(pose, self._plane_mm)
+        assert self._person is not None  # noqa: S101
+        doing = self._said.removesuffix(" ...") if self.session.is_carrying else self._person.doing
         self.on_moment(
             Moment(
                 time_s,
@@ -378,6 +361,6 @@ class ClosedLoop:
                 cell.gripper_mm / 1000,
                 cell.jaw,
                 cell.block_mm / 1000,
-                self.doing,
+                doing,
             )
         )

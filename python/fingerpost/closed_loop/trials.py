@@ -13,25 +13,29 @@ system believes.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future, as_completed
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fingerpost.closed_loop.course import (
-    FIX_S,
+from fingerpost.closed_loop.engine import require_mujoco
+from fingerpost.closed_loop.errand import (
+    ERRAND_S,
     SETTLED_S,
-    Course,
+    Absence,
+    Errand,
     Leg,
+    Scripted,
+    Vanishing,
     block_and_place_mm,
     target_mm,
 )
-from fingerpost.closed_loop.engine import require_mujoco
 from fingerpost.closed_loop.layout import Aim, CameraPlacement
-from fingerpost.closed_loop.loop import ClosedLoop, FixAccuracy, LoopOptions
+from fingerpost.closed_loop.loop import CellViews, ClosedLoop, FixAccuracy, LoopOptions
 from fingerpost.closed_loop.operator import Habits, Operator
 from fingerpost.closed_loop.physics import Optics, PhysicalCell
 from fingerpost.closed_loop.setup import (
@@ -45,6 +49,7 @@ from fingerpost.closed_loop.world import World
 from fingerpost.config import Rig
 from fingerpost.errors import InvalidInputError
 from fingerpost.guidance import robot_of
+from fingerpost.pipeline import Pointer
 from fingerpost.robot import RobotError
 from fingerpost.simulate import Hand
 from fingerpost.workers import sharing, worker_count
@@ -60,6 +65,9 @@ GOAL_MM = 5.0
 
 WAITING_MM = (425.0, 0.0)
 """Where the hand points while it waits."""
+
+SHOWN_S = 3.0
+"""How long it waits there to be taken [s]."""
 
 MOST_TURNED_RAD = 0.25
 """A block is put down about square to the robot: parallel jaws turn it the rest of the way."""
@@ -107,6 +115,7 @@ class GuidanceTrial:
     fix_rms_mm: float | None  # of the indicated point against where the hand pointed
     frames: int
     fixes: int
+    false_fixes: int = 0  # frames with an indicated point in which there was no hand
     problem: str = ""
 
 
@@ -171,7 +180,8 @@ class GuidanceResult:
             f"corrections per target {np.mean([leg.corrections for leg in legs] or [0]):.1f}; "
             f"hand brought back to be found {sum(leg.lost for leg in legs)} times; "
             f"trials in which the arm touched the table {touched}; "
-            f"frames with a fix {self._availability():.1%}; fix RMS {self._fix_rms():.2f} mm",
+            f"frames with a fix {self._availability():.1%}; fix RMS {self._fix_rms():.2f} mm; "
+            f"frames with a fix and no hand {sum(t.false_fixes for t in self.trials)}",
         ]
         return lines + [f"trial {t.index}: {t.problem}" for t in self.trials if t.problem]
 
@@ -291,16 +301,11 @@ def measure_plane(height_mm: float, options: GuidanceOptions) -> tuple[Rig, Plan
             rig = plane.rig(rig_without_plane(cell.cameras), robot_table(height_mm / 1000))
             aim = Aim(WAITING_MM, plane_mm=height_mm)
             operator = Operator(Habits.exact(), WAITING_MM, rng, time_s=world.time_s)
-            loop = ClosedLoop(
-                world,
-                line.robot,
-                with_start(rig, cell.cameras, hand, aim.pose(), rng),
-                operator,
-                options.loop,
-                aim=aim,
-            )
-            loop.go_aside()
-            loop.wait_for_fix(FIX_S)
+            line.robot.home()  # out of the way
+            rig_with_start = with_start(rig, cell.cameras, hand, aim.pose(), rng)
+            views = CellViews(world, Pointer(rig_with_start), operator, aim)
+            world.on_frame = lambda time_s: views.take(time_s)
+            world.advance(SHOWN_S)
             errors = []
             for _ in range(options.plane_targets):
                 goal_mm = target_mm(rng)
@@ -308,10 +313,9 @@ def measure_plane(height_mm: float, options: GuidanceOptions) -> tuple[Rig, Plan
                 while operator.is_moving(world.time_s):
                     world.to_next_frame()
                 world.advance(SETTLED_S)
-                if loop.fix is not None and loop.fix.point is not None:
-                    x, y = 1000 * loop.fix.point - goal_mm
+                if views.fix is not None and views.fix.point is not None:
+                    x, y = 1000 * views.fix.point - goal_mm
                     errors.append((float(x), float(y)))
-            loop.close()
     finally:
         cell.close()
     sigma_mm = 1000 * float(plane.sigma_m.max())
@@ -331,6 +335,102 @@ def guide(index: int, rig: Rig, options: GuidanceOptions) -> GuidanceTrial:
     options
         Of the experiment.
     """
+    with _staged(index, rig, options) as stage:
+        errand = Errand(stage.world, stage.loop, stage.operator, stage.block_mm, stage.place_mm)
+        stage.play(errand)
+        return GuidanceTrial(
+            index,
+            tuple(errand.legs),
+            errand.placed_mm,
+            stage.cell.contacts.table_steps,
+            stage.accuracy.rms_mm,
+            stage.accuracy.moments,
+            stage.accuracy.fixes,
+            stage.accuracy.false_fixes,
+            errand.problem,
+        )
+
+
+@dataclass(frozen=True)
+class Unattended:
+    """What the arm did without a hand.
+
+    Attributes
+    ----------
+    index
+        Number of the trial.
+    travel_mm
+        How far the gripper went, from where it stood when the hand was gone.
+    held_s
+        From then until the guard held the arm; None where it was not moving.
+    false_fixes
+        Frames with an indicated point.
+    problem
+        Why the trial came to nothing; else empty.
+    """
+
+    index: int
+    travel_mm: float
+    held_s: float | None
+    false_fixes: int
+    problem: str = ""
+
+
+def stay_away(index: int, rig: Rig, options: GuidanceOptions) -> Unattended:
+    """Let nobody point while somebody holds the key down; the parameters are those of `guide`."""
+    with _staged(index, rig, options) as stage:
+        absence = Absence(stage.world, stage.loop)
+        stage.play(absence)
+        travel_mm = 0.0 if absence.from_m is None else stage.travel_mm(absence.from_m)
+        return Unattended(index, travel_mm, None, stage.accuracy.false_fixes, absence.problem)
+
+
+def vanish(index: int, rig: Rig, options: GuidanceOptions) -> Unattended:
+    """Have the hand vanish while the arm follows; the parameters are those of `guide`."""
+    with _staged(index, rig, options) as stage:
+        hand = Vanishing(stage.world, stage.loop, stage.operator, stage.block_mm, stage.place_mm)
+        stage.play(hand)
+        travel_mm = 0.0 if hand.from_m is None else stage.travel_mm(hand.from_m)
+        held_s = [
+            record.time_s - hand.gone_s
+            for record in stage.loop.guard.records
+            if record.command in ("hold", "halt") and record.time_s >= hand.gone_s
+        ]
+        return Unattended(
+            index,
+            travel_mm,
+            min(held_s, default=None),
+            stage.accuracy.false_fixes,
+            hand.problem,
+        )
+
+
+@dataclass(eq=False)
+class _Stage:
+    """A cell with everybody in it."""
+
+    cell: PhysicalCell
+    world: World
+    operator: Operator
+    loop: ClosedLoop
+    accuracy: FixAccuracy
+    block_mm: Array
+    place_mm: Array
+
+    def play(self, person: Scripted) -> None:
+        """Run the session; what the robot raises is the person's problem."""
+        try:
+            self.loop.run(person, ERRAND_S)
+        except RobotError as error:
+            person.problem = f"{type(error).__name__}: {error}"
+
+    def travel_mm(self, from_m: Array) -> float:
+        """Return how far the gripper is from a place (3,) in the end."""
+        return float(1000 * np.linalg.norm(self.loop.gripper_m - from_m))
+
+
+@contextmanager
+def _staged(index: int, rig: Rig, options: GuidanceOptions) -> Iterator[_Stage]:
     rng = _rng(options, 0, index)
     hand = Hand().body
     cell = PhysicalCell(options.cameras.cameras(), hand, rng=rng, optics=options.optics)
@@ -352,25 +452,9 @@ def guide(index: int, rig: Rig, options: GuidanceOptions) -> GuidanceTrial:
                 aim=waiting,
                 on_moment=accuracy.add,
             )
-            course = Course(world, loop, operator, looking=False)
-            placed_mm = None
-            try:
-                placed_mm = course.carry(block_mm, place_mm)
-            except RobotError as error:
-                course.problem = f"{type(error).__name__}: {error}"
-            loop.close()
+            yield _Stage(cell, world, operator, loop, accuracy, block_mm, place_mm)
     finally:
         cell.close()
-    return GuidanceTrial(
-        index,
-        tuple(course.legs),
-        placed_mm,
-        cell.contacts.table_steps,
-        accuracy.rms_mm,
-        accuracy.moments,
-        accuracy.fixes,
-        course.problem,
-    )
 
 
 def _rng(options: GuidanceOptions, *key: int) -> np.random.Generator:

@@ -21,6 +21,7 @@ has moved (`views`). A template that waits for the hand may lock on to the table
 (`first_hand`); what each view follows, and when it lets go, is its own affair (`hand_view`).
 """
 
+from fingerpost.finding.body import tell_from_hands
 from fingerpost.finding.finger import BETWEEN_EDGES, Aside, Sighting, measured_line
 from fingerpost.finding.hand_view import HandView
 from fingerpost.finding.identity import Hand, Identity
@@ -59,6 +60,7 @@ __all__ = [
     "measured_line",
     "other_fingers",
     "pair_scores",
+    "tell_from_hands",
     "widening",
     "width_ratio",
 ]

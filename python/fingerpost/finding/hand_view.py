@@ -18,6 +18,7 @@ from fingerpost.finding.body import Body
 from fingerpost.finding.finger import (
     Aside,
     LastSeen,
+    are_near,
     fitted_half_width_px,
     hand_region,
     is_left_behind,
@@ -72,6 +73,11 @@ MISSED_FRAMES = 2
 """A finger that was not seen for so many frames is looked for everywhere, for its tracker may still
 wait for it where it was."""
 
+AT_TEMPLATE = 0.5
+AT_TEMPLATE_RAD = 0.6
+"""A hand is held up to its template within so many of its lengths and so large an angle: those by
+which a template still takes it."""
+
 STOOD_FRAMES = 8
 """What has stood still for so many frames while another view's finger has moved is no finger."""
 
@@ -114,6 +120,9 @@ class HandView:
         self._body = Body.none()
         self.shows_body = False
         """Whether its tracker has followed in the last frame what the system itself moves."""
+        self.may_show_body = False
+        """Whether the hand that it follows lies within the silhouette of what that may be."""
+        self._doubtful_frames = 0
         self.search = HandSearch(tracker_options)
         self._tracker: ContourTracker | None = None
         self._track: Track | None = None
@@ -122,7 +131,6 @@ class HandView:
         self._memory = Memory()
         self.is_recognised = False
         """Whether what it follows looks like the hand that it had followed before."""
-        self._was_found = False
         self._background_frames = 0
         self._is_table = False
         self._table_frames = 0
@@ -145,10 +153,12 @@ class HandView:
         self._flanks = Flanks()
         self._lengthening: Lengthening | None = None
         self._first_hand: FirstHand | None = None
+        self._start: StartPose | None = None
         if view.start is not None:
             template = Template.pistol(view.start.thumb)
             tip_px, angle_deg = view.start.tip_px, view.start.angle_deg
             start = StartPose(tip_px, np.radians(angle_deg), view.start.length_px)
+            self._start = start
             waiting = partial(ContourTracker, template, start, tracker_options)
             self._tracker = waiting()
             self._first_hand = FirstHand(self.search.background, start, waiting)
@@ -253,8 +263,13 @@ class HandView:
 
     @property
     def is_presented(self) -> bool | None:
-        """Whether what it follows was held up to its template; None where none waits."""
-        return None if self._first_hand is None else not self._was_found
+        """Whether the hand it follows is held up to the rig's template; None if that has none."""
+        line = self.track.finger_line if self.track is not None else None
+        if self._start is None or line is None:
+            return None
+        start = self._start
+        here = StartPose(line.tip_px, line.angle_rad, start.length_px)
+        return are_near(start, here, AT_TEMPLATE * start.length_px, AT_TEMPLATE_RAD)
 
     def would_lead_to(self, angle_rad: float, time_s: float) -> float:
         """Return how likely the finger that was lost here leads there now, 0 to 1.
@@ -303,11 +318,10 @@ class HandView:
 
     def follow(self, frame: Frame, track: Track) -> None:
         """Take over what the tracker made of the view's frame."""
-        self.shows_body = self._body.shows_as(track.finger_line)
-        if self.shows_body:
-            memory = self._memory  # of the hand, not of the body
-            self._leave(had_hand=self.is_sure)
-            self._memory = memory
+        self.shows_body = False
+        self.may_show_body = self._body.shows_as(track.finger_line)
+        if self.may_show_body and not self.is_sure:
+            self.judge_body(is_hand=False)
             return
         self._count_missed(track)
         self._count_waited(frame, track)
@@ -322,7 +336,27 @@ class HandView:
         if track.finger_line is not None and self.is_sure:
             self._latest.append(track.finger_line)
             self._last_seen = LastSeen(track.finger_line.angle_rad, frame.time_s)
+        if track.finger_line is not None and self.is_sure and not self.may_show_body:
             self._learn_looks(frame, track.finger_line)
+
+    def judge_body(self, *, is_hand: bool | None) -> None:
+        """Learn whether what is followed within the body's silhouette is a hand.
+
+        None stands for what nothing tells: then it counts as none, and is left after a while.
+        """
+        self.shows_body = not is_hand
+        self._doubtful_frames = self._doubtful_frames + 1 if is_hand is None else 0
+        if is_hand is False or self._doubtful_frames >= ALONE_FRAMES:
+            self.may_show_body = False
+            memory = self._memory  # of the hand, not of the body
+            self._leave(had_hand=self.is_sure)
+            self._memory = memory
+
+    @property
+    def tip_px(self) -> tuple[float, float] | None:
+        """Tip of the finger that it follows, if it shows one in this frame."""
+        line = self.track.finger_line if self.track is not None else None
+        return None if line is None else line.tip_px
 
     def _learn_looks(self, frame: Frame, line: FingerLine) -> None:
         """Learn how the hand looks that is followed for good."""
@@ -434,7 +468,6 @@ class HandView:
         found = self.search.found
         if found is not None and found.is_proven:
             self.is_recognised = self._memory.recognises(found.looks, found.track.time_s)
-            self._was_found = True
             self._tracker, self._track = found.tracker, found.track
             self._lengthening = found.lengthening
             if self._first_hand is not None:
@@ -540,7 +573,7 @@ class HandView:
         """Follow nothing any more, and look everywhere."""
         self._tracker, self._track, self._doubts, self._is_table = None, None, 0, False
         self._alone_frames, self._pointless_frames = 0, 0
-        self._flat_frames, self._missed_frames = 0, 0
+        self._flat_frames, self._missed_frames, self._doubtful_frames = 0, 0, 0
         self._lengthening = None
         self._flanks.forget()
         self._foreshortening = None

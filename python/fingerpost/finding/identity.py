@@ -37,6 +37,10 @@ ENTRY_SPREAD_RAD = 0.6
 """By how much the place where the line of its finger, led back, enters the image turns about the
 image's centre, as a standard deviation [rad]."""
 
+PRESENTED_FRAMES = 5
+"""A hand that is at its template for so many frames in a row is held up to it; one that points
+elsewhere passes."""
+
 UNLIKE = 9.0
 """Squared distance of looks, in standard deviations, beyond which they are not one hand's."""
 
@@ -147,7 +151,7 @@ class Hand(NamedTuple):
         Counts the hands that have been followed, from 1; one that is recognised keeps its number.
         0 before the first.
     is_presented : bool
-        Whether it was held up to its template in every view that has one, and in one at least.
+        Whether it has been held up to its template, in every view that has one and follows it.
     """
 
     number: int = 0
@@ -167,7 +171,7 @@ class IdentifiedView(Protocol):
 
     @property
     def is_presented(self) -> bool | None:
-        """Whether what it follows was held up to its template; None where none waits."""
+        """Whether the hand it follows is held up to the rig's template; None if that has none."""
 
 
 class Identity:
@@ -176,6 +180,7 @@ class Identity:
     def __init__(self) -> None:
         self.hand = Hand()
         self._is_followed = False
+        self._presented_frames = 0
         self._seen_s = -math.inf
 
     def update(self, views: Sequence[IdentifiedView], time_s: float) -> None:
@@ -185,7 +190,9 @@ class Identity:
             if not self._is_followed and not self._is_known(following, time_s):
                 self.hand = Hand(self.hand.number + 1)
             presented = [p for view in following if (p := view.is_presented) is not None]
-            if presented and all(presented):
+            is_presented = bool(presented) and all(presented)
+            self._presented_frames = self._presented_frames + 1 if is_presented else 0
+            if self._presented_frames >= PRESENTED_FRAMES:
                 self.hand = self.hand._replace(is_presented=True)
             self._seen_s = time_s
         self._is_followed = bool(following)

@@ -5,6 +5,7 @@ guard of a rig with a [robot] table. Nothing here knows a command line.
 """
 
 from fingerpost.guidance.agreement import Agreement, Sightings, ViewTie, agree, need_certainty
+from fingerpost.guidance.attendance import Attendance, attended, attended_at_first, paced
 from fingerpost.guidance.errors import (
     GripperNotFoundError,
     InconsistentPlaneError,
@@ -31,16 +32,9 @@ from fingerpost.guidance.plane import (
     places_to_visit,
     spread_places,
 )
-from fingerpost.guidance.session import (
-    KEY_HELP,
-    Attendance,
-    Session,
-    SessionReport,
-    attended,
-    attended_at_first,
-    paced,
-)
+from fingerpost.guidance.session import KEY_HELP, Session, SessionReport
 from fingerpost.guidance.setup import guard_of, held_down, plane_of, region_of, robot_of
+from fingerpost.guidance.worker import Jobs, Turns, Worker
 
 __all__ = [
     "KEY_HELP",
@@ -52,6 +46,7 @@ __all__ = [
     "GripperFinder",
     "GripperNotFoundError",
     "InconsistentPlaneError",
+    "Jobs",
     "Keys",
     "MarkerFinder",
     "MotionFinder",
@@ -63,8 +58,10 @@ __all__ = [
     "SessionReport",
     "Sighting",
     "Sightings",
+    "Turns",
     "ViewTie",
     "Visit",
+    "Worker",
     "agree",
     "attended",
     "attended_at_first",

@@ -8,21 +8,19 @@ that stops does so there and then.
 
 from __future__ import annotations
 
-import math
-import threading
+import time
 from collections import Counter, deque
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
-from enum import StrEnum
-from itertools import chain, pairwise, zip_longest
 from types import TracebackType
 from typing import Self
 
 import numpy as np
 
-from fingerpost.capture import Frame
 from fingerpost.errors import InvalidInputError
+from fingerpost.guidance.attendance import Attendance, attended
+from fingerpost.guidance.worker import Jobs, Worker
 from fingerpost.pipeline import Step
 from fingerpost.pointing import FingerLine, Fix, Status
 from fingerpost.robot import (
@@ -44,84 +42,21 @@ STOP_KEYS = "x\x1b"
 SELECT_KEYS = "s\r\n"
 CONTINUE_KEY, UNDO_KEY, QUIT_KEY = "c", "u", "q"
 AWAY_KEY = "w"
+HAND_KEY = "h"
 
 KEY_HELP = (
-    "s select   x or Esc stop   c arm again and continue   u undo   w (held) make way   q quit"
+    "space (held) keep the arm live   x or Esc stop   c arm again and continue   h this is my hand"
+    "   s select   u undo   w (held) make way   q quit"
 )
 
 HIDDEN_S = 2.0
 """A hand without a fix for so long may be hidden: the operator is told of the key [s]."""
 
+POLL_S = 0.02
+"""How often keys are looked for while nothing else happens [s]."""
 
-class Attendance(StrEnum):
-    """What shows that the operator is there; `Guard` stops the arm when it has been missing."""
-
-    HAND = "hand"
-    """His hand is tracked in a view; while the arm stands, it may be away."""
-    KEY = "key"
-    """He presses keys, or holds one down: a dead-man's switch."""
-
-
-class Worker:
-    """Does one thing at a time in a thread; of those that wait, the newest. A context manager."""
-
-    def __init__(self) -> None:
-        self._changed = threading.Condition()
-        self._job: Callable[[], None] | None = None
-        self._busy = False
-        self._closing = False
-        self._error: BaseException | None = None
-        self._thread = threading.Thread(target=self._run, name="worker", daemon=True)
-
-    @property
-    def idle(self) -> bool:
-        """Whether there is nothing to do."""
-        with self._changed:
-            return self._job is None and not self._busy
-
-    def offer(self, job: Callable[[], None]) -> None:
-        """Do this next, in place of whatever waits."""
-        with self._changed:
-            self._job = job
-            self._changed.notify_all()
-
-    def check(self) -> None:
-        """Raise what a job has raised; nothing more is done after that."""
-        if self._error is not None:
-            raise self._error
-
-    def __enter__(self) -> Self:
-        self._thread.start()
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        with self._changed:
-            self._closing = True
-            self._job = None
-            self._changed.notify_all()
-        self._thread.join()
-
-    def _run(self) -> None:
-        while True:
-            with self._changed:
-                self._changed.wait_for(lambda: self._job is not None or self._closing)
-                job, self._job = self._job, None
-                if job is None:
-                    return
-                self._busy = True
-            try:
-                job()
-            except BaseException as error:  # whatever it is, the caller's thread must hear of it
-                self._error = error
-                return
-            finally:
-                with self._changed:
-                    self._busy = False
+STRANGER = "this hand has not been shown to be the operator's"
+"""Why the fix of a hand that nobody has confirmed moves nothing."""
 
 
 @dataclass
@@ -195,7 +130,7 @@ class Session:
     follower
         Follows between selections.
     attendance
-        What shows that the operator is there.
+        What shows that the operator is there. A hand does so once it is known to be his.
     selector
         Selects by dwelling as well as by key; None selects by key alone.
     carry
@@ -206,6 +141,10 @@ class Session:
         Blocks to carry until the session is done.
     keys
         Whether there are keys: without them, a guard that has been halted ends the session.
+    worker
+        Does what waits for the arm.
+    sleep
+        Waits for so many seconds of the guard's clock.
     say
         Called with what the operator should know, a line each.
     on_report
@@ -217,12 +156,14 @@ class Session:
         guard: Guard,
         follower: Follower,
         *,
-        attendance: Attendance = Attendance.HAND,
+        attendance: Attendance = Attendance.KEY,
         selector: DwellSelector | None = None,
         carry: PickPlaceOptions | None = None,
         step_by_step: bool = False,
         blocks: int = 1,
         keys: bool = False,
+        worker: Jobs | None = None,
+        sleep: Callable[[float], None] = time.sleep,
         say: Callable[[str], None] = lambda _: None,
         on_report: Callable[[Fix, FollowReport], None] = lambda _fix, _report: None,
     ) -> None:
@@ -238,7 +179,8 @@ class Session:
         self._keys = keys
         self._say = say
         self._on_report = on_report
-        self._worker = Worker()
+        self._worker = worker or Worker()
+        self._sleep = sleep
         self._pressed: deque[str] = deque()
         self._selections: list[Selection] = []
         self._machine: PickPlace | None = None
@@ -249,6 +191,29 @@ class Session:
         self._making_way = False
         self._aside = False
         self._seen_s: float | None = None
+        self._hand: int | None = None
+        self._told_of_hand: int | None = None
+
+    @property
+    def has_hand(self) -> bool:
+        """Whether a hand has been shown to be the operator's."""
+        return self._hand is not None
+
+    @property
+    def is_aside(self) -> bool:
+        """Whether the arm stands where it has made way to."""
+        return self._aside
+
+    @property
+    def is_carrying(self) -> bool:
+        """Whether a block is being picked and placed."""
+        return self._machine is not None
+
+    @property
+    def selections(self) -> int:
+        """How many points the operator has selected, those that have been carried out included."""
+        under_way = 2 if self._machine is not None else len(self._selections)
+        return 2 * self.report.blocks + under_way
 
     @property
     def done(self) -> bool:
@@ -275,6 +240,44 @@ class Session:
         if kind is None:
             self._worker.check()  # what it did last, no step has asked about
 
+    def begin(self) -> None:
+        """Arm the guard, have the gripper enter the safe region, and return when it is there.
+
+        Where a key shows that the operator is there, he holds one down first. A stop on the way
+        ends nothing where there are keys: the one that continues arms again.
+
+        Raises
+        ------
+        NotArmedError
+            Stopped on the way, and there are no keys.
+        RobotError
+            The arm's; it has been stopped.
+        """
+        holds_key = self._attendance is Attendance.KEY
+        if holds_key:
+            self._say(f"hold the space bar down: the arm moves only while you do   {KEY_HELP}")
+            self._wait_for_key()
+        while not self._quit:
+            try:
+                self._guard.arm()
+                with nullcontext() if holds_key else attended(self._guard):
+                    self._guard.enter()
+                return
+            except (NotArmedError, StoppedError):
+                self._say_stopped()
+                self._wait_for_key(CONTINUE_KEY)
+
+    def _wait_for_key(self, wanted: str = "") -> None:
+        """Wait for one of these keys, for any without a name, or for the one that quits."""
+        while not self._quit:
+            while self._pressed:
+                key = self._pressed.popleft()
+                if key == QUIT_KEY:
+                    self._quit = True
+                elif not wanted or key in wanted:
+                    return
+            self._sleep(POLL_S)
+
     def press(self, key: str) -> None:
         """Take a key, from any thread; the key that stops does so at once."""
         if self._attendance is Attendance.KEY or key == AWAY_KEY:
@@ -299,14 +302,14 @@ class Session:
         RobotError
             The arm's; it has been stopped.
         """
-        fix = step.fix
-        self.report.fixes[fix.status.value] += 1
+        self.report.fixes[step.fix.status.value] += 1
+        fix = self._own(step)
         self._guard.observe(fix)
         moving = self._guard.busy or self._making_way
-        if self._attendance is Attendance.HAND and (_hand_seen(step) or not moving):
+        if self._attendance is Attendance.HAND and (self._sees_hand(step) or not moving):
             self._guard.heartbeat()
         self._worker.check()
-        self._obey(fix)
+        self._obey(step, fix)
         if not self._guard.armed:
             self._wait_for_arming()
         elif self._machine is not None:
@@ -317,15 +320,42 @@ class Session:
             if self._dwell is not None and self._carry is not None:
                 self._selected(self._dwell.update(fix, self._last))
 
+    # Whose hand it is.
+
+    def _own(self, step: Step) -> Fix:
+        """Return the fix of the operator's hand; that of any other hand is none."""
+        hand, fix = step.hand, step.fix
+        if hand.is_presented:
+            self._accept_hand(hand.number)
+        if fix.status is not Status.OK or hand.number == self._hand:
+            return fix
+        if self._told_of_hand != hand.number:
+            self._told_of_hand = hand.number
+            key = f", or press {HAND_KEY} if it is yours" if self._keys else ""
+            self._say(f"{STRANGER}: hold it up to its template{key}")
+        return replace(fix, status=Status.LOST, point=None, covariance=None, reason=STRANGER)
+
+    def _accept_hand(self, number: int) -> None:
+        if self._hand != number:
+            self._hand = number
+            self._say("following this hand")
+
+    def _sees_hand(self, step: Step) -> bool:
+        """Whether the operator's hand is tracked in a view."""
+        is_tracked = any(isinstance(one.finger, FingerLine) for one in step.observations)
+        return is_tracked and step.hand.number == self._hand
+
     # What the operator wants.
 
-    def _obey(self, fix: Fix) -> None:
+    def _obey(self, step: Step, fix: Fix) -> None:
         while self._pressed:
             key = self._pressed.popleft()
             if key == QUIT_KEY:
                 self._quit = True
             elif key in SELECT_KEYS:
                 self._select_now(fix)
+            elif key == HAND_KEY and step.fix.status is Status.OK:
+                self._accept_hand(step.hand.number)
             elif key == AWAY_KEY:
                 self._start_making_way()
             elif key in (CONTINUE_KEY, UNDO_KEY):
@@ -397,13 +427,23 @@ class Session:
         self._last = None
         if self._quit:
             return
+        self._paused = True
+        if not self._told_disarmed:
+            self._say_stopped()
+            self._told_disarmed = True
+
+    def _say_stopped(self) -> None:
+        """Say why the arm has been stopped.
+
+        Raises
+        ------
+        NotArmedError
+            There are no keys to arm it again.
+        """
         why = self._guard.why_stopped or "never armed"
         if not self._keys:
             raise NotArmedError(f"stopped: {why}")
-        self._paused = True
-        if not self._told_disarmed:
-            self._say(f"stopped: {why}   {KEY_HELP}")
-            self._told_disarmed = True
+        self._say(f"stopped: {why}   {KEY_HELP}")
 
     # What the worker does.
 
@@ -411,6 +451,8 @@ class Session:
         before = self._last
         try:
             self._last = report = self._follower.update(fix)
+            if report.state is FollowState.HOLDING:
+                self._guard.locate()  # for what it covers of the views
         except (NotArmedError, StoppedError):
             self._last = None  # halted meanwhile; the next step says so
             return
@@ -474,86 +516,6 @@ class Session:
             self._say(str(error))
             return
         self._say(f"{step} undone   {KEY_HELP}")
-
-
-@contextmanager
-def attended(guard: Guard) -> Iterator[None]:
-    """Take it that the operator is there as long as the block lasts, as he has just started it.
-
-    For what a person starts and watches over; the signals that end a program end this too.
-    """
-    done = threading.Event()
-
-    def beat() -> None:
-        while not done.wait(guard.options.operator_timeout_s / 5):
-            guard.heartbeat()
-
-    thread = threading.Thread(target=beat, name="attended", daemon=True)
-    guard.heartbeat()
-    thread.start()
-    try:
-        yield
-    finally:
-        done.set()
-        thread.join()
-
-
-def attended_at_first(guard: Guard, steps: Iterator[Step]) -> Iterator[Step]:
-    """Give steps; until there is the first, take it that the operator is there.
-
-    The first frames take longest, on a slow computer longer than he may be missing, and before
-    them nothing moves the arm.
-    """
-    with attended(guard):
-        first = next(steps, None)
-    if first is not None:
-        yield first
-        yield from steps
-
-
-def paced(
-    frames: Iterator[Sequence[Frame | None]],
-    clock: Callable[[], float],
-    sleep: Callable[[float], None],
-) -> Iterator[Sequence[Frame | None]]:
-    """Play a recording as if it were live: each frame when it is due, and stamped with that time.
-
-    Whoever is slower than the recording misses frames, as with cameras: of those that are due by
-    the time he asks for the next, each view's newest is given. Otherwise he would see the hand ever
-    later.
-
-    Parameters
-    ----------
-    frames
-        Of recorded views.
-    clock
-        The time to stamp them with [s]; the first frame is due at once.
-    sleep
-        Waits for so many seconds of it.
-    """
-    begin_s = math.nan  # nothing is before or after it: until there is a frame, none is due
-    newest: Sequence[Frame | None] = ()
-    for together, following in pairwise(chain(frames, [()])):
-        newest = [old if new is None else new for new, old in zip_longest(together, newest)]
-        if math.isnan(begin_s):
-            begin_s = clock() - _last_s(newest)
-        if begin_s + _last_s(following) <= clock():
-            continue
-        if (early_s := begin_s + _last_s(newest) - clock()) > 0:
-            sleep(early_s)
-        yield [
-            None if frame is None else replace(frame, time_s=begin_s + frame.time_s)
-            for frame in newest
-        ]
-        newest = ()
-
-
-def _last_s(frames: Sequence[Frame | None]) -> float:
-    return max((frame.time_s for frame in frames if frame is not None), default=math.nan)
-
-
-def _hand_seen(step: Step) -> bool:
-    return any(isinstance(one.finger, FingerLine) for one in step.observations)
 
 
 def _counts(counter: Counter[str]) -> str:

@@ -369,7 +369,20 @@ class Guard:
         with self._halting("reading the pose"):
             pose = self._robot.pose()
         self._read = pose
+        if not self.busy:
+            self._goals.clear()  # an arm that has been stopped goes to none of them
         return self.plane.point(pose.position_m[:2]), self.plane.above_m(pose)
+
+    def locate(self) -> None:
+        """Read where an arm has come to rest that was stopped on its way; else do nothing.
+
+        Raises
+        ------
+        RobotError
+            As for `where`.
+        """
+        if self._goals and not self.busy:
+            self.where()
 
     def body(self) -> tuple[Capsule, ...]:
         """Return the room that the arm may take up now, in plane coordinates; never waits.

@@ -1,0 +1,318 @@
+"""What a person does before the cell: point at a block, point at a place, have it carried there.
+
+A person acts on every beat of the cameras: holds a key down, which is the dead man's switch, and
+goes on with a script that is written as a generator.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Generator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fingerpost.closed_loop.layout import WORKSPACE_MM
+from fingerpost.closed_loop.loop import ClosedLoop
+from fingerpost.closed_loop.operator import Operator
+from fingerpost.closed_loop.world import World
+from fingerpost.guidance.session import AWAY_KEY, HIDDEN_S
+from fingerpost.pointing import Status
+
+Array = NDArray[np.float64]
+Script = Generator[None, None, None]
+Waiting = Generator[None, None, bool]
+
+HOLD_KEY = " "
+"""Held down, it does nothing but show that somebody is there."""
+
+MARGIN_MM = 20.0
+"""Targets lie so far inside the workspace; people do not ask for what is on its rim."""
+
+APART_MM = 70.0
+"""From the block to where it shall go, at least."""
+
+SETTLED_S = 0.4
+"""Open loop is over when the arm has been where the hand points for so long [s]."""
+
+OPEN_LOOP_S = 20.0
+FEEDBACK_S = 60.0
+FIX_S = 6.0
+FOLLOWED_S = 0.7
+AWAY_S = 20.0
+CARRYING_S = 60.0
+"""How long a person waits for each [s]."""
+
+ERRAND_S = 300.0
+"""How long an errand may take in all [s]."""
+
+
+@dataclass(frozen=True)
+class Leg:
+    """One target that was pointed at."""
+
+    open_mm: float  # from gripper to target, open loop
+    open_s: float  # until the gripper stood there
+    closed_mm: float | None  # from gripper to target when the operator had selected; None: never
+    closed_s: float  # from when he began to correct until then
+    corrections: int
+    lost: int  # how often the hand was lost and had to be brought back to where it is found
+
+
+class Scripted:
+    """A person who does what a script says, and holds a key down all the while.
+
+    Parameters
+    ----------
+    world, loop
+        Where it happens.
+
+    Attributes
+    ----------
+    problem : str
+        Why the script ended early; else empty.
+    """
+
+    def __init__(self, world: World, loop: ClosedLoop) -> None:
+        self.done = False
+        self.hand_is_away = True
+        self.doing = "make room"
+        self.problem = ""
+        self._world = world
+        self._loop = loop
+        self._key = HOLD_KEY
+        self._script = self._play()
+
+    def act(self, time_s: float) -> None:  # noqa: ARG002 - the world's time, which it knows
+        """Hold the key down, and go on with the script."""
+        self._loop.session.press(self._key)
+        if self._loop.guard.armed:  # until then nothing happens that could be answered
+            self.done = self.done or next(self._script, self) is self
+
+    def _play(self) -> Script:
+        """Clear the view of the hand first."""
+        yield from self._clear_view()
+
+    def _clear_view(self) -> Waiting:
+        """Have the arm make way."""
+        self._key = AWAY_KEY
+        is_aside = yield from self._until(lambda: self._loop.session.is_aside, AWAY_S)
+        self._key = HOLD_KEY
+        return is_aside
+
+    def _until(self, true: Callable[[], bool], timeout_s: float) -> Waiting:
+        """Wait for something; return whether it came in time."""
+        end_s = self._world.time_s + timeout_s
+        while not true():
+            if self._world.time_s >= end_s:
+                return False
+            yield
+        return True
+
+    def _idle(self, span_s: float) -> Script:
+        """Do nothing for a while."""
+        yield from self._until(lambda: False, span_s)
+
+    def _is_seen(self) -> bool:
+        fix = self._loop.views.fix
+        return fix is not None and fix.status is Status.OK
+
+
+class Errand(Scripted):
+    """Point at a block, correct, point at a place, correct, and watch the block being carried.
+
+    Parameters
+    ----------
+    world, loop, operator
+        Who takes part; the robot homed.
+    block_mm, place_mm : (2,)
+        Where the block lies and where it shall go [mm].
+
+    Attributes
+    ----------
+    legs : list of Leg
+        What was pointed at so far.
+    """
+
+    def __init__(
+        self,
+        world: World,
+        loop: ClosedLoop,
+        operator: Operator,
+        block_mm: Array,
+        place_mm: Array,
+    ) -> None:
+        super().__init__(world, loop)
+        self._operator = operator
+        self._targets_mm = block_mm, place_mm
+        self._lost = 0
+        self.legs: list[Leg] = []
+
+    @property
+    def placed_mm(self) -> float | None:
+        """How far from its place the block lies [mm]; None if it was not carried there."""
+        if not self._loop.session.done:
+            return None
+        return float(np.hypot(*(self._world.cell.block_mm[:2] - self._targets_mm[1])))
+
+    def _play(self) -> Script:
+        yield from self._clear_view()
+        self.hand_is_away = False
+        self.doing = "show the hand"
+        if not (yield from self._until(self._is_known, FIX_S)):
+            self._give_up("the hand was not found")
+            return
+        for number, target_mm in enumerate(self._targets_mm, start=1):
+            if not (yield from self._point(target_mm, number)):
+                self._give_up("nothing was selected")
+                return
+        self.hand_is_away = True
+        if not (yield from self._until(lambda: self._loop.session.done, CARRYING_S)):
+            self._give_up("the block was not carried")
+
+    def _is_known(self) -> bool:
+        return self._is_seen() and self._loop.session.has_hand
+
+    def _point(self, target_mm: Array, number: int) -> Waiting:
+        """Point open loop, then with feedback until a point is selected."""
+        world, operator = self._world, self._operator
+        begin_s = world.time_s
+        self.doing, operator.corrects = "open loop", False
+        operator.mean(target_mm, begin_s)
+        self._lost = 0
+        yield from self._patiently(self._settled(), OPEN_LOOP_S)
+        open_mm, corrected_from_s = self._off_mm(target_mm), world.time_s
+        before = operator.corrections
+        self.doing, operator.corrects = "with feedback", True
+        is_selected = yield from self._patiently(
+            lambda: self._loop.session.selections >= number, FEEDBACK_S
+        )
+        self.legs.append(
+            Leg(
+                open_mm,
+                corrected_from_s - begin_s,
+                self._off_mm(target_mm) if is_selected else None,
+                world.time_s - corrected_from_s,
+                operator.corrections - before,
+                self._lost,
+            )
+        )
+        return is_selected
+
+    def _patiently(self, true: Callable[[], bool], timeout_s: float) -> Waiting:
+        """Wait for something; bring the hand back to where it is found whenever it is lost."""
+        end_s = self._world.time_s + timeout_s
+        while self._world.time_s < end_s:
+            left_s = end_s - self._world.time_s
+            yield from self._until(lambda: true() or self._is_lost, left_s)
+            if true():
+                return True
+            if self._is_lost:
+                yield from self._find_again()
+        return False
+
+    @property
+    def _is_lost(self) -> bool:
+        return self._world.time_s - self._loop.seen_s > HIDDEN_S
+
+    def _find_again(self) -> Script:
+        """Have the arm make room and the hand wait where it is looked for, then point as before."""
+        operator, doing, corrects = self._operator, self.doing, self._operator.corrects
+        self._lost += 1
+        self.doing, operator.corrects = "make room", False
+        operator.rest(self._world.time_s)
+        yield from self._clear_view()
+        yield from self._until(self._is_known, FIX_S)
+        operator.resume(self._world.time_s)
+        self.doing, operator.corrects = doing, corrects
+
+    def _settled(self) -> Callable[[], bool]:
+        """Return what tells when the arm has been for a while where a still hand points."""
+        since_s = self._world.time_s
+
+        def settled() -> bool:
+            nonlocal since_s
+            now_s = self._world.time_s
+            if not self._loop.is_there or self._operator.is_moving(now_s):
+                since_s = now_s
+            return now_s - since_s > SETTLED_S
+
+        return settled
+
+    def _off_mm(self, target_mm: Array) -> float:
+        return float(np.hypot(*(1000 * self._loop.gripper_m[:2] - target_mm)))
+
+    def _give_up(self, problem: str) -> None:
+        fix = self._loop.views.fix
+        told = "no fix" if fix is None else f"fix is {fix.status}: {fix.reason}"
+        why = self._loop.guard.why_stopped
+        self.problem = f"{problem} ({told}{f'; stopped: {why}' if why else ''})"
+
+
+class Absence(Scripted):
+    """Hold the key down and show no hand, for a while.
+
+    Attributes
+    ----------
+    from_m : (3,) or None
+        Where the gripper stood when it had made way [m].
+    """
+
+    SPAN_S = 20.0
+
+    def __init__(self, world: World, loop: ClosedLoop) -> None:
+        super().__init__(world, loop)
+        self.from_m: Array | None = None
+
+    def _play(self) -> Script:
+        yield from self._clear_view()
+        self.doing = "no hand"
+        self.from_m = self._loop.gripper_m
+        yield from self._idle(self.SPAN_S)
+
+
+class Vanishing(Errand):
+    """Point at a block, and be gone from one frame to the next while the arm follows.
+
+    Attributes
+    ----------
+    gone_s
+        When the hand vanished [s]; infinite before.
+    from_m : (3,) or None
+        Where the gripper was then [m].
+    """
+
+    SPAN_S = 10.0
+    gone_s = math.inf
+    from_m: Array | None = None
+
+    def _play(self) -> Script:
+        yield from self._clear_view()
+        self.hand_is_away = False
+        if not (yield from self._until(self._is_known, FIX_S)):
+            self._give_up("the hand was not found")
+            return
+        self._operator.mean(self._targets_mm[0], self._world.time_s)
+        yield from self._idle(FOLLOWED_S)
+        if not (yield from self._until(lambda: self._loop.guard.busy, FIX_S)):
+            self._give_up("the arm did not follow")
+            return
+        self.hand_is_away = True
+        self._loop.views.vanish()
+        self.gone_s, self.from_m = self._world.time_s, self._loop.gripper_m
+        yield from self._idle(self.SPAN_S)
+
+
+def block_and_place_mm(rng: np.random.Generator) -> tuple[Array, Array]:
+    """Draw where a block lies and where it shall go, both (2,) [mm]."""
+    block_mm = place_mm = target_mm(rng)
+    while np.hypot(*(place_mm - block_mm)) < APART_MM:
+        place_mm = target_mm(rng)
+    return block_mm, place_mm
+
+
+def target_mm(rng: np.random.Generator) -> Array:
+    """Draw a point (2,) of the workspace [mm]."""
+    lower, upper = WORKSPACE_MM.min(axis=0), WORKSPACE_MM.max(axis=0)
+    return np.asarray(rng.uniform(lower + MARGIN_MM, upper - MARGIN_MM))

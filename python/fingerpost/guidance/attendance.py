@@ -1,0 +1,100 @@
+"""Whether the operator is there, and recordings played as if live."""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from enum import StrEnum
+from itertools import chain, pairwise, zip_longest
+
+from fingerpost.capture import Frame
+from fingerpost.pipeline import Step
+from fingerpost.robot import Guard
+
+
+class Attendance(StrEnum):
+    """What shows that the operator is there; `Guard` stops the arm when it has been missing."""
+
+    KEY = "key"
+    """He holds a key down: a dead-man's switch."""
+    HAND = "hand"
+    """The hand that guides is tracked in a view; while the arm stands, it may be away."""
+
+
+@contextmanager
+def attended(guard: Guard) -> Iterator[None]:
+    """Take it that the operator is there as long as the block lasts, as he has just started it.
+
+    For what a person starts and watches over; the signals that end a program end this too.
+    """
+    done = threading.Event()
+
+    def beat() -> None:
+        while not done.wait(guard.options.operator_timeout_s / 5):
+            guard.heartbeat()
+
+    thread = threading.Thread(target=beat, name="attended", daemon=True)
+    guard.heartbeat()
+    thread.start()
+    try:
+        yield
+    finally:
+        done.set()
+        thread.join()
+
+
+def attended_at_first(guard: Guard, steps: Iterator[Step]) -> Iterator[Step]:
+    """Give steps; until there is the first, take it that the operator is there.
+
+    The first frames take longest, on a slow computer longer than he may be missing, and before
+    them nothing moves the arm.
+    """
+    with attended(guard):
+        first = next(steps, None)
+    if first is not None:
+        yield first
+        yield from steps
+
+
+def paced(
+    frames: Iterator[Sequence[Frame | None]],
+    clock: Callable[[], float],
+    sleep: Callable[[float], None],
+) -> Iterator[Sequence[Frame | None]]:
+    """Play a recording as if it were live: each frame when it is due, and stamped with that time.
+
+    Whoever is slower than the recording misses frames, as with cameras: of those that are due by
+    the time he asks for the next, each view's newest is given. Otherwise he would see the hand ever
+    later.
+
+    Parameters
+    ----------
+    frames
+        Of recorded views.
+    clock
+        The time to stamp them with [s]; the first frame is due at once.
+    sleep
+        Waits for so many seconds of it.
+    """
+    begin_s = math.nan  # nothing is before or after it: until there is a frame, none is due
+    newest: Sequence[Frame | None] = ()
+    for together, following in pairwise(chain(frames, [()])):
+        newest = [old if new is None else new for new, old in zip_longest(together, newest)]
+        if math.isnan(begin_s):
+            begin_s = clock() - _last_s(newest)
+        if begin_s + _last_s(following) <= clock():
+            continue
+        if (early_s := begin_s + _last_s(newest) - clock()) > 0:
+            sleep(early_s)
+        yield [
+            None if frame is None else replace(frame, time_s=begin_s + frame.time_s)
+            for frame in newest
+        ]
+        newest = ()
+
+
+def _last_s(frames: Sequence[Frame | None]) -> float:
+    return max((frame.time_s for frame in frames if frame is not None), default=math.nan)
