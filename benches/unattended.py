@@ -2,9 +2,9 @@
 
     python benches/unattended.py [--seeds 40] [--workers 2]
 
-The simulated cell under physics, its cameras always on, the dead man's key held down throughout: the
-same session that `fingerpost robot pick` runs. Prints a line for every seed that is not as it should
-be, and the worst of each kind.
+The simulated cell under physics, its cameras always on, the dead man's key held down throughout:
+the same session that `fingerpost robot pick` runs. Prints a line for every seed that is not as it
+should be, and the worst of each kind.
 """
 
 import argparse

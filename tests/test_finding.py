@@ -1280,7 +1280,12 @@ def trying(viewpoint: Viewpoint, *trials: SimpleNamespace) -> SimpleNamespace:
         trials=list(trials), found=None, trial_sightings=lambda: [trial.seen for trial in trials]
     )
     return SimpleNamespace(
-        viewpoint=viewpoint, search=search, track=None, is_searching=True, is_sure=True
+        viewpoint=viewpoint,
+        search=search,
+        track=None,
+        is_searching=True,
+        is_sure=True,
+        may_follow=lambda _trial: True,
     )
 
 

@@ -254,7 +254,7 @@ class Step:
     index: int
     observations: tuple[Observation, ...]
     fix: Fix
-    hand: Hand = Hand()
+    hand: Hand = field(default_factory=Hand)
 
     def point_row(self) -> PointRow:
         """Return the row of `points.csv`; a covariance without bound is left empty."""

@@ -22,8 +22,8 @@ from numpy.typing import ArrayLike, NDArray
 Array = NDArray[np.float64]
 
 SPACING = 0.5
-"""Distance between the centres of a capsule's spheres [radii]; their union is then narrower than the
-capsule by 1 − √(1 − SPACING²/4) = 3 % at most."""
+"""Distance between the centres of a capsule's spheres [radii]; their union is then narrower than
+the capsule by 1 − √(1 − SPACING²/4) = 3 % at most."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +57,7 @@ class Capsule:
         return float(np.linalg.norm(point - start - min(max(share, 0.0), 1.0) * way))
 
 
-def image_from_space(image_from_plane: ArrayLike, centre: ArrayLike) -> Array:
+def image_from_space(image_from_plane: Array, centre: ArrayLike) -> Array:
     """Return the camera matrix (3, 4) of a view of the plane.
 
     Parameters
@@ -69,7 +69,7 @@ def image_from_space(image_from_plane: ArrayLike, centre: ArrayLike) -> Array:
     """
     x, y, height = np.asarray(centre, dtype=float)
     foot = np.array([[height, 0.0, -x, 0.0], [0.0, height, -y, 0.0], [0.0, 0.0, -1.0, height]])
-    return np.asarray(image_from_plane) @ foot / height
+    return np.asarray(image_from_plane @ foot / height)
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -6,7 +6,7 @@ from guided_process import write_hand
 
 @pytest.fixture(scope="session")
 def hand_film(tmp_path_factory):
-    """A folder with six seconds of a hand that points at one place and then at another."""
+    """A folder with a hand that points at one place and then at another."""
     folder = tmp_path_factory.mktemp("hand")
-    write_hand(folder, 6.0)
+    write_hand(folder, 7.5)
     return folder

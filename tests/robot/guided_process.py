@@ -12,6 +12,7 @@ import subprocess
 import sys
 import threading
 import time
+from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
@@ -28,8 +29,12 @@ TIME_SCALE = 3.0
 """The emulated arm lives so much faster than the process that drives it."""
 
 FPS = 30
+EMPTY_FRAMES = 30
+"""Before the hand comes: by then the table is known."""
+
 FIRST_MM, SECOND_MM = (130.0, 90.0), (130.0, 320.0)
-MOVES_AT_S = 1.5
+HOLD_FRAMES = 90
+"""As long as it points at the first place: a crowded machine sees one frame in ten of them."""
 HEIGHT_M = 0.02
 
 SPEED = ("--speed", "0.1")
@@ -40,6 +45,9 @@ STOPPED_S = 0.3
 
 PATIENT = ("--max-age", "3", "--operator-timeout", "5")
 """A crowded machine may keep frames waiting, which is itself a reason to stop."""
+
+BY_HAND = ("--attendance", "hand")
+"""Where there is no terminal, the hand on film stands for the operator."""
 
 PATIENCE_S = 20.0
 """For what a crowded machine may delay: the start of a process, say."""
@@ -53,20 +61,48 @@ def robot_xy(point_mm) -> np.ndarray:
     return ORIGIN_M + np.asarray(point_mm) / 1000.0
 
 
-def write_hand(folder: Path, seconds: float, targets=(FIRST_MM, SECOND_MM), hover_mm=120) -> None:
-    """Film a hand that points at one place and then at another."""
+@dataclass(frozen=True)
+class Coming:
+    """A hand that is away at first."""
+
+    motion: Trajectory
+    away_s: float
+
+    def pose_at(self, time_s: float) -> DevicePose | None:
+        """Where it is; None while it is away."""
+        return None if time_s < self.away_s else self.motion.pose_at(time_s - self.away_s)
+
+
+def write_hand(
+    folder: Path,
+    seconds: float,
+    targets=(FIRST_MM, SECOND_MM),
+    *,
+    hover_mm=120,
+    azimuth_deg=255.0,
+) -> None:
+    """Film a hand that comes, points at one place and then at another, and hides behind no arm."""
     first, second = (
-        DevicePose.pointing_at(target, azimuth_deg=20.0, slant_deg=50.0, hover_mm=hover_mm)
+        DevicePose.pointing_at(target, azimuth_deg=azimuth_deg, slant_deg=50.0, hover_mm=hover_mm)
         for target in targets
     )
-    motion = Trajectory.hold(first, MOVES_AT_S).then(Trajectory.through([first, second], 0.4))
+    motion = Trajectory.hold(first, HOLD_FRAMES / FPS).then(
+        Trajectory.through([first, second], 0.4)
+    )
     write_recording(
-        folder, SimulatedRig(), motion, frames=round(seconds * FPS), fps=FPS, picture_format="jpg"
+        folder,
+        SimulatedRig(),
+        Coming(motion, EMPTY_FRAMES / FPS),
+        frames=EMPTY_FRAMES + round(seconds * FPS),
+        fps=FPS,
+        picture_format="jpg",
+        start_time_s=EMPTY_FRAMES / FPS,
     )
 
 
 def cut_film(folder: Path, film: Path, frames) -> list[str]:
-    """Another film of some frames of one; returns the views' sources."""
+    """Another film, of some frames of one since the hand has come; returns the views' sources."""
+    frames = [*range(EMPTY_FRAMES), *(EMPTY_FRAMES + frame for frame in frames)]
     sources = []
     for view in ("left", "right"):
         (folder / view).mkdir(parents=True)
@@ -79,7 +115,7 @@ def cut_film(folder: Path, film: Path, frames) -> list[str]:
 
 def still_film(folder: Path, film: Path) -> list[str]:
     """Another film, of a hand that points at one place for six seconds."""
-    return cut_film(folder, film, [*range(45), *([44] * 135)])
+    return cut_film(folder, film, [*range(HOLD_FRAMES), *([HOLD_FRAMES - 1] * 90)])
 
 
 def show_instead(folder: Path, image) -> None:
@@ -273,6 +309,7 @@ class Travelling:
             *("--url", self.arm.url + "&reply_s=0.3&resync_s=0.5", "--arm", "--log", self.log),
             *SPEED,
             *PATIENT,
+            *BY_HAND,
             *self._arguments,
             terminal=self._terminal,
         )
@@ -354,6 +391,13 @@ class _JpegHandler(http.server.BaseHTTPRequestHandler):
 
     def log_message(self, *args: object) -> None:
         pass
+
+
+def played_once(paths):
+    """Pictures of files one after the other, and then the last of them for good."""
+    pictures = iter([path.read_bytes() for path in paths])
+    last = paths[-1].read_bytes()
+    return lambda: next(pictures, last)
 
 
 def jpeg(image) -> bytes:

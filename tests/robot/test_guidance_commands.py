@@ -1,14 +1,18 @@
 """`fingerpost robot follow` as a user meets it, on a film and an emulated Scorbot; refusals."""
 
 import json
+import re
 import subprocess
 import sys
 
 import numpy as np
 import pytest
 from guided_process import (
+    BY_HAND,
+    EMPTY_FRAMES,
     FIRST_MM,
     HEIGHT_M,
+    HOLD_FRAMES,
     SECOND_MM,
     EmulatedArm,
     Guided,
@@ -19,13 +23,13 @@ from guided_process import (
 )
 
 FAST = ("--speed", "0.3")
-OPTIONS = (*FAST, "--max-frames", "120")
+OPTIONS = (*FAST, *BY_HAND, "--max-frames", str(EMPTY_FRAMES + HOLD_FRAMES + 75))
 
 
 @pytest.fixture
 def rig(hand_film, tmp_path):
     # Far longer than what is watched of it: a crowded machine misses frames.
-    frames = [*range(90), *([89] * 810)]
+    frames = [*range(HOLD_FRAMES + 45), *([HOLD_FRAMES + 44] * 810)]
     return write_rig(tmp_path, hand_film, cut_film(tmp_path / "film", hand_film, frames))
 
 
@@ -38,7 +42,7 @@ def test_the_arm_follows_the_hand_and_every_command_has_its_fix(rig, tmp_path):
         assert not arm.is_moving()
     np.testing.assert_allclose(there.position_m, [*robot_xy(SECOND_MM), HEIGHT_M + 0.05], atol=0.01)
     assert "lag      smoothing makes the target late by" in guided.out
-    assert "119 ok" in guided.out
+    assert int(re.search(r"(\d+) ok", guided.out)[1]) >= 119
     rows = commands(log)
     assert [row["command"] for row in rows][:2] == ["arm", "enter"]
     assert rows[-1]["command"] == "halt"
@@ -54,11 +58,11 @@ def test_the_arm_follows_the_hand_and_every_command_has_its_fix(rig, tmp_path):
 
 def test_json_lines_tell_lag_and_goal(rig):
     with EmulatedArm() as arm:
-        options = ("--arm", "--json", "--max-frames", 60, *FAST)
+        options = ("--arm", "--json", "--max-frames", EMPTY_FRAMES + 60, *FAST, *BY_HAND)
         with Guided("follow", rig, "--url", arm.url, *options) as guided:
             assert guided.end() == 0, guided.said()
     *reports, summary = map(json.loads, guided.out.splitlines())
-    assert summary["fixes"]["ok"] == 59
+    assert summary["fixes"]["ok"] >= 59
     assert sum(summary["states"].values()) == len(reports)
     assert summary["lag_ms"]["largest"] <= 160.0
     moving = [report for report in reports if report["state"] == "moving"]
@@ -73,7 +77,8 @@ def test_json_lines_tell_lag_and_goal(rig):
 
 
 def refused(*arguments, cwd=None):
-    with Guided(*arguments, cwd=cwd) as guided:
+    by_hand = () if "--attendance" in arguments else BY_HAND
+    with Guided(*arguments, *by_hand, cwd=cwd) as guided:
         assert guided.end() == 2, guided.said()
     (line,) = guided.said().splitlines()
     assert guided.out == ""
@@ -120,7 +125,7 @@ def test_a_rig_without_a_robot_guides_nothing(hand_film):
 def test_a_region_that_is_none_is_refused_before_homing(hand_film, tmp_path, changes, words):
     rig = write_rig(tmp_path, hand_film, **changes)
     with EmulatedArm() as arm:
-        with Guided("follow", rig, "--url", arm.url, "--arm") as guided:
+        with Guided("follow", rig, "--url", arm.url, "--arm", *BY_HAND) as guided:
             assert guided.end() in (1, 2)
         assert words in guided.said()
         assert not arm.controller.homed
@@ -195,7 +200,7 @@ def test_what_an_arm_cannot_do_is_refused_before_homing(rig, options, words):
 
 def test_options_may_be_right_only_together(rig):
     with Guided(
-        *("pick", rig, "--url", "acl:///dev/nothing", "--arm"),
+        *("pick", rig, "--url", "acl:///dev/nothing", "--arm", *BY_HAND),
         *("--travel", "0.013", "--grip-height", "0.012", "--release-height", "0.012"),
     ) as guided:
         assert guided.end() == 1
@@ -203,7 +208,7 @@ def test_options_may_be_right_only_together(rig):
 
 
 def test_a_robot_that_is_not_there_is_an_error_in_one_line(rig):
-    with Guided("follow", rig, "--url", "acl:///dev/nothing", "--arm") as guided:
+    with Guided("follow", rig, "--url", "acl:///dev/nothing", "--arm", *BY_HAND) as guided:
         assert guided.end() == 1
     assert len(guided.said().splitlines()) == 1
     assert "/dev/nothing" in guided.said()
@@ -212,11 +217,12 @@ def test_a_robot_that_is_not_there_is_an_error_in_one_line(rig):
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ("follow --arm", "/dev/nothing cannot be opened"),  # works without keys, as far as it can
-        ("follow", "give --arm"),
-        ("follow --attendance key", "needs a terminal"),
-        ("pick --arm --select key", "need a terminal"),
-        ("pick --arm --step", "need a terminal"),
+        # Works without keys, as far as it can.
+        ("follow --arm --attendance hand", "/dev/nothing cannot be opened"),
+        ("follow --attendance hand", "give --arm"),
+        ("follow", "--attendance key needs a terminal"),
+        ("pick --arm --select key --attendance hand", "need a terminal"),
+        ("pick --arm --step --attendance hand", "need a terminal"),
     ],
 )
 def test_standard_input_may_be_closed(rig, options, words):

@@ -3,8 +3,11 @@
 import numpy as np
 import pytest
 from guided_process import (
+    BY_HAND,
+    EMPTY_FRAMES,
     FIRST_MM,
     HEIGHT_M,
+    HOLD_FRAMES,
     PATIENT,
     SECOND_MM,
     EmulatedArm,
@@ -15,12 +18,17 @@ from guided_process import (
     write_rig,
 )
 
-FAST = ("--speed", "0.3", *PATIENT)
+FAST = ("--speed", "0.3", *PATIENT, *BY_HAND)
 
 
 def picking_film(tmp_path, film):
     """The film, staying longer: before it moves on, and as long as a block takes to be carried."""
-    frames = [*range(45), *([44] * 60), *range(45, 90), *([89] * 330)]
+    frames = [
+        *range(HOLD_FRAMES),
+        *([HOLD_FRAMES - 1] * 60),
+        *range(HOLD_FRAMES, HOLD_FRAMES + 45),
+        *([HOLD_FRAMES + 44] * 330),
+    ]
     return write_rig(tmp_path, film, cut_film(tmp_path / "film", film, frames))
 
 
@@ -45,7 +53,7 @@ def test_a_block_is_picked_and_placed_where_the_hand_dwells(hand_film, tmp_path)
 
 def test_views_that_end_before_the_block_is_placed_make_the_command_fail(hand_film, tmp_path):
     with EmulatedArm() as arm:
-        options = ("--url", arm.url, "--arm", "--max-frames", 40, *FAST)
+        options = ("--url", arm.url, "--arm", "--max-frames", EMPTY_FRAMES + 40, *FAST)
         with Guided("pick", write_rig(tmp_path, hand_film), *options) as guided:
             assert guided.end() == 1, guided.said()
     assert "the views ended with 0 of 1 blocks picked and placed" in guided.said().splitlines()[-1]

@@ -16,8 +16,14 @@ from test_robot_guard import fix_at
 
 from fingerpost.capture import Frame
 from fingerpost.errors import InvalidInputError, RecordingError
-from fingerpost.guidance import CommandLog, Keys, SessionReport, attended_at_first, paced
-from fingerpost.guidance.session import Worker
+from fingerpost.guidance import (
+    CommandLog,
+    Keys,
+    SessionReport,
+    Worker,
+    attended_at_first,
+    paced,
+)
 from fingerpost.pointing import Status
 from fingerpost.robot import CommandRecord, FollowReport, FollowState, GuardOptions, Pose
 

@@ -15,6 +15,7 @@ from robot_rig import TIME_SCALE, pose_of
 from test_robot_guard import fix_at, scorbot_guard
 
 from fingerpost.closed_loop.line import LineToScorbot
+from fingerpost.finding import Hand
 from fingerpost.guidance import Attendance, Session
 from fingerpost.pointing import FingerLine, Status
 from fingerpost.robot import (
@@ -189,11 +190,14 @@ FINGER = FingerLine([20.0, 20.0], 0.0, np.diag([1e-2, 1e-4]), [50.0, 20.0], 0.0)
 def step(fix):
     """A step of views, of which one shows a finger if there is a point."""
     finger = FINGER if fix.status is Status.OK else fix.status
-    return SimpleNamespace(fix=fix, observations=(SimpleNamespace(finger=finger),))
+    return SimpleNamespace(fix=fix, observations=(SimpleNamespace(finger=finger),), hand=HAND)
+
+
+HAND = Hand(number=1, is_presented=True)
 
 
 @contextmanager
-def hidden_hand(*, dwell_s=None, **fields):
+def hidden_hand(*, dwell_s=None, attendance=Attendance.HAND, **fields):
     """A session in which the arm, standing low, hides the hand; and what the session says."""
     with scorbot_guard() as (rig, guard):
         selector = None if dwell_s is None else DwellSelector(guard, dwell_s=dwell_s)
@@ -204,7 +208,13 @@ def hidden_hand(*, dwell_s=None, **fields):
         with (
             guard.watching(),
             Session(
-                guard, Follower(guard), selector=selector, keys=True, say=said.append, **fields
+                guard,
+                Follower(guard),
+                attendance=attendance,
+                selector=selector,
+                keys=True,
+                say=said.append,
+                **fields,
             ) as session,
         ):
             yield rig, guard, session, said

@@ -16,7 +16,16 @@ import guidance_scene
 import numpy as np
 import pytest
 from guidance_scene import NAMES, draw_marker
-from guided_process import FPS, EmulatedArm, Guided, JpegStreams, jpeg, write_hand
+from guided_process import (
+    BY_HAND,
+    EMPTY_FRAMES,
+    FPS,
+    EmulatedArm,
+    Guided,
+    JpegStreams,
+    jpeg,
+    write_hand,
+)
 
 from fingerpost.cli import main
 from fingerpost.config import Rig
@@ -118,7 +127,7 @@ FIRST_MM, SECOND_MM = (120.0, 220.0), (170.0, 300.0)
 @pytest.fixture(scope="module")
 def film(tmp_path_factory):
     folder = tmp_path_factory.mktemp("film")
-    write_hand(folder, 2.5, (FIRST_MM, SECOND_MM), 70)
+    write_hand(folder, 4.0, (FIRST_MM, SECOND_MM), hover_mm=70, azimuth_deg=240.0)
     return [[path.read_bytes() for path in sorted((folder / view).glob("*.jpg"))] for view in NAMES]
 
 
@@ -156,8 +165,10 @@ def go_through(page, device, port, stage, folder, options=()):
             moves = line[1] in ("plane", "follow", "pick")
             stage.hand = line[1] in ("follow", "pick")
             stage.frames_of_hand = 0
+            by_hand = BY_HAND if line[1] in ("follow", "pick") else ()
             with Guided(
-                *arguments, *(options if moves else ()), *(("--arm",) * moves), cwd=folder
+                *(*arguments, *(options if moves else ()), *(("--arm",) * moves), *by_hand),
+                cwd=folder,
             ) as guided:
                 if line[1] == "follow":
                     _point_about(guided, stage, folder)
@@ -171,12 +182,16 @@ def go_through(page, device, port, stage, folder, options=()):
 
 
 def _point_about(guided, stage, folder, *, pick=False):
-    """Let the hand point at the first place, then at the second, then leave."""
+    """Let the hand come and point at the first place, then at the second, then leave."""
     log = folder / "commands.csv"
+    guided.until_said("acquiring")
+    for frame in range(EMPTY_FRAMES + 1):
+        stage.frames_of_hand = frame
+        time.sleep(1 / FPS)
     guided.until(lambda: log.exists() and "\n" in log.read_text() and "move" in log.read_text())
     if pick:
         guided.until_said("block at")
-    for frame in range(len(stage.film[0])):
+    for frame in range(EMPTY_FRAMES + 1, len(stage.film[0])):
         stage.frames_of_hand = frame
         time.sleep(1 / FPS)
     if not pick:

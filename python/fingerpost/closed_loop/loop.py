@@ -1,8 +1,8 @@
-"""The whole product on a cell's pixels: pictures → fixes → session → robot, and the operator's eyes.
+"""The whole product on a cell's pixels: pictures → fixes → session → robot → the operator's eyes.
 
-What a real set-up runs in threads happens here on the beat of the cameras, in between the bytes that
-the driver exchanges with its controller: a person presses keys and moves a hand, the pointer takes
-every picture, and the same `Session` that drives a real arm takes every step.
+What a real set-up runs in threads happens here on the beat of the cameras, in between the bytes
+that the driver exchanges with its controller: a person presses keys and moves a hand, the pointer
+takes every picture, and the same `Session` that drives a real arm takes every step.
 """
 
 from __future__ import annotations
@@ -199,9 +199,7 @@ class CellViews:
         pose = self._hand(time_s)
         self._world.cell.put_hand(pose)
         images = self._world.cell.picture()
-        steps = list(
-            self._pointer.update([Frame(self._index, time_s, image) for image in images])
-        )
+        steps = list(self._pointer.update([Frame(self._index, time_s, image) for image in images]))
         self._index += 1
         if steps:
             self.fix = steps[-1].fix
@@ -286,7 +284,6 @@ class ClosedLoop:
         self.on_moment = on_moment
         self._world = world
         self._operator = operator
-        self._person: Person | None = None
         self._begun = False
         self._said = ""
 
@@ -313,8 +310,7 @@ class ClosedLoop:
         RobotError
             The robot's own; it has been stopped.
         """
-        self._person = person
-        self._world.on_frame = self._on_frame
+        self._world.on_frame = lambda time_s: self._on_frame(time_s, person)
         end_s = self._world.time_s + timeout_s
         try:
             with self.session as session:
@@ -332,26 +328,26 @@ class ClosedLoop:
     def _see_report(self, _: Fix, report: FollowReport) -> None:
         self.report = report
 
-    def _on_frame(self, time_s: float) -> None:
+    def _on_frame(self, time_s: float, person: Person) -> None:
         """Do what happens on every beat: keys, hand, pictures, session, guard, eyes."""
-        assert self._person is not None  # noqa: S101 - set before there is a beat
-        self._person.act(time_s)
+        person.act(time_s)
         if self._begun:
-            self.views.is_away = self._person.hand_is_away
+            self.views.is_away = person.hand_is_away
             pose, steps = self.views.take(time_s)
             for step in steps:
                 if step.fix.status is Status.OK:
                     self.seen_s = time_s
                 self.session.take(step)
-                self._tell(step, pose, time_s)
+                doing = person.doing
+                if self.session.is_carrying:
+                    doing = self._said.removesuffix(" ...")
+                self._record(step, pose, time_s, doing)
         self.guard.check()
         self._operator.see(self._world.cell.gripper_mm[:2], time_s)
 
-    def _tell(self, step: Step, pose: DevicePose | None, time_s: float) -> None:
+    def _record(self, step: Step, pose: DevicePose | None, time_s: float, doing: str) -> None:
         cell = self._world.cell
         indicated = None if pose is None else indicated_mm(pose, self._plane_mm)
-        assert self._person is not None  # noqa: S101
-        doing = self._said.removesuffix(" ...") if self.session.is_carrying else self._person.doing
         self.on_moment(
             Moment(
                 time_s,

@@ -304,7 +304,11 @@ def measure_plane(height_mm: float, options: GuidanceOptions) -> tuple[Rig, Plan
             line.robot.home()  # out of the way
             rig_with_start = with_start(rig, cell.cameras, hand, aim.pose(), rng)
             views = CellViews(world, Pointer(rig_with_start), operator, aim)
-            world.on_frame = lambda time_s: views.take(time_s)
+
+            def look(time_s: float) -> None:
+                views.take(time_s)
+
+            world.on_frame = look
             world.advance(SHOWN_S)
             errors = []
             for _ in range(options.plane_targets):
@@ -316,6 +320,7 @@ def measure_plane(height_mm: float, options: GuidanceOptions) -> tuple[Rig, Plan
                 if views.fix is not None and views.fix.point is not None:
                     x, y = 1000 * views.fix.point - goal_mm
                     errors.append((float(x), float(y)))
+            world.on_frame = None
     finally:
         cell.close()
     sigma_mm = 1000 * float(plane.sigma_m.max())

@@ -183,10 +183,11 @@ class HandView:
     @property
     def _misses_hand(self) -> bool:
         """Whether another view has a hand that this one has not found where it waits."""
-        return self._is_elsewhere and not (self.is_sure or self._shows_finger)
+        return self._is_elsewhere and not (self.is_sure or self.shows_finger)
 
     @property
-    def _shows_finger(self) -> bool:
+    def shows_finger(self) -> bool:
+        """Whether it follows a finger that shows in this frame."""
         return self._track is not None and self._track.finger_line is not None
 
     @property
@@ -255,11 +256,6 @@ class HandView:
     def may_follow(self, trial: Trial) -> bool:
         """Whether a trial may be the hand that was lost here, by its colour and width."""
         return self._memory.may_be(trial.looks, trial.track.time_s)
-
-    @property
-    def follows_hand(self) -> bool:
-        """Whether it shows the finger of a hand for good, and not perhaps the table."""
-        return self._shows_finger and self.is_sure
 
     @property
     def is_presented(self) -> bool | None:
@@ -509,8 +505,8 @@ class HandView:
 
     def _is_alone(self, others: Sequence[HandView], shared: Shared) -> bool:
         """Whether a finger is followed here, and in every other view another one or none."""
-        return self._shows_finger and all(
-            shared.are_two(self, other) or not other._shows_finger for other in others
+        return self.shows_finger and all(
+            shared.are_two(self, other) or not other.shows_finger for other in others
         )
 
     def _count_pointless(self, others: Sequence[HandView], shared: Shared) -> None:
@@ -519,7 +515,7 @@ class HandView:
         Those in which there is no other count for nothing. What a camera that has moved meanwhile
         has learned of the table may be the hand.
         """
-        pairs = [other for other in others if self._shows_finger and other._shows_finger]
+        pairs = [other for other in others if self.shows_finger and other.shows_finger]
         if any(shared.can_be_one(self, other) for other in pairs):
             self._pointless_frames, self._has_camera_moved = 0, False
         elif pairs:
@@ -549,7 +545,7 @@ class HandView:
         """
         if not self.has_rival or self._track is None:
             return False
-        if not self._shows_finger:
+        if not self.shows_finger:
             return self._track.status == "tracking"
         return any(
             shared.are_one(self, other) and not (other.has_rival or other.has_newcomer)
@@ -564,7 +560,7 @@ class HandView:
         first = self._first_hand
         if first is None or first.is_proven or first.waits_beside or self._is_table:
             return
-        if not self._shows_finger:
+        if not self.shows_finger:
             return
         if any(other.has_newcomer and shared.can_be_one(self, other) for other in others):
             first.recognise()

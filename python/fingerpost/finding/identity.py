@@ -1,8 +1,8 @@
 """Whose hand it is: a hand that was followed is recognised by how it looked.
 
 Colour, width and the side from which the arm enters the image are remembered while a finger is
-followed. After the finger has been lost, what differs in colour or width does not take its place for
-a while; and only what agrees in all three counts as the same hand.
+followed. After the finger has been lost, what differs in colour or width does not take its place
+for a while; and only what agrees in all three counts as the same hand.
 """
 
 from __future__ import annotations
@@ -78,9 +78,7 @@ class Looks(NamedTuple):
     def blended(self, now: Looks) -> Looks:
         """Return these looks brought up to date by those of one more frame."""
         turn_rad = math.remainder(now.entry_rad - self.entry_rad, 2 * math.pi)
-        levels = (
-            KEPT * a + (1 - KEPT) * b for a, b in zip(self.levels, now.levels, strict=True)
-        )
+        levels = (KEPT * a + (1 - KEPT) * b for a, b in zip(self.levels, now.levels, strict=True))
         half_width_px = KEPT * self.half_width_px + (1 - KEPT) * now.half_width_px
         return Looks(tuple(levels), half_width_px, self.entry_rad + (1 - KEPT) * turn_rad)
 
@@ -151,7 +149,8 @@ class Hand(NamedTuple):
         Counts the hands that have been followed, from 1; one that is recognised keeps its number.
         0 before the first.
     is_presented : bool
-        Whether it has been held up to its template, in every view that has one and follows it.
+        Whether it has been held up to its template, in every view that has one and follows it,
+        and is a hand beyond doubt: it has come or moved.
     """
 
     number: int = 0
@@ -162,8 +161,12 @@ class IdentifiedView(Protocol):
     """What is asked here of a view."""
 
     @property
-    def follows_hand(self) -> bool:
-        """Whether it shows the finger of a hand for good, and not perhaps the table."""
+    def shows_finger(self) -> bool:
+        """Whether it follows a finger that shows in this frame."""
+
+    @property
+    def is_sure(self) -> bool:
+        """Whether what it follows, if anything, is a hand and not perhaps the table."""
 
     @property
     def is_recognised(self) -> bool:
@@ -181,21 +184,28 @@ class Identity:
         self.hand = Hand()
         self._is_followed = False
         self._presented_frames = 0
+        self._was_held_up = False
         self._seen_s = -math.inf
 
     def update(self, views: Sequence[IdentifiedView], time_s: float) -> None:
         """Take what the views follow at a time: one hand as long as any of them follows it."""
-        following = [view for view in views if view.follows_hand]
+        following = [view for view in views if view.shows_finger]
         if following:
             if not self._is_followed and not self._is_known(following, time_s):
-                self.hand = Hand(self.hand.number + 1)
-            presented = [p for view in following if (p := view.is_presented) is not None]
-            is_presented = bool(presented) and all(presented)
-            self._presented_frames = self._presented_frames + 1 if is_presented else 0
-            if self._presented_frames >= PRESENTED_FRAMES:
+                self.hand, self._was_held_up = Hand(self.hand.number + 1), False
+            self._look_at_template(following)
+            is_presented = self._was_held_up and all(view.is_sure for view in following)
+            if is_presented and not self.hand.is_presented:
                 self.hand = self.hand._replace(is_presented=True)
             self._seen_s = time_s
         self._is_followed = bool(following)
+
+    def _look_at_template(self, following: Sequence[IdentifiedView]) -> None:
+        """Count the frames in a row in which the hand is at its template."""
+        presented = [p for view in following if (p := view.is_presented) is not None]
+        is_there = bool(presented) and all(presented)
+        self._presented_frames = self._presented_frames + 1 if is_there else 0
+        self._was_held_up |= self._presented_frames >= PRESENTED_FRAMES
 
     def _is_known(self, views: Sequence[IdentifiedView], time_s: float) -> bool:
         is_recent = time_s - self._seen_s <= REMEMBERED_S

@@ -55,7 +55,7 @@ HIDDEN_S = 2.0
 POLL_S = 0.02
 """How often keys are looked for while nothing else happens [s]."""
 
-STRANGER = "this hand has not been shown to be the operator's"
+STRANGER = "nothing shows that this hand is the operator's"
 """Why the fix of a hand that nobody has confirmed moves nothing."""
 
 
@@ -332,7 +332,7 @@ class Session:
         if self._told_of_hand != hand.number:
             self._told_of_hand = hand.number
             key = f", or press {HAND_KEY} if it is yours" if self._keys else ""
-            self._say(f"{STRANGER}: hold it up to its template{key}")
+            self._say(f"{STRANGER}: bring it to its template and hold it there{key}")
         return replace(fix, status=Status.LOST, point=None, covariance=None, reason=STRANGER)
 
     def _accept_hand(self, number: int) -> None:

@@ -393,9 +393,7 @@ class Guard:
         # Copied at once: the goals grow in another thread.
         poses = [pose for pose in (self._read, *tuple(self._goals)) if pose is not None]
         shape = getattr(self._robot, "shape", None) or ArmShape.of_limits(self._robot.limits)
-        return self.plane.capsules(
-            part for pose in along(poses) for part in shape.capsules(pose)
-        )
+        return self.plane.capsules(part for pose in along(poses) for part in shape.capsules(pose))
 
     @property
     def time_s(self) -> float:

@@ -3,8 +3,8 @@
 An arm whose gripper stands at a pose has its wrist a tool's length behind the working point, its
 shoulder above the base, and between the two an elbow that is up: two links in the vertical plane
 through base axis and wrist. That is exact for arms of the Scorbot's build and close for most
-others; the radii allow for what is not. The guard keeps what appears where the arm may be from being
-taken for a hand.
+others; the radii allow for what is not. What a view shows where the arm may be is not taken for a
+hand.
 """
 
 from __future__ import annotations
@@ -103,7 +103,9 @@ class ArmShape:
         elbow = self._elbow(shoulder, wrist, outwards)
         front = point + (CARRIED_M - self.gripper_radius_m) * approach
         links = [(front, behind, self.gripper_radius_m)]
-        links += [(*ends, self.link_radius_m) for ends in pairwise((behind, wrist, elbow, shoulder))]
+        links += [
+            (*ends, self.link_radius_m) for ends in pairwise((behind, wrist, elbow, shoulder))
+        ]
         links += [(shoulder, np.zeros(3), self.base_radius_m)]
         return tuple(Capsule(_triple(start), _triple(end), r) for start, end, r in links)
 
