@@ -80,10 +80,13 @@ def write_hand(
     *,
     hover_mm=120,
     azimuth_deg=255.0,
+    slant_deg=50.0,
 ) -> None:
     """Film a hand that comes, points at one place and then at another, and hides behind no arm."""
     first, second = (
-        DevicePose.pointing_at(target, azimuth_deg=azimuth_deg, slant_deg=50.0, hover_mm=hover_mm)
+        DevicePose.pointing_at(
+            target, azimuth_deg=azimuth_deg, slant_deg=slant_deg, hover_mm=hover_mm
+        )
         for target in targets
     )
     motion = Trajectory.hold(first, HOLD_FRAMES / FPS).then(

@@ -121,13 +121,13 @@ def test_the_emulator_of_the_page_is_an_arm(tmp_path):
 
 # The pages of emulated arms, from cable to pick and place.
 
-FIRST_MM, SECOND_MM = (120.0, 220.0), (170.0, 300.0)
+FIRST_MM, SECOND_MM = (120.0, 220.0), (160.0, 300.0)
 
 
 @pytest.fixture(scope="module")
 def film(tmp_path_factory):
     folder = tmp_path_factory.mktemp("film")
-    write_hand(folder, 4.0, (FIRST_MM, SECOND_MM), hover_mm=70, azimuth_deg=240.0)
+    write_hand(folder, 4.0, (FIRST_MM, SECOND_MM), hover_mm=90, azimuth_deg=240.0, slant_deg=40.0)
     return [[path.read_bytes() for path in sorted((folder / view).glob("*.jpg"))] for view in NAMES]
 
 
