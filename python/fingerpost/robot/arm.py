@@ -21,7 +21,7 @@ import threading
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass
 from types import TracebackType
 from typing import Self
@@ -483,8 +483,10 @@ class Arm(ABC):
             raise
 
     def _stop_if_possible(self) -> None:
-        with suppress(RobotError):
+        try:
             self.stop()
+        except Exception as error:  # the error that it is called for is the one to be raised
+            logger.warning("the stop failed: %s", str(error) or type(error).__name__)
 
     def _forget(self) -> None:
         self._state = RobotState.DISCONNECTED
