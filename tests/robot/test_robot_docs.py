@@ -19,6 +19,7 @@ import pytest
 from guidance_scene import NAMES, draw_marker
 from guided_process import FPS, EmulatedArm, Guided, JpegStreams, jpeg, write_hand
 from ur_stand_in import Program, UrController, serve
+from xarm_stand_in import ControlBox
 
 from fingerpost.cli import main
 from fingerpost.config import Rig
@@ -233,3 +234,16 @@ def test_the_urs_page(film, tmp_path, monkeypatch, stand_ins):
         while controller.program is not Program.STOPPED:  # none is left that nobody feeds
             assert time.monotonic() < end_s
             controller.look()
+
+
+def test_the_xarms_page(film, tmp_path, monkeypatch, stand_ins):
+    pytest.importorskip("xarm")
+    with ControlBox() as box:
+        monkeypatch.setenv("FINGERPOST_TEST_XARM_PORTS", ",".join(map(str, box.ports)))
+        stage = Stage(box.arm.position, film)
+        said = go_through("xarm", "xarm://192.168.1.200", "xarm://127.0.0.1", stage, tmp_path)
+        assert [kind for kind, _ in said] == ["home", "plane", "follow", "pick"]
+        assert said[0][1].startswith("x 0.3000 m")  # and nothing of the library
+        assert "9 of 9 places" in said[1][1]
+        assert "1 picked and placed" in said[3][1]
+        assert box.gripper.position() == 850

@@ -33,6 +33,7 @@ from fingerpost.checks import in_range
 from fingerpost.errors import InvalidInputError
 from fingerpost.robot.errors import (
     ConnectionLostError,
+    GarbledReplyError,
     NotArrivedError,
     NotHomedError,
     NotReadyError,
@@ -500,6 +501,8 @@ class Arm(ABC):
         try:
             with self._waiting(self._exchange_lock, turn):
                 pose = self._read_pose(turn)
+        except InvalidInputError as error:  # of what was read: not a number, say
+            raise GarbledReplyError(f"a reading that is no pose: {error}") from error
         except (RobotFaultError, ConnectionLostError):
             with self._failing_safely():
                 raise
