@@ -22,7 +22,7 @@ class FakeArm:
         """Where it is [m], now or at a time."""
         now_s = time.monotonic() if now_s is None else now_s
         way = np.linalg.norm(self.goal - self.start)
-        gone = self.speed * (now_s - self.began_s)
+        gone = self.speed * max(0.0, now_s - self.began_s)
         return self.goal if gone >= way else self.start + gone / way * (self.goal - self.start)
 
     def is_moving(self):

@@ -65,6 +65,9 @@ def fake_xarm(monkeypatch):
             self.error_code = 0
             return 0
 
+        def get_err_warn_code(self):
+            return 0, [self.error_code, 0]
+
         def clean_warn(self):
             return 0
 
@@ -360,6 +363,18 @@ def test_a_reading_that_is_no_number_is_an_error_of_the_arm(fake_xarm):
             robot.pose()
 
 
+def test_a_report_that_is_older_than_the_clearing_of_its_error_is_not_believed(fake_xarm):
+    with xarm() as robot:
+        robot.home()
+        api = fake_xarm.latest
+        api.error_code = 31
+        api.get_err_warn_code = lambda: (0, [0, 0])
+        robot.pose()
+        api.get_err_warn_code = lambda: 1 / 0  # and one that cannot be asked about is
+        with pytest.raises(RobotFaultError, match="C31"):
+            robot.pose()
+
+
 def test_an_arm_that_is_paused_at_its_box_is_not_told_to_move(fake_xarm):
     with xarm() as robot:
         robot.home()
@@ -539,6 +554,9 @@ def test_the_library_leaves_the_sockets_of_others_alone(box):
         assert socket.getdefaulttimeout() == before_s
 
 
+@pytest.mark.filterwarnings(
+    "ignore::pytest.PytestUnhandledThreadExceptionWarning"
+)  # of its threads
 @pytest.mark.parametrize("seed", range(8))
 def test_garbage_on_the_line_is_never_an_untyped_error(box, seed):
     rng = np.random.default_rng(seed)

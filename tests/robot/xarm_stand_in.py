@@ -85,6 +85,8 @@ class ControlBox:
         self.error = 0
         self.silent = False
         self.garble = None
+        self.not_a_number = self.stuck = False
+        self._lines = []
         self.frames = []
         self._servers = []
 
@@ -111,6 +113,13 @@ class ControlBox:
         """Of control and of reports."""
         return tuple(server.server_address[1] for server, _ in self._servers)
 
+    def hang_up(self):
+        """Close every connection."""
+        for line in self._lines:
+            with contextlib.suppress(OSError):
+                line.shutdown(socket.SHUT_RDWR)
+        self._lines = []
+
     def received(self, function, data=None):
         """The requests of a kind so far."""
         return [
@@ -120,6 +129,7 @@ class ControlBox:
         ]
 
     def _control(self, line):
+        self._lines.append(line)
         buffer = b""
         while chunk := line.recv(1024):
             buffer += chunk
@@ -163,7 +173,10 @@ class ControlBox:
             return bytes(3)
         elif function == GET_TCP_POSE:
             angles = self.arm.rotation.as_euler("xyz")
-            return struct.pack("<6f", *(1000 * self.arm.position()), *angles)
+            position = 1000 * self.arm.position()
+            if self.not_a_number:
+                position[1] = math.nan
+            return struct.pack("<6f", *position, *angles)
         elif function == RS485_RTU:
             return data[:2] + self._tool(data[2:])
         elif function == TGPIO_R16B:
@@ -172,11 +185,11 @@ class ControlBox:
 
     def _set_state(self, state):
         self.state = state
-        if state == STOPPED:
+        if state in (STOPPED, PAUSED):
             self.arm.stop()
 
     def _move(self, values):
-        if self.state != STOPPED and not self.error:
+        if self.state != STOPPED and not self.error and not self.stuck:
             rotation = Rotation.from_euler("xyz", values[3:6])
             self.arm.go(np.array(values[:3]) / 1000.0, rotation, values[6] / 1000.0)
 

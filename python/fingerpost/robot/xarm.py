@@ -277,8 +277,8 @@ class Xarm(Arm):
         self._check(turn)
         with self._translated():
             api = self._connected()
-            if api.error_code:
-                raise RobotFaultError(f"error C{api.error_code}", number=int(api.error_code))
+            if number := self._error(api):
+                raise RobotFaultError(f"error C{number}", number=number)
             x, y, z, roll, pitch, yaw = self._position(api)
         up, about, azimuth = pose_angles(from_fixed_angles(roll, pitch, yaw))
         return Pose(
@@ -362,6 +362,18 @@ class Xarm(Arm):
         code, values = api.get_position(is_radian=True)
         self._accept(code, "get_position")
         return [float(value) for value in values]
+
+    def _error(self, api: Any) -> int:
+        """Return the number of the arm's error; a report may be older than its clearing."""
+        reported = int(api.error_code)
+        if reported:
+            try:
+                code, (number, _) = api.get_err_warn_code()
+            except Exception:  # what cannot be asked about is believed
+                return reported
+            if code == 0:
+                return int(number)
+        return reported
 
     def _pulses(self, api: Any) -> int:
         code, position = api.get_gripper_position()
