@@ -11,8 +11,9 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from guard_rig import fix_at
 from robot_rig import TIME_SCALE, pose_of
-from test_robot_guard import fix_at, scorbot_guard
+from test_robot_guard import scorbot_guard
 
 from fingerpost.closed_loop.line import LineToScorbot
 from fingerpost.finding import Hand
@@ -20,6 +21,7 @@ from fingerpost.guidance import Attendance, Session
 from fingerpost.pointing import FingerLine, Status
 from fingerpost.robot import (
     TOOL_DOWN_RAD,
+    ConnectionLostError,
     DwellSelector,
     Follower,
     FollowState,
@@ -291,13 +293,17 @@ def test_the_stop_key_stops_it_at_once():
     ],
 )
 def test_a_stop_that_fails_is_not_told_as_one_that_stopped_the_arm(stop, why):
-    with hidden_hand() as (rig, guard, session, said):
-        rig.emulator.inject(Fault.UNPLUG)
-        stop(guard, session)
-        assert not guard.armed
-        session.take(step(fix_at(None, rig.clock(), status=Status.LOST)))
-        (line,) = [line for line in said if line.startswith("stopped: ")]
-        assert f"stopped: {why}; the stop failed, so the arm may still move" in line
+    def stop_unplugged():
+        with hidden_hand() as (rig, guard, session, said):
+            rig.emulator.inject(Fault.UNPLUG)
+            stop(guard, session)
+            assert not guard.armed
+            session.take(step(fix_at(None, rig.clock(), status=Status.LOST)))
+            (line,) = [line for line in said if line.startswith("stopped: ")]
+            assert f"stopped: {why}; the stop failed, so the arm may still move" in line
+
+    with pytest.raises(ConnectionLostError):  # nor does the session end well
+        stop_unplugged()
 
 
 def test_a_fault_after_the_last_frame_is_raised_all_the_same():

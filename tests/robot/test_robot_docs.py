@@ -4,6 +4,7 @@ The pages of the arms that can be emulated are gone through from cable to pick a
 command as they stand there, only with the emulated port in place of the device.
 """
 
+import os
 import re
 import shlex
 import signal
@@ -26,6 +27,8 @@ from guided_process import (
     jpeg,
     write_hand,
 )
+from ur_stand_in import Program, UrController, serve
+from xarm_stand_in import ControlBox
 
 from fingerpost.cli import main
 from fingerpost.config import Rig
@@ -221,3 +224,41 @@ def test_the_uarms_page(film, tmp_path, monkeypatch):
         kinds = [kind for kind, _ in said]
         assert kinds == ["stop", "home", "plane", "follow", "pick"]
         assert "1 picked and placed" in said[4][1]
+
+
+@pytest.fixture
+def stand_ins(monkeypatch):
+    """The vendors' libraries of processes that are started from now on are stand-ins."""
+    folder = str(Path(__file__).parent / "stand_ins")
+    paths = [folder, *filter(None, [os.environ.get("PYTHONPATH")])]
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(paths))
+
+
+def test_the_urs_page(film, tmp_path, monkeypatch, stand_ins):
+    controller = UrController()
+    with serve(controller) as port:
+        monkeypatch.setenv("FINGERPOST_TEST_UR_PORT", str(port))
+        stage = Stage(controller.arm.position, film)
+        said = go_through("ur", "ur://192.168.0.10", "ur://127.0.0.1", stage, tmp_path)
+        assert [kind for kind, _ in said] == ["home", "plane", "follow", "pick"]
+        assert said[0][1].splitlines()[-1].startswith("x 0.3000 m")
+        assert "9 of 9 places" in said[1][1]
+        assert "1 picked and placed" in said[3][1]
+        assert set(controller.outputs) == {0}
+        end_s = time.monotonic() + 5.0
+        while controller.program is not Program.STOPPED:  # none is left that nobody feeds
+            assert time.monotonic() < end_s
+            controller.look()
+
+
+def test_the_xarms_page(film, tmp_path, monkeypatch, stand_ins):
+    pytest.importorskip("xarm")
+    with ControlBox() as box:
+        monkeypatch.setenv("FINGERPOST_TEST_XARM_PORTS", ",".join(map(str, box.ports)))
+        stage = Stage(box.arm.position, film)
+        said = go_through("xarm", "xarm://192.168.1.200", "xarm://127.0.0.1", stage, tmp_path)
+        assert [kind for kind, _ in said] == ["home", "plane", "follow", "pick"]
+        assert said[0][1].startswith("x 0.3000 m")  # and nothing of the library
+        assert "9 of 9 places" in said[1][1]
+        assert "1 picked and placed" in said[3][1]
+        assert box.gripper.position() == 850

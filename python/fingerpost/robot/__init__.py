@@ -21,6 +21,7 @@ from fingerpost.robot.errors import (
     RobotError,
     RobotFaultError,
     RobotTimeoutError,
+    StopFailedError,
     StoppedError,
 )
 from fingerpost.robot.follow import (
@@ -92,6 +93,7 @@ __all__ = [
     "Selection",
     "SimulatedRobot",
     "Step",
+    "StopFailedError",
     "StoppedError",
     "check_heights",
     "open_robot",

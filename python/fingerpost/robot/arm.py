@@ -21,7 +21,7 @@ import threading
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass
 from types import TracebackType
 from typing import Self
@@ -33,6 +33,7 @@ from fingerpost.checks import in_range
 from fingerpost.errors import InvalidInputError
 from fingerpost.robot.errors import (
     ConnectionLostError,
+    GarbledReplyError,
     NotArrivedError,
     NotHomedError,
     NotReadyError,
@@ -487,8 +488,10 @@ class Arm(ABC):
             raise
 
     def _stop_if_possible(self) -> None:
-        with suppress(RobotError):
+        try:
             self.stop()
+        except Exception as error:  # the error that it is called for is the one to be raised
+            logger.warning("the stop failed: %s", str(error) or type(error).__name__)
 
     def _forget(self) -> None:
         self._state = RobotState.DISCONNECTED
@@ -502,6 +505,8 @@ class Arm(ABC):
         try:
             with self._waiting(self._exchange_lock, turn):
                 pose = self._read_pose(turn)
+        except InvalidInputError as error:  # of what was read: not a number, say
+            raise GarbledReplyError(f"a reading that is no pose: {error}") from error
         except (RobotFaultError, ConnectionLostError):
             with self._failing_safely():
                 raise

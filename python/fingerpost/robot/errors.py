@@ -48,6 +48,10 @@ class StoppedError(RobotError):
     """`stop` was called while this command waited or ran; the command is void."""
 
 
+class StopFailedError(RobotError):
+    """A stop has not gone through, so the arm may still move: press its emergency stop."""
+
+
 class NotArrivedError(RobotError):
     """The arm stands still, but not where it was sent."""
 

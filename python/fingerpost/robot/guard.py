@@ -11,6 +11,10 @@ A `Guard` is the only way by which guidance moves a robot. It lets a command pas
 while it moves. Whatever passes or is refused, and every stop, goes into the log with the fix that
 caused it.
 
+A stop that raises anything is repeated, by `check`, until it has gone through or its line is known
+to be dead (`fingerpost.robot.stopping`). Until then the guard cannot be armed, and a block that
+ends meanwhile raises an error.
+
 A log that fails never stands in the way of a stop, but nothing passes that could not be logged:
 the failure is kept, and raised at the next command, when arming, or at the end of the block.
 """
@@ -21,142 +25,44 @@ import logging
 import signal
 import threading
 import time
-from collections import deque
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass
-from enum import StrEnum
+from contextlib import contextmanager, suppress
 from types import TracebackType
-from typing import Annotated, Self, TypeAlias
+from typing import Self
 
-import msgspec
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fingerpost.errors import InvalidInputError
 from fingerpost.homography import transfer_jacobian_by_point
-from fingerpost.pointing import Fix, Status
+from fingerpost.pointing import Fix
 from fingerpost.robot.errors import (
     NotArmedError,
     NotHomedError,
     NotReadyError,
     OutOfReachError,
     RefusedError,
-    RobotError,
     StoppedError,
 )
-from fingerpost.robot.options import CheckedOptions
+from fingerpost.robot.fix_gate import FixGate, GuardOptions, Presence
+from fingerpost.robot.interlock import Interlock
 from fingerpost.robot.plane import RobotPlane
 from fingerpost.robot.protocol import GripperTarget, Limits, Pose, Robot, RobotState
+from fingerpost.robot.records import CommandRecord, RecordCallback
 from fingerpost.robot.region import SafeRegion
-from fingerpost.robot.shape import ArmShape, along
 from fingerpost.robot.signals import stopping_on
+from fingerpost.robot.stopping import WATCH_S, described
+from fingerpost.robot.whereabouts import Whereabouts
 from fingerpost.silhouette import Capsule
-from fingerpost.uncertainty import confidence_ellipse
+
+__all__ = ["WATCH_S", "CommandRecord", "Guard", "GuardOptions", "Presence", "RecordCallback"]
 
 logger = logging.getLogger(__name__)
-
-WATCH_S = 0.02
-"""How often `Guard.watching` looks [s]."""
 
 AWAY_M_S = 0.05
 """Speed at which the arm makes way [m/s]: whoever is near it may not be seen."""
 
 ROUNDING_M = 1e-6
 """A place to visit may be outside the region by this much, and is moved into it [m]."""
-
-RECORDS_KEPT = 10_000
-"""Commands that a guard remembers; `on_record` sees all."""
-
-
-GOALS_KEPT = 2
-"""The arm is on its way to one of so many goals: a stride is sent before the last one is done."""
-
-
-class GuardOptions(CheckedOptions, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """When a command may pass.
-
-    The upper bounds are far from any use; they keep out what would switch a check off. Those of the
-    two time-outs leave room for simulated time; the command line takes a minute at most.
-
-    Attributes
-    ----------
-    tolerance_m : float
-        Largest semi-axis of the fix's ellipse in the robot's frame [m]; the paper's block of
-        wood needs about 10 mm.
-    confidence : float
-        Of that ellipse.
-    max_fix_age_s : float
-        A fix older than this is stale [s]: no motion starts on it, and a motion that needs one is
-        stopped at most `WATCH_S` later.
-    operator_timeout_s : float
-        An operator not heard of for this long is gone [s].
-    clearance_m : float
-        Kept off the rim of the safe region for rounding by the controller [m].
-    max_speed_m_s : float
-        Greatest speed of any command [m/s].
-
-    Raises
-    ------
-    InvalidInputError
-        A value that is out of its range, or not a number.
-    """
-
-    tolerance_m: Annotated[float, msgspec.Meta(gt=0, le=1)] = 0.01
-    confidence: Annotated[float, msgspec.Meta(gt=0, lt=1)] = 0.95
-    max_fix_age_s: Annotated[float, msgspec.Meta(gt=0, le=1e6)] = 0.3
-    operator_timeout_s: Annotated[float, msgspec.Meta(gt=0, le=1e6)] = 1.0
-    clearance_m: Annotated[float, msgspec.Meta(ge=0, le=1)] = 0.001
-    max_speed_m_s: Annotated[float, msgspec.Meta(gt=0, le=10)] = 0.1
-
-
-class Presence(StrEnum):
-    """What must last while a command runs."""
-
-    FIX = "fix"
-    """The operator and a live fix: following."""
-    OPERATOR = "operator"
-    """The operator: carrying out what has been selected."""
-
-
-@dataclass(frozen=True, slots=True)
-class CommandRecord:
-    """One line of the log.
-
-    Attributes
-    ----------
-    time_s : float
-        When, by the guard's clock [s].
-    command : str
-        `arm`, `disarm`, `enter`, `visit`, `move`, `gripper`, `hold` or `halt`.
-    detail : str
-        The goal, or the reason.
-    pose : Pose or None
-        The goal of a motion.
-    fix : Fix or None
-        The fix that caused it.
-    outcome : str
-        `sent`, or why not.
-    """
-
-    time_s: float
-    command: str
-    detail: str
-    pose: Pose | None
-    fix: Fix | None
-    outcome: str
-
-    def __str__(self) -> str:
-        cause = "no fix"
-        if self.fix is not None:
-            at = (
-                "" if self.fix.point is None else f" ({self.fix.point[0]:g}, {self.fix.point[1]:g})"
-            )
-            cause = f"fix of {self.fix.time_s:.3f} s, {self.fix.status}{at}"
-        return f"{self.time_s:.3f} s {self.command} {self.detail}: {self.outcome} [{cause}]"
-
-
-RecordCallback: TypeAlias = Callable[[CommandRecord], None]
 
 
 class Guard:
@@ -200,19 +106,15 @@ class Guard:
         self.region = region
         self._robot = robot
         self._clock = clock
-        self._on_record = on_record or (lambda _: None)
-        self._log_error: Exception | None = None
+        self._gate = FixGate(plane, clock)
+        self._whereabouts = Whereabouts(robot, plane)
+        self._interlock = Interlock(
+            robot, clock=clock, newest_fix=lambda: self.newest_fix, on_record=on_record
+        )
         self._allowed = self._without_rim()
-        self._records: deque[CommandRecord] = deque(maxlen=RECORDS_KEPT)
-        self._armed = False
-        self._inside = False
-        self._interruptions = 0
-        self._why_stopped = ""
-        self._stop_error: RobotError | None = None
-        self._needs: Presence | None = None
-        self._read: Pose | None = None
-        self._goals: deque[Pose] = deque(maxlen=GOALS_KEPT)
-        self._fix: Fix | None = None
+        # Both end with a stop, so each stands beside the number of the last one when it began.
+        self._running: tuple[Presence | None, int] = (None, 0)
+        self._entered_after: int | None = None
         self._heard_s = -np.inf
 
     # The operator's side.
@@ -220,12 +122,12 @@ class Guard:
     @property
     def armed(self) -> bool:
         """Whether commands may pass."""
-        return self._armed
+        return self._interlock.armed
 
     @property
     def records(self) -> tuple[CommandRecord, ...]:
         """The last commands, oldest first."""
-        return tuple(self._records)
+        return self._interlock.records
 
     @property
     def busy(self) -> bool:
@@ -234,13 +136,13 @@ class Guard:
 
     @property
     def interruptions(self) -> int:
-        """How often the guard has stopped the arm: whoever gave a command can see it is void."""
-        return self._interruptions
+        """Changes whenever the guard stops the arm: whoever gave a command can see it is void."""
+        return self._interlock.last_stop
 
     @property
     def why_stopped(self) -> str:
-        """Why the guard has stopped the arm the last time, and what if that failed; else empty."""
-        return self._why_stopped
+        """Why the guard has stopped the arm the last time, and what of that failed; else empty."""
+        return self._interlock.why_stopped
 
     def check_limits(self, *, speed_m_s: float | None = None) -> None:
         """See that the robot has limits, and that they hold the whole safe region and a speed.
@@ -290,26 +192,26 @@ class Guard:
         Raises
         ------
         NotReadyError
-            The robot is not connected, not homed, in a fault, or has no limits.
+            The robot is not connected, not homed, in a fault, or has no limits; or a stop has not
+            gone through yet, after one more attempt.
         OutOfReachError, InvalidInputError
             As for `check_limits`.
+        StoppedError
+            Halted meanwhile.
         Exception
             The log's own: this record, or that of a stop before it, could not be written.
         """
-        self._need_log()
-        status = self._robot.status()
+        self._interlock.need_log()
+        last_disarming = self._interlock.last_disarming
         try:
-            if status.state in (RobotState.DISCONNECTED, RobotState.FAULT):
-                raise NotReadyError(f"the robot is in state {status.state}")
-            if not status.homed:
-                raise NotHomedError("home the robot before arming")
+            self._need_ready()
+            self._interlock.need_stops()
             self.check_limits()
-        except (RobotError, InvalidInputError) as error:
-            self._record("arm", "", outcome=str(error))
+        except Exception as error:
+            self._interlock.record("arm", "", outcome=described(error))
             raise
         self.heartbeat()
-        self._armed = True
-        self._record("arm", "")
+        self._interlock.arm(last_disarming)
 
     def disarm(self) -> None:
         """Stop, and let nothing pass until armed again."""
@@ -320,14 +222,17 @@ class Guard:
         self._heard_s = self._clock()
 
     def observe(self, fix: Fix) -> None:
-        """Tell the newest fix, whatever its status; never waits. One that comes late is no news."""
-        if self._fix is None or fix.time_s >= self._fix.time_s:
-            self._fix = fix
+        """Take the newest fix, whatever its status; never waits.
+
+        One that is late is no news, and one that no camera can have seen is dropped
+        (`FixGate.observe`): its time or its point is not finite, or ahead of the guard's clock.
+        """
+        self._gate.observe(fix)
 
     @property
     def newest_fix(self) -> Fix | None:
-        """The newest fix that was told."""
-        return self._fix
+        """The newest fix that was observed."""
+        return self._gate.newest
 
     # The way to the robot.
 
@@ -339,7 +244,7 @@ class Guard:
         RefusedError
             It is not; the message says why.
         """
-        doubt = self._doubt(fix)
+        doubt = self._gate.doubt(fix, self.options)
         if doubt or fix.point is None:
             raise RefusedError(doubt)
         return fix.point
@@ -352,11 +257,7 @@ class Guard:
         InvalidInputError
             The fix has no point, or it is beyond the horizon of the plane's tie.
         """
-        if fix.point is None or fix.covariance is None:
-            raise InvalidInputError(f"a fix that is {fix.status} has no ellipse")
-        centre = self.plane.position_m(fix.point)
-        covariance = self.plane.covariance_m2(fix.point, fix.covariance)
-        return float(confidence_ellipse(centre, covariance, self.options.confidence).semi_axes[0])
+        return self._gate.semi_axis_m(fix, self.options.confidence)
 
     def where(self) -> tuple[NDArray[np.float64], float]:
         """Read where the gripper is: point of the plane (2,) and height above it [m].
@@ -368,10 +269,8 @@ class Guard:
         """
         with self._halting("reading the pose"):
             pose = self._robot.pose()
-        self._read = pose
-        if not self.busy:
-            self._goals.clear()  # an arm that has been stopped goes to none of them
-        return self.plane.point(pose.position_m[:2]), self.plane.above_m(pose)
+            self._whereabouts.read(pose, moving=self.busy)
+            return self.plane.point(pose.position_m[:2]), self.plane.above_m(pose)
 
     def locate(self) -> None:
         """Read where an arm has come to rest that was stopped on its way; else do nothing.
@@ -381,19 +280,15 @@ class Guard:
         RobotError
             As for `where`.
         """
-        if self._goals and not self.busy:
+        if self._whereabouts.is_doubtful and not self.busy:
             self.where()
 
     def body(self) -> tuple[Capsule, ...]:
         """Return the room that the arm may take up now, in plane coordinates; never waits.
 
-        That is the arm with its gripper anywhere on the way from where it was read last to where it
-        has been sent since. Empty until `arm`, `enter` or `where` has read a pose.
+        As `fingerpost.robot.whereabouts.Whereabouts.body`.
         """
-        # Copied at once: the goals grow in another thread.
-        poses = [pose for pose in (self._read, *tuple(self._goals)) if pose is not None]
-        shape = getattr(self._robot, "shape", None) or ArmShape.of_limits(self._robot.limits)
-        return self.plane.capsules(part for pose in along(poses) for part in shape.capsules(pose))
+        return self._whereabouts.body()
 
     @property
     def time_s(self) -> float:
@@ -419,13 +314,13 @@ class Guard:
         NotArmedError, RobotError
             As for `move`.
         """
-        interruptions = self._interruptions
+        interruptions, last_disarming = self.interruptions, self._interlock.last_disarming
         self._need_armed("enter", None)
         self.where()
         goal = self.plane.pose(self._allowed.centre, self._allowed.highest_m)
         self._send("enter", goal, None, Presence.OPERATOR, None, interruptions)
         self._finish(interruptions)
-        self._inside = True
+        self._entered_after = last_disarming
 
     def visit(self, point: ArrayLike, above_m: float, *, speed_m_s: float | None = None) -> Pose:
         """Move the gripper to a place over the plane because the operator's procedure says so.
@@ -453,12 +348,12 @@ class Guard:
         NotArmedError, RefusedError, StoppedError, RobotError
             As for `move`.
         """
-        interruptions = self._interruptions
+        interruptions = self.interruptions
         self._need_armed("visit", None)
         wanted, goal = self.plane.pose(point, above_m), self.plane.pose(*self.clamp(point, above_m))
         if wanted.distance_m(goal) > ROUNDING_M:
             problem = f"outside the safe region: {wanted}"
-            self._record("visit", "", outcome=problem)
+            self._interlock.record("visit", "", outcome=problem)
             raise OutOfReachError(f"{problem}; {goal} will do")
         self._need_inside(None)
         pose = self._send("visit", goal, None, Presence.OPERATOR, speed_m_s, interruptions)
@@ -543,13 +438,14 @@ class Guard:
         Exception
             The log's own; the command has not been sent, and the guard has been disarmed.
         """
-        interruptions = self._interruptions
-        if self._fix is None or fix.time_s > self._fix.time_s:
+        interruptions = self.interruptions
+        newest = self.newest_fix
+        if newest is None or fix.time_s > newest.time_s:
             self.observe(fix)
         self._need_armed("move", fix)
         self._need_inside(fix)
-        if needs is Presence.FIX and (doubt := self._doubt(fix)):
-            self._record("move", "", fix=fix, outcome=doubt)
+        if needs is Presence.FIX and (doubt := self._gate.doubt(fix, self.options)):
+            self._interlock.record("move", "", fix=fix, outcome=doubt)
             raise RefusedError(doubt)
         goal = self.plane.pose(*self.clamp(point, above_m))
         pose = self._send("move", goal, fix, needs, speed_m_s, interruptions)
@@ -565,37 +461,37 @@ class Guard:
         NotArmedError, StoppedError, RobotError
             As for `move`.
         """
-        interruptions = self._interruptions
+        interruptions = self.interruptions
         self._need_armed("gripper", fix)
-        self._needs = Presence.OPERATOR
-        self._record("gripper", str(target), fix=fix)
+        self._running = (Presence.OPERATOR, interruptions)
+        self._interlock.record("gripper", str(target), fix=fix)
         with self._uninterrupted("gripper", interruptions):
             self._robot.gripper(target)
-        self._needs = None
+        self._running = (None, 0)
 
     def hold(self, reason: str) -> None:
         """Stop the arm and stay armed, as when the fix is lost."""
-        self._interrupt("hold", reason)
+        self._interlock.stop("hold", reason, disarm=False)
 
     def halt(self, reason: str, *, command: str = "halt") -> None:
         """Stop the arm and disarm."""
-        self._armed = self._inside = False
-        self._interrupt(command, reason)
+        self._interlock.stop(command, reason, disarm=True)
 
     def check(self) -> None:
-        """Stop the arm if what its motion needs has ended; cheap, call it often."""
-        if not self._armed:
+        """Stop the arm if what its motion needs has ended; cheap, call it often.
+
+        A stop that has failed is repeated, unless its line is dead.
+        """
+        self._interlock.repeat()
+        if not self.armed:
             return
-        state = self._robot.status().state
-        if state in (RobotState.FAULT, RobotState.DISCONNECTED):
-            self.halt(f"the robot is in state {state}")
-        elif not self._operator_present():
-            self.halt("the operator is gone")
-        elif self._needs is Presence.FIX:
-            fix = self._fix
-            doubt = "no fix" if fix is None else self._doubt(fix)
-            if doubt:
-                self.hold(doubt)
+        try:
+            state = self._robot.status().state
+        except Exception as error:
+            self.halt(f"the robot's status cannot be read: {described(error)}")
+            return
+        with self._halting("the check"):
+            self._check_needs(state)
 
     @contextmanager
     def watching(self) -> Iterator[Self]:
@@ -603,18 +499,15 @@ class Guard:
 
         Raises
         ------
-        Exception
-            The log's own, if it has failed on a stop and nothing else has ended the block.
+        StopFailedError, ConnectionLostError, Exception
+            As at the end of a `with` block: a stop has not gone through, or the log has failed on
+            one, and nothing else has ended the block.
         """
         done = threading.Event()
 
         def watch() -> None:
             while not done.wait(WATCH_S):
-                try:
-                    self.check()
-                except Exception as error:  # a watch that dies would watch nothing
-                    logger.exception("the watch failed")
-                    self.halt(f"the watch failed: {error}")
+                self._watch()
 
         thread = threading.Thread(target=watch, name="guard", daemon=True)
         thread.start()
@@ -624,7 +517,7 @@ class Guard:
         finally:
             done.set()
             thread.join()
-        self._need_log()  # the watch may have stopped the arm last
+        self._interlock.need_log()  # the watch may have stopped the arm last
 
     @contextmanager
     def signals(self, *numbers: signal.Signals) -> Iterator[Self]:
@@ -647,14 +540,24 @@ class Guard:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        if self._armed:
+        if self.armed:
             self.halt("the end" if kind is None else f"{kind.__name__}: {error}")
-            if kind is None and self._stop_error is not None:
-                raise self._stop_error
-        if kind is None:
-            self._need_log()
+        failure = self._interlock.finish()
+        if error is not None:
+            if failure is not None and failure is not error:
+                error.add_note(str(failure))
+            return
+        if failure is not None:
+            raise failure
+        self._interlock.need_log()
 
     # Inside.
+
+    @property
+    def _needs(self) -> Presence | None:
+        """What must last while the command that passed last runs; None if none does."""
+        needs, interruptions = self._running
+        return needs if interruptions == self.interruptions else None
 
     def _speed(self, speed_m_s: float | None) -> float:
         fastest = self.options.max_speed_m_s
@@ -665,24 +568,6 @@ class Guard:
         if limits is None:
             raise NotReadyError("the robot has no limits: declare them before arming")
         return limits
-
-    def _doubt(self, fix: Fix) -> str:
-        """Return why a fix is not good enough to move on; empty if it is."""
-        if fix.status is not Status.OK or fix.point is None:
-            return f"fix is {fix.status}{f': {fix.reason}' if fix.reason else ''}"
-        age_s = self._clock() - fix.time_s
-        if not -WATCH_S <= age_s <= self.options.max_fix_age_s:
-            return f"fix is {age_s:.3f} s old; at most {self.options.max_fix_age_s:g} s will do"
-        try:
-            semi_axis_m = self.semi_axis_m(fix)
-        except InvalidInputError as error:
-            return str(error)
-        if not semi_axis_m <= self.options.tolerance_m:
-            return (
-                f"{100 * self.options.confidence:g} % ellipse reaches {1000 * semi_axis_m:.1f} mm; "
-                f"at most {1000 * self.options.tolerance_m:g} mm will do"
-            )
-        return ""
 
     def _send(
         self,
@@ -695,9 +580,9 @@ class Guard:
     ) -> Pose:
         """Send a motion."""
         speed = self._speed(speed_m_s)
-        self._needs = needs
-        self._goals.append(goal)
-        self._record(command, str(goal), pose=goal, fix=fix)
+        self._running = (needs, interruptions)
+        self._whereabouts.sent(goal)
+        self._interlock.record(command, str(goal), pose=goal, fix=fix)
         with self._uninterrupted(command, interruptions):
             self._robot.move_to(goal, speed_m_s=speed, wait=False)
         return goal
@@ -706,10 +591,8 @@ class Guard:
         """Wait for the arm to arrive, which one that was stopped before the wait has not."""
         with self._uninterrupted("wait", interruptions):
             self._robot.wait()
-        self._needs = None
-        if self._goals:
-            self._read = self._goals[-1]
-            self._goals.clear()
+        self._running = (None, 0)
+        self._whereabouts.arrived()
 
     @contextmanager
     def _uninterrupted(self, command: str, interruptions: int) -> Iterator[None]:
@@ -721,9 +604,8 @@ class Guard:
 
     def _need_uninterrupted(self, interruptions: int) -> None:
         """Raise if a stop came in between; it is repeated, as the command may have overtaken it."""
-        if self._interruptions != interruptions or not self._armed:
-            self._needs = None
-            self._robot.stop()
+        if self.interruptions != interruptions or not self.armed:
+            self._interlock.stop_again()
             raise StoppedError("held or halted before the command was done")
 
     @contextmanager
@@ -734,52 +616,76 @@ class Guard:
         except StoppedError:
             raise
         except BaseException as error:
-            self.halt(f"{command} failed: {str(error) or type(error).__name__}")
+            self.halt(f"{command} failed: {described(error)}")
             raise
 
-    def _interrupt(self, command: str, reason: str) -> None:
-        self._why_stopped = reason
-        self._interruptions += 1
-        self._needs = None
-        outcome, self._stop_error = "sent", None
+    def _watch(self) -> None:
+        """Check, and halt if that fails in any way: a watch that ended would watch nothing."""
         try:
-            self._robot.stop()
-        except RobotError as error:
-            self._armed = self._inside = False
-            outcome, self._stop_error = str(error), error
-            self._why_stopped = f"{reason}; the stop failed, so the arm may still move: {error}"
-        self._record(command, reason, fix=self._fix, outcome=outcome, is_stop=True)
+            self.check()
+        except BaseException as error:
+            logger.exception("the watch failed")
+            with suppress(BaseException):  # kept by the stopper, and repeated by the next check
+                self.halt(f"the watch failed: {described(error)}")
+
+    def _check_needs(self, state: RobotState) -> None:
+        if state in (RobotState.FAULT, RobotState.DISCONNECTED):
+            self.halt(f"the robot is in state {state}")
+        elif not self._operator_present():
+            self.halt("the operator is gone")
+        elif self._needs is Presence.FIX:
+            fix = self.newest_fix
+            doubt = "no fix" if fix is None else self._gate.doubt(fix, self.options)
+            if doubt:
+                self.hold(doubt)
+
+    def _need_ready(self) -> None:
+        """See that the robot is connected, well and homed."""
+        try:
+            status = self._robot.status()
+            state, homed = status.state, status.homed
+        except Exception as error:
+            raise NotReadyError(f"the robot's status cannot be read: {described(error)}") from error
+        if state in (RobotState.DISCONNECTED, RobotState.FAULT):
+            raise NotReadyError(f"the robot is in state {state}")
+        if not homed:
+            raise NotHomedError("home the robot before arming")
 
     def _need_armed(self, command: str, fix: Fix | None) -> None:
-        self._need_log()
+        self._interlock.need_log()
         problem = ""
-        if not self._armed:
+        if not self.armed:
             problem = "not armed"
         elif not self._operator_present():
             self.halt("the operator is gone")
             problem = "the operator is gone"
         if problem:
-            self._record(command, "", fix=fix, outcome=problem)
+            self._interlock.record(command, "", fix=fix, outcome=problem)
             raise NotArmedError(f"{problem}: call arm()")
 
     def _need_inside(self, fix: Fix | None) -> None:
         """See once that the gripper is in the region: from there no straight way leads out."""
-        if self._inside:
+        last_disarming = self._interlock.last_disarming
+        if self._entered_after == last_disarming:
             return
         point, above_m = self.where()
-        self._inside = self.region.contains(
+        inside = self.region.contains(
             point, above_m, within=self._clearance(), within_m=self.options.clearance_m
         )
-        if not self._inside:
+        if inside:
+            self._entered_after = last_disarming
+        else:
             problem = (
                 f"the gripper is outside the safe region, at ({point[0]:g}, {point[1]:g}), "
                 f"{above_m:.4f} m above the plane: call enter()"
             )
-            self._record("move", "", fix=fix, outcome=problem)
+            self._interlock.record("move", "", fix=fix, outcome=problem)
             raise RefusedError(problem)
 
     def _operator_present(self) -> bool:
-        return self._clock() - self._heard_s <= self.options.operator_timeout_s
+        heard_s = self._heard_s  # before the clock: another thread may hear of him in between
+        # Of a clock that runs backwards, or gives no number, nothing is believed.
+        return 0 <= self._clock() - heard_s <= self.options.operator_timeout_s
 
     def _without_rim(self) -> SafeRegion:
         self.plane.position_m(self.region.corners)
@@ -790,36 +696,3 @@ class Guard:
         jacobians = transfer_jacobian_by_point(self.plane.robot_from_plane, self.region.corners)
         least = float(np.linalg.svd(jacobians, compute_uv=False).min())
         return self.options.clearance_m / least
-
-    def _record(
-        self,
-        command: str,
-        detail: str,
-        *,
-        pose: Pose | None = None,
-        fix: Fix | None = None,
-        outcome: str = "sent",
-        is_stop: bool = False,
-    ) -> None:
-        """Log a command, which does not pass if it cannot be logged; only a stop does."""
-        record = CommandRecord(self._clock(), command, detail, pose, fix, outcome)
-        self._records.append(record)
-        logger.info("%s", record)
-        try:
-            self._on_record(record)
-        except Exception as error:  # whatever it is, stopping must go on
-            if self._log_error is None:
-                logger.warning("the log failed: %s", error)
-                self._log_error = error
-        if not is_stop:
-            self._need_log()
-
-    def _need_log(self) -> None:
-        """Halt and raise if the log has failed since this was last asked."""
-        error = self._log_error
-        if error is None:
-            return
-        if self._armed:
-            self.halt(f"the log failed: {error}")
-        self._log_error = None
-        raise error

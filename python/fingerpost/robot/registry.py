@@ -16,7 +16,7 @@ from urllib.parse import parse_qsl, urlsplit
 
 import msgspec
 
-from fingerpost.errors import InvalidInputError
+from fingerpost.errors import FingerpostError, InvalidInputError
 from fingerpost.robot.gcode import DOBOT, MARLIN, UARM, Dialect, GcodeArm, GcodeOptions
 from fingerpost.robot.protocol import Robot
 from fingerpost.robot.scorbot import Scorbot, ScorbotOptions
@@ -55,7 +55,8 @@ def open_robot(target: str, **options: object) -> Robot:
     Raises
     ------
     InvalidInputError
-        No such robot, no such option, or a value that the option does not take.
+        No such robot, no such option, a value that the option does not take, or a plug-in that
+        fails; the message names it.
     MissingExtraError
         The robot needs a library that is not installed.
 
@@ -132,12 +133,38 @@ def _factory(name: str, target: str) -> RobotFactory:
         return BUILT_IN[name]
     for point in _plug_ins():
         if point.name == name:
-            factory: RobotFactory = point.load()
-            return factory
+            return _loaded(point)
     raise InvalidInputError(
         f"{target!r}: there is no robot {name!r}; there are {', '.join(robot_names())}; "
         "acl:///dev/ttyUSB0 is right, say. "
         f"Others are added by the entry point group {ENTRY_POINT_GROUP!r}"
+    )
+
+
+def _loaded(point: EntryPoint) -> RobotFactory:
+    """Import a plug-in; whatever it fails with, now or when it makes a robot, is one line."""
+    try:
+        factory: RobotFactory = point.load()
+    except (Exception, SystemExit) as error:
+        raise _broken(point, "cannot be imported", error) from error
+
+    def make(address: str, options: Mapping[str, object]) -> Robot:
+        try:
+            return factory(address, options)
+        except FingerpostError:
+            raise
+        except Exception as error:
+            raise _broken(point, "cannot make its robot", error) from error
+
+    return make
+
+
+def _broken(point: EntryPoint, problem: str, error: BaseException) -> InvalidInputError:
+    package = "" if point.dist is None else f" of the package {point.dist.name}"
+    why = " ".join(f"{type(error).__name__}: {error}".split())
+    return InvalidInputError(
+        f"the plug-in for {point.name!r}{package}, {point.value}, {problem} ({why}); see to it, or "
+        "uninstall it; other arms work without"
     )
 
 

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import logging
 import signal
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
+
+logger = logging.getLogger(__name__)
 
 
 @contextmanager
@@ -15,7 +18,8 @@ def stopping_on(stop: Callable[[str], None], *numbers: signal.Signals) -> Iterat
     Parameters
     ----------
     stop : callable
-        Called with the signal's name, in its handler; must not wait.
+        Called with the signal's name, in its handler; must not wait. What it raises is logged:
+        the signal takes its course.
     *numbers : signal.Signals
         Which; SIGINT and SIGTERM by default.
     """
@@ -25,7 +29,10 @@ def stopping_on(stop: Callable[[str], None], *numbers: signal.Signals) -> Iterat
     }
 
     def on_signal(number: int, frame: FrameType | None) -> None:
-        stop(signal.Signals(number).name)
+        try:
+            stop(signal.Signals(number).name)
+        except Exception as error:
+            logger.error("signal %s: the stop failed: %s", signal.Signals(number).name, error)
         previous = before[signal.Signals(number)]
         if callable(previous):
             previous(number, frame)

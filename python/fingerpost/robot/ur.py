@@ -3,10 +3,17 @@
 `ur_rtde` speaks metres, radians and rotation vectors, and answers with a bool. Moves are always
 sent asynchronously: a blocking `moveL` would keep the line from `stopL`. The arm has no gripper of
 its own; one that hangs on a digital output can be named.
+
+What moves the arm is a script that the library uploads to the controller, its *control script*.
+Commands reach it through registers, one at a time, so ours wait for each other. It ends when its
+program is stopped at the pendant, after a protective stop, and by the watchdog: the controller
+stops it, and with it the arm, when this process no longer writes to it. Homing starts it again.
 """
 
 from __future__ import annotations
 
+import logging
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -15,6 +22,8 @@ from typing import Annotated, Any
 import msgspec
 import numpy as np
 
+from fingerpost.errors import FingerpostError
+from fingerpost.robot import ur_dashboard
 from fingerpost.robot.arm import Arm, ArrivalRule, Turn
 from fingerpost.robot.errors import (
     CommandRefusedError,
@@ -34,8 +43,35 @@ from fingerpost.robot.orientation import (
 )
 from fingerpost.robot.protocol import Angle, GripperKind, Limits, Pose
 
+logger = logging.getLogger(__name__)
+
 MODE_RUNNING = 7
 """Robot mode of an arm that is switched on with its brakes released."""
+
+PROGRAM_STOPPED = 1
+"""Runtime state of a controller whose program has ended; one that is paused may go on."""
+
+SCRIPT_START_S = 5.0
+"""The control script runs within this of its upload [s], as `ur_rtde` itself expects."""
+
+COMMAND_S = 0.01
+"""A stop waits this long for the command before it to be taken [s]; it has 20 ms in all."""
+
+KICKS = 4
+"""The watchdog is kicked this often in its period, as a crowded machine may delay some."""
+
+SCRIPT_STOPPED = (
+    "the control script has stopped, as when a program is stopped at the pendant: see why, then "
+    "home the arm to start it again"
+)
+REMOTE_CONTROL_OFF = (
+    "remote control is switched off: switch it on at the pendant (Local to Remote, at the top "
+    "right), then connect and home again"
+)
+PROTECTIVE_STOP = (
+    "protective stop: see to its cause and unlock it at the pendant, then home the arm to go on"
+)
+EMERGENCY_STOP = "emergency stop: release it and switch the arm on at the pendant, then home again"
 
 
 class UrOptions(CheckedOptions, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -53,6 +89,9 @@ class UrOptions(CheckedOptions, frozen=True, kw_only=True, forbid_unknown_fields
         Standard digital output that closes a gripper when high.
     gripper_s : float
         Time the gripper takes [s].
+    watchdog_hz : float
+        The controller stops the arm when this process has not been heard of for a period of this
+        [Hz], as when it is killed.
     poll_s, stall_s : float
         How the end of a move is seen [s], as in `ArrivalRule`.
     """
@@ -64,6 +103,7 @@ class UrOptions(CheckedOptions, frozen=True, kw_only=True, forbid_unknown_fields
     stop_m_s2: Annotated[float, msgspec.Meta(ge=0.1, le=1000)] = 5.0
     gripper_output: Annotated[int, msgspec.Meta(ge=0, le=7)] | None = None
     gripper_s: Annotated[float, msgspec.Meta(ge=0, le=3600)] = 1.0
+    watchdog_hz: Annotated[float, msgspec.Meta(ge=1, le=50)] = 5.0
     poll_s: Annotated[float, msgspec.Meta(ge=0, le=3600)] = 0.02
     stall_s: Annotated[float, msgspec.Meta(gt=0, le=3600)] = 1.0
 
@@ -121,61 +161,134 @@ class UniversalRobot(Arm):
         self._control: Any = None
         self._receive: Any = None
         self._io: Any = None
+        self._commands = threading.RLock()  # a signal's handler may stop its own thread's command
+        self._stop_waits = False  # a lock alone is fair to nobody
+        self._kicking: threading.Event | None = None  # set to end the thread that kicks
 
     def _open(self) -> None:
+        self._close()  # two clients of one controller would write to the same registers
         with self._translated():
             self._receive = self._receive_library.RTDEReceiveInterface(self._host)
-            self._control = self._control_library.RTDEControlInterface(self._host)
+            try:
+                self._control = self._control_library.RTDEControlInterface(self._host)
+            except Exception as error:
+                self._explain_no_control(error)
+                raise
             if self._io_library is not None:
                 self._io = self._io_library.RTDEIOInterface(self._host)
-            self._control.stopL(self._options.stop_m_s2, True)
+        self._send_stop()
+
+    def _explain_no_control(self, error: Exception) -> None:
+        """Raise what the library's complaint comes from, if that can be known."""
+        text = str(error).lower()
+        if "remote control" in text:
+            raise CommandRefusedError(REMOTE_CONTROL_OFF) from error
+        if "control script" in text:  # uploaded, but not running
+            self._see_to_faults()
+            self._see_to_mode()
+            if ur_dashboard.remote_control_is_off(self._host):
+                raise CommandRefusedError(REMOTE_CONTROL_OFF) from error
 
     def _close(self) -> None:
-        parts = (self._control, self._receive, self._io)
-        self._control = self._receive = self._io = None
-        for part in parts:
-            if part is not None:
-                with self._translated():
-                    part.disconnect()
+        if self._kicking is not None:
+            self._kicking.set()
+        with self._holding(SCRIPT_START_S):  # a part that is told something opens itself again
+            parts = (self._control, self._receive, self._io)
+            self._control = self._receive = self._io = self._kicking = None
+            for part in parts:
+                if part is not None:
+                    self._disconnect(part)
+
+    def _disconnect(self, part: Any) -> None:
+        try:
+            part.disconnect()
+        except Exception as error:  # the other parts are to be closed as well
+            logger.warning("%s: closing the connection: %s", self._host, error)
 
     def _home(self, turn: Turn, report: Callable[[str], None]) -> None:
-        """Its encoders are absolute: homing only sees that the arm is ready, and moves nothing."""
+        """Have the control script run, watched; the encoders are absolute, so nothing moves."""
         self._check(turn)
         self._see_to_faults()
         with self._translated():
-            mode = self._receive.getRobotMode()
-        if mode != MODE_RUNNING:
-            raise RobotFaultError(
-                f"robot mode {mode}: switch the arm on and release its brakes at the pendant",
-                number=mode,
-            )
+            self._see_to_mode()
+            if not (self._control.isProgramRunning() and self._set_watchdog()):
+                report("starting the control script")
+                self._start_script(turn)
         report("absolute encoders: no motion needed")
+
+    def _start_script(self, turn: Turn) -> None:
+        """Upload the control script, wait until it runs, and set its watchdog."""
+        with self._commanding():
+            uploaded = self._control.reuploadScript()
+        end_s = self._clock() + SCRIPT_START_S
+        while not self._control.isProgramRunning():
+            if not uploaded or self._clock() > end_s:
+                raise self._without_script("the control script does not start")
+            self._pause(self._options.poll_s, turn)
+        if not self._set_watchdog():
+            raise self._refusal("setWatchdog")
+
+    def _set_watchdog(self) -> bool:
+        """Have the controller stop the arm when this process falls silent; False if refused."""
+        control = self._control
+        if not hasattr(control, "setWatchdog"):
+            logger.warning("this ur_rtde has no watchdog: the arm outlives a killed process")
+            return True
+        with self._commanding():
+            if not control.setWatchdog(self._options.watchdog_hz):
+                return False
+        if self._kicking is None:
+            self._kicking = done = threading.Event()
+            threading.Thread(target=self._kick, args=(done,), name="ur", daemon=True).start()
+        return True
+
+    def _kick(self, done: threading.Event) -> None:
+        """Kick the watchdog until the connection is closed or lost."""
+        while True:
+            with self._commanding():
+                if done.is_set():
+                    return
+                try:
+                    if self._control.isProgramRunning():
+                        self._control.kickWatchdog()
+                except Exception as error:  # the controller stops the arm; the next command says so
+                    logger.warning("%s: the watchdog cannot be kicked: %s", self._host, error)
+                    self._kicking = None
+                    return
+            done.wait(1 / (KICKS * self._options.watchdog_hz))
 
     def _start_move(self, pose: Pose, speed_m_s: float, turn: Turn) -> None:
         self._see_to_faults()
         with self._translated():
+            self._see_to_script()
             if (angles := pose.angles()) is not None:
                 turned = rotation_vector(tool_rotation(*angles)).tolist()
             else:
                 turned = list(self._receive.getActualTCPPose())[3:]
             goal = [*pose.position_m.tolist(), *turned]
-            if not self._control.isPoseWithinSafetyLimits(goal):
+            with self._commanding():
+                reachable = self._control.isPoseWithinSafetyLimits(goal)
+            if not reachable:
+                self._see_to_faults()  # no is also the answer to what nobody takes
+                self._see_to_script()
                 raise OutOfReachError(f"{pose} is outside the arm's own safety limits")
             accepted: list[bool] = []
-            self._issue(
-                lambda: accepted.append(
-                    self._control.moveL(goal, speed_m_s, self._options.acceleration_m_s2, True)
-                ),
-                turn,
-            )
-        if not accepted[0]:
-            self._see_to_faults()
-            raise CommandRefusedError("moveL was refused: is the arm in remote control?")
+
+            def send() -> None:
+                with self._commanding():
+                    accepted.append(
+                        self._control.moveL(goal, speed_m_s, self._options.acceleration_m_s2, True)
+                    )
+
+            self._issue(send, turn)
+            if not accepted[0]:
+                raise self._refusal("moveL")
 
     def _read_pose(self, turn: Turn) -> Pose:
         self._check(turn)
         self._see_to_faults()
         with self._translated():
+            self._see_to_script()
             x, y, z, *turned = (float(value) for value in self._receive.getActualTCPPose())
         pitch, roll, yaw = pose_angles(rotation_matrix(np.array(turned)))
         return Pose(x, y, z, pitch_rad=pitch, roll_rad=roll, yaw_rad=yaw)
@@ -184,8 +297,39 @@ class UniversalRobot(Arm):
         control = self._control
         if control is None:
             raise ConnectionLostError(f"{self._host}: not connected")
-        with self._translated():
-            control.stopL(self._options.stop_m_s2, True)
+        refusal = self._try_stop(control)
+        if refusal is None or self._program_has_ended():
+            return
+        try:
+            ur_dashboard.stop_program(self._host)
+        except OSError as error:
+            raise type(refusal)(
+                f"{refusal}; nor could the program be stopped instead: {error}"
+            ) from error
+        logger.warning("%s; the program was stopped instead", refusal)
+
+    def _try_stop(self, control: Any) -> RobotError | None:
+        """Stop by the control script; return why that cannot have worked."""
+        self._stop_waits = True
+        try:
+            with self._translated(), self._holding(COMMAND_S):
+                self._stop_waits = False
+                accepted = control.stopL(self._options.stop_m_s2, True)
+                # Some versions of the library answer nothing; refused is what no script takes.
+                if accepted is False or not control.isProgramRunning():
+                    return CommandRefusedError("stopL was refused")
+        except RobotError as error:
+            return error
+        finally:
+            self._stop_waits = False
+        return None
+
+    def _program_has_ended(self) -> bool:
+        """Whether nothing runs, or could run on, that moves the arm."""
+        try:
+            return bool(self._receive.getRuntimeState() == PROGRAM_STOPPED)
+        except Exception:
+            return False
 
     def _move_gripper(self, opening: float, turn: Turn) -> None:
         self._see_to_faults()
@@ -198,6 +342,7 @@ class UniversalRobot(Arm):
                 turn,
             )
         if not done[0]:
+            self._see_to_faults()
             raise GripperError(f"digital output {self._options.gripper_output} was refused")
         self._pause(self._options.gripper_s, turn)
 
@@ -206,16 +351,65 @@ class UniversalRobot(Arm):
             if not self._receive.isConnected():
                 raise ConnectionLostError(f"{self._host}: connection lost")
             if self._receive.isEmergencyStopped():
-                raise RobotFaultError("emergency stop: release it at the pendant")
+                raise RobotFaultError(EMERGENCY_STOP)
             if self._receive.isProtectiveStopped():
-                raise RobotFaultError("protective stop: unlock it at the pendant")
+                raise RobotFaultError(PROTECTIVE_STOP)
+
+    def _see_to_mode(self) -> None:
+        mode = self._receive.getRobotMode()
+        if mode != MODE_RUNNING:
+            raise RobotFaultError(
+                f"robot mode {mode}: switch the arm on and release its brakes at the pendant",
+                number=mode,
+            )
+
+    def _see_to_script(self) -> None:
+        if not self._control.isProgramRunning():
+            raise self._without_script(SCRIPT_STOPPED)
+
+    def _without_script(self, otherwise: str) -> RobotFaultError:
+        """Return the error of a control script that does not run."""
+        self._see_to_faults()
+        off = ur_dashboard.remote_control_is_off(self._host)
+        return RobotFaultError(REMOTE_CONTROL_OFF if off else otherwise)
+
+    def _refusal(self, command: str) -> RobotError:
+        """Return the error of a command that the controller has not taken."""
+        self._see_to_faults()
+        self._see_to_script()
+        if ur_dashboard.remote_control_is_off(self._host):
+            return CommandRefusedError(REMOTE_CONTROL_OFF)
+        return CommandRefusedError(
+            f"{command} was refused though the control script runs: see that remote control is on "
+            "and that no other program uses the arm"
+        )
+
+    @contextmanager
+    def _commanding(self) -> Iterator[None]:
+        """Send a command when the one before is done, and after any stop that waits."""
+        while self._stop_waits:
+            time.sleep(COMMAND_S / 10)
+        with self._commands:
+            yield
+
+    @contextmanager
+    def _holding(self, patience_s: float) -> Iterator[None]:
+        """Wait for the command before, and go on without after a time."""
+        held = self._commands.acquire(timeout=patience_s)
+        try:
+            yield
+        finally:
+            if held:
+                self._commands.release()
 
     @contextmanager
     def _translated(self) -> Iterator[None]:
-        """Turn what the library raises into a lost connection."""
+        """Turn what the library raises into errors of ours."""
         try:
             yield
-        except RobotError:
+        except FingerpostError:
             raise
         except (RuntimeError, OSError, AttributeError) as error:
             raise ConnectionLostError(f"{self._host}: {error}") from error
+        except Exception as error:
+            raise CommandRefusedError(f"{self._host}: {type(error).__name__}: {error}") from error

@@ -1,22 +1,34 @@
 """UFACTORY xArm through its vendor's library `xarm-python-sdk` (extra `xarm`).
 
 The library speaks millimetres, and radians if told to; every call answers with a code, 0 when all
-is well, and errors of the arm stay until they are cleaned. Moves are sent without waiting, so that
-a stop finds the line free. State 4 stops the arm and keeps it from moving until state 0.
+is well, and errors of the arm stay until they are cleaned. Moves are sent without waiting. State 4
+stops the arm and keeps it from moving until state 0.
+
+The library holds a lock from each request to its answer, for up to 2 s on a line that has fallen
+silent. A stop takes no part in that: its frame goes out on the same connection, between the frames
+of others, under a transaction number that the library never uses, so that it steps over the answer.
+Nor does it wait for the network to acknowledge the frame before it (TCP_NODELAY).
 """
 
 from __future__ import annotations
 
+import logging
+import queue
+import socket
+import struct
+import threading
 import time
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from typing import Annotated, Any
 
 import msgspec
 
+from fingerpost.errors import FingerpostError
 from fingerpost.robot.arm import Arm, ArrivalRule, Turn
 from fingerpost.robot.errors import (
     ConnectionLostError,
+    GarbledReplyError,
     GripperError,
     NotReadyError,
     OutOfReachError,
@@ -34,13 +46,37 @@ from fingerpost.robot.orientation import (
 )
 from fingerpost.robot.protocol import Angle, GripperKind, Limits, Pose
 
+logger = logging.getLogger(__name__)
+
 MM_PER_M = 1000.0
 GRIPPER_PULSES = 850
 """The gripper's position when open; 0 is closed."""
 
+GRIPPER_NEAR = 2
+"""Positions of the gripper this near each other are the same place [pulses]: 0.2 mm."""
+
+GRIPPER_POLL_S = 0.1
+"""Pause between two readings of the gripper [s]."""
+
+GRIPPER_START_S = 2.0
+"""The gripper has begun to move within this [s], or is kept from it; the library waits as long."""
+
+GRIPPER_STILL_S = 0.2
+"""A gripper that has moved, and then not for this long, stands [s]."""
+
+OPEN_S = 10.0
+"""The control box has answered within this [s]; the library would ask a silent one for minutes."""
+
 STOPPED_STATE = 4
+PAUSED_STATE = 3
 READY_STATE = 0
 POSITION_MODE = 0
+
+SET_STATE = 12
+"""The function code of `set_state` in the control box's protocol."""
+
+STOP_TRANSACTION = 0
+"""The transaction number of a stop; the library counts from 1."""
 
 _CODES: dict[int, tuple[type[RobotError], str]] = {
     -1: (ConnectionLostError, "not connected"),
@@ -139,71 +175,111 @@ class Xarm(Arm):
             sleep=sleep,
         )
         self._host = host
-        self._library = require("xarm.wrapper", "xarm")
+        self._library = require("xarm.wrapper", "xarm", silent=True)
         self._api: Any = None
         self._stopped = False
 
     def _open(self) -> None:
+        self._close()
+        self._api = self._connect()
+        if (stream := self._stream(self._api)) is not None:
+            with suppress(OSError):  # the line of a box that is this computer is none of TCP
+                stream.com.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        with self._translated():
+            self._stopped = True
+            self._accept(self._api.set_state(STOPPED_STATE), "set_state")
+
+    def _connect(self) -> Any:
+        """Connect in a thread, which is left alone when it takes too long."""
+        result: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        given_up = threading.Event()
+
+        def connect() -> None:
+            default_s = socket.getdefaulttimeout()
+            try:
+                api = self._library.XArmAPI(self._host, is_radian=True)
+            except Exception as error:  # the library raises plain Exception
+                result.put(error)
+                return
+            finally:
+                socket.setdefaulttimeout(default_s)  # the library sets it for the whole process
+            result.put(api)
+            if given_up.is_set():
+                api.disconnect()
+
+        threading.Thread(target=connect, name="xarm", daemon=True).start()
         try:
-            self._api = self._library.XArmAPI(self._host, is_radian=True)
-        except Exception as error:  # the library raises plain Exception when it cannot connect
-            raise ConnectionLostError(f"{self._host}: {error}") from error
-        self._send_stop()
+            made = result.get(timeout=OPEN_S)
+        except queue.Empty:
+            given_up.set()
+            raise RobotTimeoutError(
+                f"{self._host}: the control box does not answer within {OPEN_S:g} s"
+            ) from None
+        if isinstance(made, Exception):
+            raise ConnectionLostError(f"{self._host}: {made}") from made
+        return made
 
     def _close(self) -> None:
         api, self._api = self._api, None
         if api is not None:
-            with suppress(OSError):
+            try:
                 api.disconnect()
+            except Exception as error:  # it is of no use any more, whatever this says
+                logger.warning("%s: closing the connection: %s", self._host, error)
 
     def _home(self, turn: Turn, report: Callable[[str], None]) -> None:
         """Its encoders are absolute: homing enables the motors, and moves nothing."""
         self._check(turn)
-        api = self._connected()
-        api.clean_error()
-        api.clean_warn()
-        self._accept(api.motion_enable(True), "motion_enable")
-        self._accept(api.set_mode(POSITION_MODE), "set_mode")
-        self._accept(api.set_state(READY_STATE), "set_state")
-        self._stopped = False
-        if self._options.gripper:
-            self._accept(api.set_gripper_enable(True), "set_gripper_enable", GripperError)
-            self._accept(api.set_gripper_mode(0), "set_gripper_mode", GripperError)
+        with self._translated():
+            api = self._connected()
+            api.clean_error()
+            api.clean_warn()
+            # Ready, an arm that was paused would go on with its move.
+            self._accept(api.set_state(STOPPED_STATE), "set_state")
+            self._accept(api.motion_enable(True), "motion_enable")
+            self._accept(api.set_mode(POSITION_MODE), "set_mode")
+            self._accept(api.set_state(READY_STATE), "set_state")
+            self._stopped = False
+            if self._options.gripper:
+                self._accept(api.set_gripper_enable(True), "set_gripper_enable", GripperError)
+                self._accept(api.set_gripper_mode(0), "set_gripper_mode", GripperError)
         report("absolute encoders: no motion needed")
 
     def _start_move(self, pose: Pose, speed_m_s: float, turn: Turn) -> None:
-        api = self._ready()
-        x, y, z = (MM_PER_M * value for value in pose.position_m)
-        if (angles := pose.angles()) is not None:
-            roll, pitch, yaw = fixed_angles(tool_rotation(*angles))
-        else:
-            roll, pitch, yaw = self._position(api)[3:]
-        codes: list[int] = []
-        self._issue(
-            lambda: codes.append(
-                api.set_position(
-                    x=x,
-                    y=y,
-                    z=z,
-                    roll=roll,
-                    pitch=pitch,
-                    yaw=yaw,
-                    speed=MM_PER_M * speed_m_s,
-                    mvacc=MM_PER_M * self._options.acceleration_m_s2,
-                    is_radian=True,
-                    wait=False,
-                )
-            ),
-            turn,
-        )
-        self._accept(codes[0], "set_position")
+        with self._translated():
+            api = self._ready()
+            x, y, z = (MM_PER_M * value for value in pose.position_m)
+            if (angles := pose.angles()) is not None:
+                roll, pitch, yaw = fixed_angles(tool_rotation(*angles))
+            else:
+                roll, pitch, yaw = self._position(api)[3:]
+            codes: list[int] = []
+            self._issue(
+                lambda: codes.append(
+                    api.set_position(
+                        x=x,
+                        y=y,
+                        z=z,
+                        roll=roll,
+                        pitch=pitch,
+                        yaw=yaw,
+                        speed=MM_PER_M * speed_m_s,
+                        mvacc=MM_PER_M * self._options.acceleration_m_s2,
+                        is_radian=True,
+                        wait=False,
+                    )
+                ),
+                turn,
+            )
+            self._accept(codes[0], "set_position")
 
     def _read_pose(self, turn: Turn) -> Pose:
         self._check(turn)
-        api = self._connected()
-        if api.error_code:
-            raise RobotFaultError(f"error C{api.error_code}", number=int(api.error_code))
-        x, y, z, roll, pitch, yaw = self._position(api)
+        with self._translated():
+            api = self._connected()
+            if number := self._error(api):
+                raise RobotFaultError(f"error C{number}", number=number)
+            x, y, z, roll, pitch, yaw = self._position(api)
         up, about, azimuth = pose_angles(from_fixed_angles(roll, pitch, yaw))
         return Pose(
             x / MM_PER_M,
@@ -216,30 +292,61 @@ class Xarm(Arm):
 
     def _send_stop(self) -> None:
         self._stopped = True
-        api = self._connected()
-        self._accept(api.set_state(STOPPED_STATE), "set_state")
+        with self._translated():
+            api = self._connected()
+            stream = self._stream(api)
+            if stream is None:  # behind the library's other requests
+                self._accept(api.set_state(STOPPED_STATE), "set_state")
+                return
+            protocol = api._arm.arm_cmd.get_protocol_identifier()
+            if stream.write(_frame(STOP_TRANSACTION, protocol, SET_STATE, STOPPED_STATE)) != 0:
+                raise ConnectionLostError(f"{self._host}: the stop cannot be written")
+
+    @staticmethod
+    def _stream(api: Any) -> Any:
+        """Return the library's own connection, if this version of it has one where it was."""
+        return getattr(getattr(api, "_arm", None), "_stream", None)
 
     def _move_gripper(self, opening: float, turn: Turn) -> None:
-        api = self._ready()
-        codes: list[int] = []
-        pulses = round(GRIPPER_PULSES * opening)
-        self._issue(lambda: codes.append(api.set_gripper_position(pulses, wait=False)), turn)
-        self._accept(codes[0], "set_gripper_position", GripperError)
-        end_s = self._clock() + self._options.gripper_timeout_s
-        previous = None
-        while True:  # a gripper that holds something never gets to its goal: wait until it stands
-            self._pause(0.1, turn)
-            code, position = api.get_gripper_position()
-            self._accept(code, "get_gripper_position", GripperError)
-            if position == previous:
+        with self._translated():
+            api = self._ready()
+            goal = round(GRIPPER_PULSES * opening)
+            start = self._pulses(api)
+            codes: list[int] = []
+            self._issue(lambda: codes.append(api.set_gripper_position(goal, wait=False)), turn)
+            self._accept(codes[0], "set_gripper_position", GripperError)
+            self._await_gripper(api, start, goal, turn)
+
+    def _await_gripper(self, api: Any, start: int, goal: int, turn: Turn) -> None:
+        """Wait until the gripper is at its goal, or stands after it has moved.
+
+        One that holds something never gets to its goal, and does not move at all when it is told
+        to close further. Nothing keeps it from opening, though, but a fault.
+        """
+        begin_s = since_s = self._clock()
+        at = start
+        while True:
+            self._pause(GRIPPER_POLL_S, turn)
+            before, at, now_s = at, self._pulses(api), self._clock()
+            if abs(at - goal) <= GRIPPER_NEAR:
                 return
-            previous = position
-            if self._clock() > end_s:
-                raise GripperError(f"the gripper still moves at {position} pulses")
+            has_moved = abs(at - start) > GRIPPER_NEAR
+            if abs(at - before) > GRIPPER_NEAR:
+                since_s = now_s
+            elif has_moved and now_s - since_s >= GRIPPER_STILL_S:
+                return
+            if not has_moved and now_s - begin_s > GRIPPER_START_S:
+                if goal < start:
+                    return
+                raise GripperError(f"the gripper stands at {at} pulses, sent to {goal}")
+            if now_s - begin_s > self._options.gripper_timeout_s:
+                raise GripperError(f"the gripper still moves at {at} pulses")
 
     def _ready(self) -> Any:
         """Return the library's arm, made ready again after a stop."""
         api = self._connected()
+        if api.state == PAUSED_STATE:  # the library would wait until somebody goes on
+            raise NotReadyError("paused in UFACTORY Studio: go on or stop there, then home again")
         if self._stopped:
             self._accept(api.set_state(READY_STATE), "set_state")
             self._stopped = False
@@ -256,6 +363,25 @@ class Xarm(Arm):
         self._accept(code, "get_position")
         return [float(value) for value in values]
 
+    def _error(self, api: Any) -> int:
+        """Return the number of the arm's error; a report may be older than its clearing."""
+        reported = int(api.error_code)
+        if reported:
+            try:
+                code, (number, _) = api.get_err_warn_code()
+            except Exception:  # what cannot be asked about is believed
+                return reported
+            if code == 0:
+                return int(number)
+        return reported
+
+    def _pulses(self, api: Any) -> int:
+        code, position = api.get_gripper_position()
+        self._accept(code, "get_gripper_position", GripperError)
+        if position is None:
+            raise GripperError("the gripper's position cannot be read")
+        return int(position)
+
     def _accept(self, code: int, call: str, kind: type[RobotError] = RobotFaultError) -> None:
         """Raise what a code means; warnings are no failure."""
         if code in (0, _WARNING_CODE):
@@ -266,3 +392,18 @@ class Xarm(Arm):
             number = int(self._api.error_code or code) if self._api is not None else code
             raise RobotFaultError(message, number=number)
         raise known(message)
+
+    @contextmanager
+    def _translated(self) -> Iterator[None]:
+        """Turn what the library raises on an answer that it cannot read into an error of ours."""
+        try:
+            yield
+        except FingerpostError:
+            raise
+        except Exception as error:
+            raise GarbledReplyError(f"{self._host}: {type(error).__name__}: {error}") from error
+
+
+def _frame(transaction: int, protocol: int, function: int, value: int) -> bytes:
+    """Return the control box's frame that sets one byte."""
+    return struct.pack(">HHHBB", transaction, protocol, 2, function, value)

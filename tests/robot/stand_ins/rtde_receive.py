@@ -1,0 +1,10 @@
+"""Stands in for the module of this name of `ur_rtde`."""
+
+from ur_line import Part
+
+
+class RTDEReceiveInterface(Part):
+    """As its namesake."""
+
+    def __init__(self, hostname):
+        super().__init__("rtde_receive", hostname)

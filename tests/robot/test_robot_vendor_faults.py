@@ -1,0 +1,219 @@
+"""Every kind of fault of a vendor's arm, met by moves: a true position or an error of ours.
+
+A fault is there before a move, or comes while it is commanded or runs. Nothing hangs, nothing is
+believed that is not so, and afterwards the arm can be used again. FINGERPOST_FAULT_MOVES=8 has
+eight meet each.
+"""
+
+import os
+import sys
+import threading
+import time
+from dataclasses import replace
+from types import ModuleType
+
+import numpy as np
+import pytest
+from test_robot_xarm import box as xarm_box  # noqa: F401 - a fixture
+from ur_stand_in import Program, UrController, dashboard, libraries
+
+from fingerpost.robot import ur_dashboard
+from fingerpost.robot.errors import ConnectionLostError, RobotError
+from fingerpost.robot.protocol import TOOL_DOWN_RAD, Pose
+from fingerpost.robot.ur import UniversalRobot, UrOptions
+from fingerpost.robot.xarm import Xarm, XarmOptions
+
+MOVES = int(os.environ.get("FINGERPOST_FAULT_MOVES", "2"))
+
+LIMIT_S = 15.0
+"""No call lasts longer; xArm's library waits 10 s for the answer to a move."""
+
+NEAR_M = 1.2e-3
+"""The arrival tolerance of 1 mm, and rounding."""
+
+GOAL = Pose(0.3, 0.1, 0.2, pitch_rad=TOOL_DOWN_RAD, roll_rad=0.4, yaw_rad=0.0)
+
+
+def moves(robot, position, fault, mend):
+    """Move through a fault that comes before the move, or at a time of its own."""
+    outcomes = []
+    rng = np.random.default_rng(0)
+    for k in range(MOVES):
+        goal = replace(GOAL, y_m=0.1 * (-1) ** k)
+        meddler = threading.Timer(float(rng.uniform(0.0, 0.3)), fault)
+        if k % 2:
+            fault()
+        else:
+            meddler.start()
+        begin_s = time.monotonic()
+        try:
+            robot.move_to(goal, speed_m_s=0.5)
+            assert np.linalg.norm(position() - goal.position_m) < NEAR_M
+            outcomes.append("arrived")
+        except RobotError as error:
+            outcomes.append(type(error).__name__)
+        assert time.monotonic() - begin_s < LIMIT_S
+        if not k % 2:
+            meddler.join()
+        mend()
+        recover(robot)
+        assert robot.pose().distance_m(Pose(*position())) < NEAR_M
+    return outcomes
+
+
+def recover(robot):
+    """Do what an operator does after an error, which may be noticed only now."""
+    for _ in range(3):
+        try:
+            if robot.status().state == "disconnected":
+                robot.reconnect(timeout_s=LIMIT_S)
+            if not robot.status().homed:
+                robot.home()
+            robot.stop()
+            robot.pose()
+            return
+        except ConnectionLostError:
+            robot.close()
+        except RobotError:
+            pass
+    pytest.fail("the arm cannot be used again")
+
+
+# Universal Robots.
+
+
+def change(**fields):
+    def fault(controller):
+        for name, value in fields.items():
+            setattr(controller, name, value)
+
+    return fault
+
+
+def raise_from(part, method, error):
+    """A method of the library that raises for a while."""
+
+    def fault(controller):
+        def fail(*_):
+            raise error
+
+        setattr(controller.parts[part], method, fail)
+
+    return fault
+
+
+def answer_from(part, method, answer):
+    def fault(controller):
+        setattr(controller.parts[part], method, lambda *_: answer)
+
+    return fault
+
+
+UR_FAULTS = {
+    "program stopped": UrController.stop_program,
+    "program paused": UrController.pause,
+    "protective stop": change(protective=True),
+    "emergency stop": change(emergency=True, program=Program.STOPPED),
+    "disconnected": change(connected=False),
+    "moves refused": change(accepts=False),
+    "out of reach": change(reachable=False),
+    "stuck": change(stuck=True),
+    "stop raises": change(stop_error=RuntimeError("broken pipe")),
+    "watchdog": lambda controller: setattr(controller, "_written_s", time.monotonic() - 1.0),
+    "receive raises": raise_from("rtde_receive", "getActualTCPPose", RuntimeError("no data")),
+    "receive is odd": raise_from("rtde_receive", "getActualTCPPose", ValueError("no key")),
+    "status raises": raise_from("rtde_receive", "isProtectiveStopped", RuntimeError("no data")),
+    "pose is NaN": answer_from("rtde_receive", "getActualTCPPose", [float("nan")] * 6),
+    "pose is short": answer_from("rtde_receive", "getActualTCPPose", [0.1, 0.2]),
+    "move raises": raise_from("rtde_control", "moveL", RuntimeError("broken pipe")),
+    "script unknown": raise_from("rtde_control", "isProgramRunning", RuntimeError("no data")),
+}
+
+
+@pytest.mark.parametrize("kind", UR_FAULTS)
+def test_a_ur_through_faults(kind, monkeypatch):
+    controller = UrController()
+    controller.parts = {}
+    for name, kind_of in libraries(controller).items():
+
+        def make(hostname, name=name, kind_of=kind_of):
+            controller.parts[name] = kind_of(hostname)
+            return controller.parts[name]
+
+        module = ModuleType(name)
+        setattr(module, kind_of.__name__, make)
+        monkeypatch.setitem(sys.modules, name, module)
+
+    def mend():
+        change(emergency=False, connected=True, accepts=True, reachable=True)(controller)
+        change(protective=False, stuck=False, stop_error=None)(controller)
+        for part in controller.parts.values():
+            vars(part).clear()
+
+    with dashboard(controller) as port:
+        monkeypatch.setattr(ur_dashboard, "PORT", port)
+        with UniversalRobot("127.0.0.1", UrOptions(stall_s=0.1)) as robot:
+            robot.home()
+            outcomes = moves(
+                robot, controller.arm.position, lambda: UR_FAULTS[kind](controller), mend
+            )
+    print(kind, outcomes)  # shown by pytest -s
+    assert len(outcomes) == MOVES
+
+
+# xArm, through its own library.
+
+
+def cut(box, robot):
+    robot._api._arm._stream.com.close()
+
+
+def garble(box, _robot):
+    rng = np.random.default_rng(1)
+    box.garble = lambda reply: reply[:6] + rng.bytes(len(reply) - 6)
+
+
+def shorten(box, _robot):
+    def fewer(reply):
+        body = reply[6:-2] if len(reply) > 8 else reply[6:]
+        return reply[:4] + len(body).to_bytes(2, "big") + body
+
+    box.garble = fewer
+
+
+def with_error(number):
+    return lambda box, _robot: setattr(box, "error", number)
+
+
+XARM_FAULTS = {
+    "silent": lambda box, _robot: setattr(box, "silent", True),
+    "cut": cut,
+    "garbage": garble,
+    "cut short": shorten,
+    "error C2": with_error(2),
+    "error C22": with_error(22),
+    "error C31": with_error(31),
+    "stopped in Studio": lambda box, _robot: box._set_state(4),
+    "paused in Studio": lambda box, _robot: box._set_state(3),
+    "gone off": lambda box, _robot: box.hang_up(),
+    "NaN": lambda box, _robot: setattr(box, "not_a_number", True),
+    "stuck": lambda box, _robot: setattr(box, "stuck", True),
+}
+
+
+@pytest.mark.filterwarnings(  # garbage ends threads of the library's, not those of the driver
+    "ignore::pytest.PytestUnhandledThreadExceptionWarning"
+)
+@pytest.mark.parametrize("kind", XARM_FAULTS)
+def test_an_xarm_through_faults(kind, xarm_box):  # noqa: F811
+    box = xarm_box
+
+    def mend():
+        box.silent, box.garble, box.error = False, None, 0
+        box.not_a_number = box.stuck = False
+
+    with Xarm("127.0.0.1", XarmOptions(stall_s=0.1)) as robot:
+        robot.home()
+        outcomes = moves(robot, box.arm.position, lambda: XARM_FAULTS[kind](box, robot), mend)
+    print(kind, outcomes)  # shown by pytest -s
+    assert len(outcomes) == MOVES
