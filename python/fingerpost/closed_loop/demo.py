@@ -224,7 +224,7 @@ class _Stage:
 @contextmanager
 def _physical(rng: np.random.Generator, block_mm: Array, tell: Tell) -> Iterator[_Stage]:
     cell = PhysicalCell(
-        CameraPlacement().cameras(), Hand().body, rng=rng, optics=Optics(blur_px=0.6, samples=4)
+        CameraPlacement().cameras(), Hand().body, rng=rng, optics=Optics()
     )
     cell.put_block(BESIDE_MM, 0.0)
     world = World(cell, FRAMES_PER_S)
