@@ -50,6 +50,17 @@ def test_without_it_a_simulated_robot_goes_there(tmp_path, no_mujoco):
     assert_written(tmp_path, 60)
 
 
+def test_the_demo_is_played_to_its_end(tmp_path):
+    summary = run_robot_demo(tmp_path, seed=0)
+    assert summary.problem == ""
+    assert not summary.shortened
+    assert summary.placed_mm < 10.0
+    assert all(leg.closed_mm < 10.0 for leg in summary.legs)
+    assert summary.false_fixes == 0  # the gripper, which is in the picture all the time, is no hand
+    assert summary.fixes > 0.9 * summary.frames
+    assert summary.table_steps == 0
+
+
 def assert_written(folder, frames):
     assert {path.name for path in folder.iterdir()} == FILES
     video = cv2.VideoCapture(str(folder / "overlay.mp4"))
@@ -73,7 +84,7 @@ def test_the_command_says_in_one_line_what_is_missing(tmp_path, no_mujoco):
 
 
 def test_an_errand_that_fails_fails_the_command(tmp_path, monkeypatch, no_mujoco):
-    monkeypatch.setattr("fingerpost.closed_loop.course.FIX_S", 0.0)  # he does not wait for a fix
+    monkeypatch.setattr("fingerpost.closed_loop.errand.FIX_S", 0.0)  # he does not wait for a fix
     demo = ["demo", "--robot", "--output", str(tmp_path)]
     result = CliRunner().invoke(main, demo)
     assert result.exit_code == 1

@@ -139,7 +139,6 @@ def plane(
     from fingerpost.config import Rig, RobotTable
     from fingerpost.guidance import (
         PlaneOptions,
-        attended,
         define_plane,
         guard_of,
         held_down,
@@ -185,7 +184,7 @@ def plane(
         if not keep_pose:
             table = _replaced(table, held_down(robot, robot.pose()))
         guard = guard_of(robot, table, guard_options, on_record=on_record)
-        with guarded(guard), attended(guard):
+        with guarded(guard), guard.attended():
             guard.arm()
             found = define_plane(
                 guard, cameras, frames, finders, options, progress=_progress(options.points)

@@ -223,9 +223,7 @@ class _Stage:
 
 @contextmanager
 def _physical(rng: np.random.Generator, block_mm: Array, tell: Tell) -> Iterator[_Stage]:
-    cell = PhysicalCell(
-        CameraPlacement().cameras(), Hand().body, rng=rng, optics=Optics()
-    )
+    cell = PhysicalCell(CameraPlacement().cameras(), Hand().body, rng=rng, optics=Optics())
     cell.put_block(BESIDE_MM, 0.0)
     world = World(cell, FRAMES_PER_S)
     try:
@@ -385,7 +383,8 @@ class _Film:
             robot=self._marks(moment),
         )
         self._video.write(image)
-        if self._best is None or moment.doing == "with feedback":
+        is_telling = moment.doing == "with feedback" and step.fix.point is not None
+        if self._best is None or is_telling:
             self._best = image
 
     def picture(self) -> None:

@@ -167,7 +167,7 @@ class Errand(Scripted):
             if not (yield from self._point(target_mm, number)):
                 self._give_up("nothing was selected")
                 return
-        self.hand_is_away = True
+        self.hand_is_away, self.doing = True, "watch"
         if not (yield from self._until(lambda: self._loop.session.done, CARRYING_S)):
             self._give_up("the block was not carried")
 

@@ -97,7 +97,8 @@ def tell_from_hands(views: Sequence[PassingView], bodies: Sequence[Capsule]) -> 
     """
     verdicts: dict[int, bool] = {}
     for k, other in permutations(range(len(views)), 2):
-        if views[k].may_show_body and views[other].tip_px is not None:
+        shown = views[k].tip_px is not None and views[other].tip_px is not None
+        if views[k].may_show_body and shown:
             on_body = _is_on_body(views[k], views[other], bodies)
             verdicts[k] = verdicts.get(k, True) and not on_body
     for k, view in enumerate(views):

@@ -212,6 +212,7 @@ class HandView:
         frame
             The view's next; None where there is none.
         """
+        self.may_show_body = self.shows_body = False
         if frame is None:
             return
         height_px, width_px = frame.image.shape[:2]
@@ -314,7 +315,6 @@ class HandView:
 
     def follow(self, frame: Frame, track: Track) -> None:
         """Take over what the tracker made of the view's frame."""
-        self.shows_body = False
         self.may_show_body = self._body.shows_as(track.finger_line)
         if self.may_show_body and not self.is_sure:
             self.judge_body(is_hand=False)

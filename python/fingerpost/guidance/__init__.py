@@ -5,7 +5,7 @@ guard of a rig with a [robot] table. Nothing here knows a command line.
 """
 
 from fingerpost.guidance.agreement import Agreement, Sightings, ViewTie, agree, need_certainty
-from fingerpost.guidance.attendance import Attendance, attended, attended_at_first, paced
+from fingerpost.guidance.attendance import Attendance, attended_at_first, paced
 from fingerpost.guidance.errors import (
     GripperNotFoundError,
     InconsistentPlaneError,
@@ -63,7 +63,6 @@ __all__ = [
     "Visit",
     "Worker",
     "agree",
-    "attended",
     "attended_at_first",
     "define_plane",
     "guard_of",

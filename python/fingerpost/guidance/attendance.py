@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import math
-import threading
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import replace
 from enum import StrEnum
 from itertools import chain, pairwise, zip_longest
@@ -24,35 +22,13 @@ class Attendance(StrEnum):
     """The hand that guides is tracked in a view; while the arm stands, it may be away."""
 
 
-@contextmanager
-def attended(guard: Guard) -> Iterator[None]:
-    """Take it that the operator is there as long as the block lasts, as he has just started it.
-
-    For what a person starts and watches over; the signals that end a program end this too.
-    """
-    done = threading.Event()
-
-    def beat() -> None:
-        while not done.wait(guard.options.operator_timeout_s / 5):
-            guard.heartbeat()
-
-    thread = threading.Thread(target=beat, name="attended", daemon=True)
-    guard.heartbeat()
-    thread.start()
-    try:
-        yield
-    finally:
-        done.set()
-        thread.join()
-
-
 def attended_at_first(guard: Guard, steps: Iterator[Step]) -> Iterator[Step]:
     """Give steps; until there is the first, take it that the operator is there.
 
     The first frames take longest, on a slow computer longer than he may be missing, and before
     them nothing moves the arm.
     """
-    with attended(guard):
+    with guard.attended():
         first = next(steps, None)
     if first is not None:
         yield first

@@ -19,7 +19,7 @@ from typing import Self
 import numpy as np
 
 from fingerpost.errors import InvalidInputError
-from fingerpost.guidance.attendance import Attendance, attended
+from fingerpost.guidance.attendance import Attendance
 from fingerpost.guidance.worker import Jobs, Worker
 from fingerpost.pipeline import Step
 from fingerpost.pointing import FingerLine, Fix, Status
@@ -260,7 +260,7 @@ class Session:
         while not self._quit:
             try:
                 self._guard.arm()
-                with nullcontext() if holds_key else attended(self._guard):
+                with nullcontext() if holds_key else self._guard.attended():
                     self._guard.enter()
                 return
             except (NotArmedError, StoppedError):

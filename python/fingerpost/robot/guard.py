@@ -116,6 +116,7 @@ class Guard:
         self._running: tuple[Presence | None, int] = (None, 0)
         self._entered_after: int | None = None
         self._heard_s = -np.inf
+        self._vouchers = 0
 
     # The operator's side.
 
@@ -220,6 +221,19 @@ class Guard:
     def heartbeat(self) -> None:
         """Tell that the operator is there; call it several times per `operator_timeout_s`."""
         self._heard_s = self._clock()
+
+    @contextmanager
+    def attended(self) -> Iterator[None]:
+        """Take it that the operator is there as long as the block lasts, as he has just started it.
+
+        For what a person starts and watches over; the signals that end a program end this too.
+        """
+        self._vouchers += 1
+        try:
+            yield
+        finally:
+            self.heartbeat()
+            self._vouchers -= 1
 
     def observe(self, fix: Fix) -> None:
         """Take the newest fix, whatever its status; never waits.
@@ -683,6 +697,8 @@ class Guard:
             raise RefusedError(problem)
 
     def _operator_present(self) -> bool:
+        if self._vouchers:
+            return True
         heard_s = self._heard_s  # before the clock: another thread may hear of him in between
         # Of a clock that runs backwards, or gives no number, nothing is believed.
         return 0 <= self._clock() - heard_s <= self.options.operator_timeout_s

@@ -1,0 +1,184 @@
+"""Whose hand it is: what is recognised, what does not take its place, and who is counted anew."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from fingerpost._core import StartPose
+from fingerpost.capture import Frame
+from fingerpost.finding.body import Body, meeting_point, tell_from_hands
+from fingerpost.finding.identity import (
+    PRESENTED_FRAMES,
+    REMEMBERED_S,
+    Identity,
+    Looks,
+    Memory,
+)
+from fingerpost.finding.pairs import Viewpoint
+from fingerpost.pointing import PlaneView
+from fingerpost.silhouette import Capsule
+from fingerpost.simulate import SimulatedRig
+
+SKIN = (130.0, 158.0, 219.0)
+STEEL = (148.0, 140.0, 133.0)
+HALF_WIDTH_PX = 8.0
+
+
+def looks(levels=SKIN, *, gain=1.0, half_width_px=HALF_WIDTH_PX, angle_rad=0.3, tip=(320.0, 240.0)):
+    """How a finger of these colours looks in a picture of its own."""
+    image = np.zeros((480, 640, 3), np.uint8)
+    image[:] = np.clip(gain * np.array(levels), 0, 255)
+    line = SimpleNamespace(tip_px=tip, angle_rad=angle_rad)
+    return Looks.of(Frame(0, 0.0, image), line, half_width_px)
+
+
+def test_a_hand_is_recognised_in_other_light_and_nearer():
+    memory = Memory()
+    memory.learn(looks(), 1.0)
+    changed = ({"gain": 0.6}, {"gain": 1.15}, {"half_width_px": 10.0}, {"angle_rad": 0.8})
+    for other in (looks(**change) for change in changed):
+        assert memory.may_be(other, 2.0)
+        assert memory.recognises(other, 2.0)
+
+
+@pytest.mark.parametrize(
+    "other", [looks(STEEL), looks((200.0, 60.0, 40.0)), looks(half_width_px=24.0)]
+)
+def test_what_looks_otherwise_does_not_take_its_place(other):
+    memory = Memory()
+    memory.learn(looks(), 1.0)
+    assert not memory.may_be(other, 2.0)
+    assert not memory.recognises(other, 2.0)
+    assert memory.may_be(other, 1.1 + REMEMBERED_S)  # by then the hand is forgotten
+
+
+def test_a_hand_from_another_side_is_another_one():
+    memory = Memory()
+    memory.learn(looks(angle_rad=0.3), 1.0)
+    opposite = looks(angle_rad=0.3 + np.pi)
+    assert memory.may_be(opposite, 2.0)
+    assert not memory.recognises(opposite, 2.0)
+
+
+def test_what_is_unlike_the_hand_teaches_nothing():
+    memory = Memory()
+    memory.learn(looks(), 0.0)
+    for k in range(100):
+        memory.learn(looks(STEEL), 0.03 * k)
+    assert not memory.may_be(looks(STEEL), 3.0)
+    assert memory.recognises(looks(), 3.0)
+
+
+def test_grey_pictures_tell_by_brightness_and_width():
+    grey = np.full((480, 640), 150, np.uint8)
+    line = SimpleNamespace(tip_px=(320.0, 240.0), angle_rad=0.0)
+    seen = Looks.of(Frame(0, 0.0, grey), line, HALF_WIDTH_PX)
+    dark = Looks.of(Frame(0, 0.0, grey // 12), line, HALF_WIDTH_PX)
+    memory = Memory()
+    memory.learn(seen, 0.0)
+    assert memory.recognises(seen, 1.0)
+    assert not memory.may_be(dark, 1.0)
+    at_the_rim = SimpleNamespace(tip_px=(5.0, 5.0), angle_rad=0.8)
+    assert Looks.of(Frame(0, 0.0, grey), at_the_rim, HALF_WIDTH_PX) is None
+
+
+def a_view(*, shows=True, sure=True, recognised=False, presented=None):
+    return SimpleNamespace(
+        shows_finger=shows, is_sure=sure, is_recognised=recognised, is_presented=presented
+    )
+
+
+def test_a_hand_keeps_its_number_while_any_view_follows_it():
+    identity = Identity()
+    identity.update([a_view(shows=False), a_view(shows=False)], 0.0)
+    assert identity.hand.number == 0
+    for time_s in (0.1, 0.2):
+        identity.update([a_view(), a_view(shows=False)], time_s)
+    identity.update([a_view(shows=False), a_view()], 0.3)
+    assert identity.hand.number == 1
+
+
+@pytest.mark.parametrize(
+    ("recognised", "gap_s", "number"),
+    [(True, 1.0, 1), (False, 1.0, 2), (True, REMEMBERED_S + 1.0, 2)],
+)
+def test_a_hand_that_comes_back(recognised, gap_s, number):
+    identity = Identity()
+    identity.update([a_view()], 0.0)
+    identity.update([a_view(shows=False)], 0.1)
+    identity.update([a_view(recognised=recognised)], 0.1 + gap_s)
+    assert identity.hand.number == number
+
+
+def test_a_hand_is_presented_when_it_is_held_at_its_template_and_is_a_hand_for_sure():
+    identity = Identity()
+    for k in range(PRESENTED_FRAMES - 1):
+        identity.update([a_view(presented=True), a_view(presented=True)], 0.03 * k)
+    identity.update([a_view(presented=True), a_view(presented=False)], 0.2)
+    assert not identity.hand.is_presented
+    for k in range(PRESENTED_FRAMES):
+        identity.update([a_view(presented=True, sure=False)], 0.3 + 0.03 * k)
+    assert not identity.hand.is_presented  # it may be the table
+    identity.update([a_view(presented=False)], 0.6)
+    assert identity.hand.is_presented
+    identity.update([a_view(shows=False)], 0.7)
+    identity.update([a_view(presented=False)], 0.8)
+    assert identity.hand == (2, False)
+
+
+# What the system itself moves.
+
+RIG = SimulatedRig()
+PLANE = np.array([[0.0, 0.0], [400.0, 0.0], [400.0, 400.0], [0.0, 400.0]])
+ARM = [Capsule((200.0, 200.0, 20.0), (200.0, 200.0, 300.0), 40.0)]
+
+
+class Shown:
+    """A view that follows a finger with its tip at a point of the world [mm]."""
+
+    def __init__(self, camera, tip_mm, *, covered=True):
+        on_table = np.pad(PLANE, ((0, 0), (0, 1)))
+        view = PlaneView.from_reference_points(PLANE, camera.project(on_table), None)
+        self.viewpoint = Viewpoint.of(view, (camera.width_px, camera.height_px))
+        tip = None if tip_mm is None else camera.project(np.array(tip_mm, dtype=float))
+        self.tip_px = None if tip is None else tuple(tip.ravel())
+        self.may_show_body = covered and tip is not None
+        self.verdict = "not judged"
+
+    def judge_body(self, *, is_hand):
+        self.verdict = is_hand
+
+
+def verdicts(*tips_mm):
+    views = [Shown(camera, tip) for camera, tip in zip(RIG.cameras, tips_mm, strict=True)]
+    tell_from_hands(views, ARM)
+    return [view.verdict for view in views]
+
+
+def test_two_tips_meet_where_the_finger_is():
+    tip_mm = (150.0, 120.0, 90.0)
+    views = [Shown(camera, tip_mm) for camera in RIG.cameras]
+    np.testing.assert_allclose(meeting_point(*views), tip_mm, atol=1e-6)
+
+
+def test_a_hand_in_front_of_the_arm_is_told_from_it():
+    in_front, on_arm = (200.0, 60.0, 90.0), (200.0, 170.0, 100.0)
+    assert verdicts(in_front, in_front) == [True, True]
+    assert verdicts(on_arm, on_arm) == [False, False]
+    assert verdicts(in_front, None) == [None, "not judged"]
+
+
+def test_a_jaw_is_the_bodys_own_and_a_hand_that_points_past_it_is_not():
+    view = Shown(RIG.cameras[0], (0.0, 0.0, 0.0)).viewpoint
+    body = Body(view.silhouette(ARM))
+    jaw, behind = RIG.cameras[0].project(np.array([(200.0, 190.0, 60.0), (200.0, 190.0, 160.0)]))
+    line = SimpleNamespace(tip_px=tuple(jaw), anchor_px=tuple((jaw + behind) / 2))
+    assert body.shows_as(line)
+    away = np.array([jaw[0] + 90.0, jaw[1]])
+    past = SimpleNamespace(tip_px=tuple(jaw), anchor_px=tuple((jaw + away) / 2))
+    assert not body.shows_as(past)
+    angle_rad = float(np.arctan2(*(jaw - behind)[::-1]))
+    assert body.shows_at(StartPose(tuple(jaw), angle_rad, float(np.linalg.norm(jaw - behind))))
+    assert not Body.none().shows_as(line)
+    assert not body.shows_as(None)

@@ -1,0 +1,88 @@
+"""Bodies above the plane in the image, against the simulated camera's own matrix."""
+
+import math
+
+import numpy as np
+import pytest
+
+from fingerpost.finding import Viewpoint
+from fingerpost.pointing import PlaneView
+from fingerpost.silhouette import Capsule, Silhouette, image_from_space
+from fingerpost.simulate import SimulatedRig
+
+CAMERA = SimulatedRig().cameras[0]
+PLANE = np.array([[0.0, 0.0], [400.0, 0.0], [400.0, 400.0], [0.0, 400.0]])
+
+
+def viewpoint() -> Viewpoint:
+    on_table = np.pad(PLANE, ((0, 0), (0, 1)))
+    view = PlaneView.from_reference_points(PLANE, CAMERA.project(on_table), None)
+    return Viewpoint.of(view, (CAMERA.width_px, CAMERA.height_px))
+
+
+def test_the_camera_matrix_is_that_of_the_camera():
+    one = viewpoint()
+    matrix = image_from_space(one.plane_view.image_from_plane, one.centre)
+    points = np.random.default_rng(1).uniform([0, 0, 0], [400, 400, 300], (50, 3))
+    image = np.pad(points, ((0, 0), (0, 1)), constant_values=1.0) @ matrix.T
+    assert image[:, 2].min() > 0
+    np.testing.assert_allclose(image[:, :2] / image[:, 2:], CAMERA.project(points), atol=1e-6)
+
+
+def test_a_capsule_covers_what_is_within_it_and_nothing_far_from_it():
+    one = viewpoint()
+    capsule = Capsule((100.0, 150.0, 20.0), (250.0, 200.0, 180.0), 30.0)
+    silhouette = one.silhouette([capsule])
+    rng = np.random.default_rng(2)
+    start, end = np.array(capsule.start), np.array(capsule.end)
+    directions = rng.normal(size=(2000, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    axis = start + rng.uniform(size=(2000, 1)) * (end - start)
+    inside = axis + 0.95 * capsule.radius * rng.uniform(size=(2000, 1)) * directions
+    assert silhouette.covers(CAMERA.project(inside)).all()
+    # Whose line of sight passes the axis at more than the radius is not covered.
+    pixels = rng.uniform([0, 0], [CAMERA.width_px, CAMERA.height_px], (2000, 2))
+    rays = one.plane_view.back_project(pixels)
+    feet = np.pad(rays, ((0, 0), (0, 1)))
+    away = np.array([_gap(one.centre, foot, start, end) for foot in feet])
+    covered = silhouette.covers(pixels)
+    assert covered[away < 0.95 * capsule.radius].all()
+    assert not covered[away > 1.05 * capsule.radius].any()
+
+
+def _gap(p: np.ndarray, foot: np.ndarray, start: np.ndarray, end: np.ndarray) -> float:
+    """Least distance of a ray from a segment, by brute force over the segment."""
+    direction = (foot - p) / np.linalg.norm(foot - p)
+    points = start + np.linspace(0.0, 1.0, 400)[:, None] * (end - start)
+    along = np.maximum((points - p) @ direction, 0.0)[:, None]
+    return float(np.linalg.norm(points - p - along * direction, axis=1).min())
+
+
+def test_what_is_behind_the_camera_has_no_image():
+    one = viewpoint()
+    behind = one.centre + (one.centre - [200.0, 200.0, 0.0])
+    point = tuple(behind.tolist())
+    assert len(one.silhouette([Capsule(point, point, 10.0)]).radii_px) == 0
+
+
+def test_where_the_camera_is_not_known_nothing_is_covered():
+    matrix = np.full((3, 4), np.nan)
+    capsule = Capsule((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), 1.0)
+    silhouette = Silhouette.of([capsule], matrix, np.full(3, np.nan))
+    assert not silhouette.covers([[0.0, 0.0]]).any()
+
+
+@pytest.mark.parametrize(
+    ("point", "distance"),
+    [((0.5, 2.0, 0.0), 2.0), ((-3.0, 4.0, 0.0), 5.0), ((4.0, 0.0, 4.0), 5.0)],
+)
+def test_the_distance_from_a_segment(point, distance):
+    capsule = Capsule((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), 1.0)
+    assert capsule.distance(np.array(point)) == pytest.approx(distance)
+
+
+def test_a_point_is_a_capsule_too():
+    capsule = Capsule((1.0, 2.0, 3.0), (1.0, 2.0, 3.0), 2.0)
+    assert capsule.spheres().tolist() == [[1.0, 2.0, 3.0, 2.0]]
+    assert capsule.distance(np.array([1.0, 2.0, 7.0])) == pytest.approx(4.0)
+    assert math.isfinite(capsule.radius)
