@@ -42,6 +42,7 @@ PYTHON_GROUPS = {
     "doctor": "application",
     "rehearsal": "application",
     "workers": "application",
+    "signals": "errors",
     "cli": "cli",
     "__main__": "cli",
     "_core": "core",

@@ -5,11 +5,8 @@ import io
 import json
 import logging
 import os
-import pty
 import re
 import signal
-import subprocess
-import sys
 import threading
 from dataclasses import dataclass
 
@@ -17,6 +14,7 @@ import cv2
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from terminals import THE_END, on_a_terminal
 
 from fingerpost.cli import main
 from fingerpost.cli.live_status import LiveStatus
@@ -28,10 +26,9 @@ from fingerpost.simulate import DevicePose, SimulatedRig, Trajectory, write_reco
 
 FRAMES = 12
 ERASED = re.compile(r"\r *\r")
-PATIENCE_S = 120.0  # far longer than a busy machine takes
 
 
-class Terminal(io.StringIO):
+class Screen(io.StringIO):
     """A terminal of a given width that remembers everything written to it."""
 
     def __init__(self, columns: int, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -85,7 +82,7 @@ class Shown:
     """A live status on a terminal, told steps at given times."""
 
     def __init__(self, columns: int, monkeypatch: pytest.MonkeyPatch) -> None:
-        self.terminal = Terminal(columns, monkeypatch)
+        self.terminal = Screen(columns, monkeypatch)
         self.now_s = 0.0
         self.status = LiveStatus(
             StatusLine(self.terminal), unit="mm", plane_size=400.0, clock=lambda: self.now_s
@@ -161,13 +158,13 @@ def test_wide_characters_are_counted_as_they_are_shown(monkeypatch):
     shown = Shown(80, monkeypatch)
     told = step(LINE, LINE, point=(1.0, 2.0), names=("左のカメラ", "右のカメラ"))
     assert cell_count(shown.at(0.0, told)) < 80
-    shown.terminal = Terminal(8, monkeypatch)
+    shown.terminal = Screen(8, monkeypatch)
     StatusLine(shown.terminal).show("左のカメラ")
     assert shown.terminal.lines == ["左のカ…"]
 
 
 def test_a_shorter_line_leaves_nothing_of_the_longer(monkeypatch):
-    terminal = Terminal(80, monkeypatch)
+    terminal = Screen(80, monkeypatch)
     line = StatusLine(terminal)
     line.show("a long line")
     line.show("short")
@@ -183,7 +180,7 @@ def test_a_terminal_without_a_size_has_eighty_columns():
 
 
 def test_what_is_logged_meanwhile_has_lines_of_its_own(monkeypatch):
-    terminal = Terminal(80, monkeypatch)
+    terminal = Screen(80, monkeypatch)
     monkeypatch.setattr("sys.stderr", terminal)
     handler = logging.StreamHandler(terminal)
     logging.getLogger().addHandler(handler)
@@ -356,64 +353,26 @@ def live_rig(rig_file, tmp_path):
     server.server_close()
 
 
-def read_until(terminal: int, pattern: str) -> str:
-    """What a program says until the pattern is found, or until it ends."""
-    said = ""
-    while not re.search(pattern, said):
-        try:
-            data = os.read(terminal, 4096)
-        except OSError:  # Linux says so where nobody writes any more
-            data = b""
-        if not data:
-            break
-        said += data.decode()
-    return said
-
-
-THE_END = r"(?!)"  # a pattern that nothing has
-
-
-@pytest.fixture
-def started():
-    """Start the command line with a terminal as its stderr, and as its stdout too; give both."""
-    running: list[tuple[subprocess.Popen[str], int]] = []
-
-    def start(*arguments: object, both: bool = False) -> tuple[subprocess.Popen[str], int]:
-        terminal, end = pty.openpty()
-        command = [sys.executable, "-m", "fingerpost", *map(str, arguments)]
-        out = end if both else subprocess.PIPE
-        process = subprocess.Popen(command, stdout=out, stderr=end, text=True)
-        os.close(end)
-        running.append((process, terminal))
-        return process, terminal
-
-    yield start
-    for process, terminal in running:
-        process.kill()
-        process.communicate()
-        os.close(terminal)
-
-
-@pytest.mark.skipif(os.name == "nt", reason="POSIX terminals and signals")
-def test_a_live_run_shows_its_state_and_sums_up_on_ctrl_c(live_rig, started):
-    run, terminal = started("run", live_rig)
-    seen = read_until(terminal, r"left \w+ +right \w+ .* fps")
-    assert " fps" in seen, seen
-    assert seen.startswith("\ropening left, right")
-    run.send_signal(signal.SIGINT)
-    rest = read_until(terminal, THE_END)
-    summary = run.communicate(timeout=PATIENCE_S)[0].splitlines()
-    assert run.returncode == 130
-    assert re.fullmatch(r"frames   [1-9]\d* in \d+\.\d s", summary[0])
+def test_a_live_run_shows_its_state_and_sums_up_on_ctrl_c(live_rig):
+    with on_a_terminal("run", live_rig) as run:
+        seen = run.read_until(r"left \w+ +right \w+ .* fps")
+        assert " fps" in seen, seen
+        assert seen.startswith("\ropening left, right")
+        run.process.send_signal(signal.SIGINT)
+        rest = run.read_until(THE_END)
+        code, summary = run.end()
+    assert code == 130
+    assert re.fullmatch(r"frames   [1-9]\d* in \d+\.\d s", summary.splitlines()[0])
     assert " fps" not in ERASED.split(rest)[-1]
     assert rest.split()[-2:] == ["fingerpost:", "stopped"]
 
 
-@pytest.mark.skipif(os.name == "nt", reason="POSIX terminals")
-def test_a_recording_has_a_bar_and_rows_for_a_program_stand_alone(rig_file, started):
-    run, terminal = started("run", rig_file)
-    assert "tracking  [" in read_until(terminal, THE_END)
-    assert run.communicate(timeout=PATIENCE_S)[0].startswith("frames")
-    _, terminal = started("run", rig_file, "--json", both=True)
-    rows = read_until(terminal, THE_END).splitlines()
+def test_a_recording_has_a_bar_and_rows_for_a_program_stand_alone(rig_file):
+    with on_a_terminal("run", rig_file) as run:
+        assert "tracking  [" in run.read_until(THE_END)
+        code, summary = run.end()
+    assert code == 0
+    assert summary.startswith("frames")
+    with on_a_terminal("run", rig_file, "--json", both=True) as run:
+        rows = run.read_until(THE_END).splitlines()
     assert [json.loads(row)["frame"] for row in rows] == list(range(FRAMES))

@@ -10,6 +10,7 @@ from pathlib import Path
 import click
 
 from fingerpost.cli.progress import watched
+from fingerpost.signals import ending_at_once
 
 SERIOUS = 1
 
@@ -30,9 +31,12 @@ def doctor(rig_file: Path, frames: int | None, as_json: bool) -> None:
     where and what would be right. Exits with 0 if nothing serious is found, with 1 if something
     prevents tracking (marked "error").
     """
-    from fingerpost.capture import Frame, open_views
-    from fingerpost.config import Rig
-    from fingerpost.doctor import DEFAULT_FRAMES, examine, look
+    with ending_at_once():
+        import cv2  # noqa: F401 - its own loader would swallow Ctrl-C
+
+        from fingerpost.capture import Frame, open_views
+        from fingerpost.config import Rig
+        from fingerpost.doctor import DEFAULT_FRAMES, examine, look
 
     rig = Rig.load(rig_file)
     count = DEFAULT_FRAMES if frames is None else frames

@@ -19,6 +19,7 @@ from fingerpost.cli.live_status import LiveStatus
 from fingerpost.cli.outputs import keep_apart, rig_files
 from fingerpost.cli.progress import StatusLine, status_line, watched
 from fingerpost.cli.run_summary import RunSummary
+from fingerpost.signals import ending_at_once
 
 if TYPE_CHECKING:
     import numpy as np
@@ -71,9 +72,12 @@ def run(
     where the hand is first seen. Ctrl-C ends a run; what was written stays, and the summary tells
     of the frames until then.
     """
-    from fingerpost.capture import SourceKind, open_views, read_views
-    from fingerpost.config import Rig
-    from fingerpost.pipeline import DEFAULT_REFERENCE_SIGMA_PX, Pointer, at_most, steps
+    with ending_at_once():
+        import cv2  # noqa: F401 - its own loader would swallow Ctrl-C
+
+        from fingerpost.capture import SourceKind, open_views, read_views
+        from fingerpost.config import Rig
+        from fingerpost.pipeline import DEFAULT_REFERENCE_SIGMA_PX, Pointer, at_most, steps
 
     rig = Rig.load(rig_file)
     written = {"--points": points, "--tracks": tracks, "--overlay": overlay}
