@@ -43,6 +43,7 @@ PYTHON_GROUPS = {
     "rehearsal": "application",
     "workers": "application",
     "signals": "errors",
+    "rig_text": "checks",
     "cli": "cli",
     "__main__": "cli",
     "_core": "core",
