@@ -42,6 +42,7 @@ PYTHON_GROUPS = {
     "doctor": "application",
     "rehearsal": "application",
     "workers": "application",
+    "installation": "checks",
     "signals": "errors",
     "rig_text": "checks",
     "cli": "cli",

@@ -10,6 +10,7 @@ import click
 
 from fingerpost.cli.outputs import keep_apart, rig_files
 from fingerpost.cli.progress import counting
+from fingerpost.installation import need_opencv
 from fingerpost.signals import ending_at_once
 
 if TYPE_CHECKING:
@@ -59,8 +60,7 @@ def advise(
     yet. What is not given is the hand of the accuracy experiment in an ordinary picture.
     """
     with ending_at_once():
-        import cv2  # noqa: F401 - its own loader would swallow Ctrl-C
-
+        need_opencv()
         from fingerpost.advise import advise as predicted
         from fingerpost.config import Rig
         from fingerpost.recording import check_picture

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from fingerpost.cli.progress import telling, watched
+from fingerpost.installation import need_opencv
 from fingerpost.signals import ending_at_once
 
 if TYPE_CHECKING:
@@ -51,8 +52,6 @@ def demo(
         if simulate:
             raise click.UsageError("--robot and --simulate do not go together")
         with ending_at_once():
-            import cv2
-
             from fingerpost.closed_loop import run_robot_demo
 
         with telling() as tell:
@@ -60,8 +59,7 @@ def demo(
         failed = bool(summary.problem)
     else:
         with ending_at_once():
-            import cv2  # noqa: F401 - its own loader would swallow Ctrl-C
-
+            need_opencv()
             from fingerpost.demo import run_demo
 
         summary = run_demo(

@@ -11,6 +11,7 @@ import click
 from fingerpost.cli.endings import ending_as_interrupted
 from fingerpost.cli.outputs import keep_apart, rig_files
 from fingerpost.cli.progress import counting
+from fingerpost.installation import need_opencv
 from fingerpost.signals import ending_at_once
 
 if TYPE_CHECKING:
@@ -108,8 +109,7 @@ def _simulated(options: ExperimentOptions) -> ExperimentResult:
 def _measured(recording: Path, truth: Path, tracker: str, draw: Path | None) -> ExperimentResult:
     """Run the experiment on footage."""
     with ending_at_once():
-        import cv2  # noqa: F401 - its own loader would swallow Ctrl-C
-
+        need_opencv()
         from fingerpost.config import Rig
         from fingerpost.experiment import run_recording
 
@@ -126,6 +126,7 @@ def _guide(trials: int, seed: int, as_json: bool) -> None:
     """Repeat the guidance experiment and print its table."""
     _refuse_beside("guidance", {"seed", "as_json"})
     with ending_at_once():
+        need_opencv()
         from fingerpost.closed_loop import GuidanceOptions, run_guidance
 
     with ending_as_interrupted(), counting("trials") as progress:
@@ -145,6 +146,7 @@ def _refuse_beside(chosen: str, kept: set[str]) -> None:
 def _options(tracker: str, settings: dict[str, Any]) -> ExperimentOptions:
     """Lay what was given over the defaults, which stand where the options are defined."""
     with ending_at_once():
+        need_opencv()
         from fingerpost.experiment import ExperimentOptions
         from fingerpost.simulate import Background, Lighting, Placement, PoseLimits, Sensor
 

@@ -19,6 +19,7 @@ from fingerpost.cli.live_status import LiveStatus
 from fingerpost.cli.outputs import keep_apart, rig_files
 from fingerpost.cli.progress import StatusLine, status_line, watched
 from fingerpost.cli.run_summary import RunSummary
+from fingerpost.installation import need_opencv
 from fingerpost.signals import ending_at_once
 
 if TYPE_CHECKING:
@@ -73,8 +74,7 @@ def run(
     of the frames until then.
     """
     with ending_at_once():
-        import cv2  # noqa: F401 - its own loader would swallow Ctrl-C
-
+        need_opencv()
         from fingerpost.capture import SourceKind, open_views, read_views
         from fingerpost.config import Rig
         from fingerpost.pipeline import DEFAULT_REFERENCE_SIGMA_PX, Pointer, at_most, steps
