@@ -8,6 +8,7 @@ import tomllib
 from pathlib import Path
 
 import pytest
+from patience import PATIENCE_S
 
 from fingerpost.installation import (
     OPENCV_PACKAGES,
@@ -53,7 +54,7 @@ def fingerpost(site: Path, *arguments: str) -> tuple[int, str, str]:
         capture_output=True,
         text=True,
         env=os.environ | {"PYTHONPATH": path},
-        timeout=120,
+        timeout=PATIENCE_S,
         check=False,
     )
     return done.returncode, done.stdout, done.stderr

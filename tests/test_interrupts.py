@@ -9,6 +9,7 @@ import tomllib
 from pathlib import Path
 
 import pytest
+from patience import PATIENCE_S
 
 import fingerpost
 from fingerpost.recording.interrupts import uninterrupted
@@ -136,7 +137,7 @@ main()
 def interrupted(module: str, *arguments: str) -> tuple[int, str, str]:
     """Exit code, stdout and stderr of a command that is interrupted as it imports a module."""
     command = [sys.executable, "-c", LOADED, module, *arguments]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=PATIENCE_S)
     return done.returncode, done.stdout, done.stderr
 
 
@@ -168,7 +169,7 @@ def test_ctrl_c_is_heard_before_and_after_imports_too():
 def test_a_background_job_goes_on_ignoring_ctrl_c_while_it_is_loaded():
     ignoring = f"import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)\n{LOADED}"
     command = [sys.executable, "-c", ignoring, "numpy", "run", "no-such-rig.toml"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=PATIENCE_S)
     assert done.returncode == 2
     assert "no-such-rig.toml" in done.stderr
 

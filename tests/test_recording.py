@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from patience import PATIENCE_S
 
 from fingerpost.errors import FingerpostError, InvalidInputError
 from fingerpost.recording import (
@@ -226,7 +227,7 @@ def test_a_table_goes_into_a_pipe(tmp_path):
     ) as reader:
         with write_points(pipe) as table:
             table.write(POINT)
-        assert reader.communicate(timeout=60)[0].splitlines()[0] == POINTS_HEADER
+        assert reader.communicate(timeout=PATIENCE_S)[0].splitlines()[0] == POINTS_HEADER
 
 
 def test_a_table_that_cannot_be_created_or_read_is_named(tmp_path):

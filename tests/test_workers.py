@@ -8,7 +8,8 @@ import time
 from pathlib import Path
 
 import pytest
-from terminals import PATIENCE_S, THE_END, on_a_terminal
+from patience import PATIENCE_S, wait_until
+from terminals import THE_END, on_a_terminal
 
 from fingerpost.errors import FingerpostError
 from fingerpost.workers import sharing
@@ -36,13 +37,6 @@ if __name__ == "__main__":
     except KeyboardInterrupt:
         sys.exit(130)
 """
-
-
-def wait_for(what: str, happened) -> None:
-    deadline_s = time.monotonic() + PATIENCE_S
-    while not happened():
-        assert time.monotonic() < deadline_s, what
-        time.sleep(0.02)
 
 
 def is_running(pid: int) -> bool:
@@ -75,7 +69,7 @@ def program(tmp_path):
     command = [sys.executable, str(script), str(folder)]
     process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, start_new_session=True)
     try:
-        wait_for("workers begin", lambda: len(list(folder.iterdir())) == WORKERS)
+        wait_until(lambda: len(list(folder.iterdir())) == WORKERS, "the workers' beginning")
         yield process, [int(path.name) for path in folder.iterdir()]
     finally:
         process.kill()
@@ -96,7 +90,7 @@ def test_a_program_that_is_killed_leaves_no_worker(program):
     process, workers = program
     process.kill()
     process.wait(PATIENCE_S)
-    wait_for("workers end", lambda: not any(map(is_running, workers)))
+    wait_until(lambda: not any(map(is_running, workers)), "the workers' end")
 
 
 def test_ctrl_c_ends_an_experiment():
@@ -109,7 +103,7 @@ def test_ctrl_c_ends_an_experiment():
         assert run.end() == (130, "")
     assert said.split()[-2:] == ["fingerpost:", "stopped"]
     assert "Traceback" not in said
-    wait_for("workers end", lambda: not any(map(is_running, workers)))
+    wait_until(lambda: not any(map(is_running, workers)), "the workers' end")
 
 
 def kill_own_process() -> None:
