@@ -7,6 +7,7 @@ import logging
 import os
 import re
 import signal
+import sys
 import threading
 from dataclasses import dataclass
 
@@ -365,6 +366,29 @@ def test_a_live_run_shows_its_state_and_sums_up_on_ctrl_c(live_rig):
     assert re.fullmatch(r"frames   [1-9]\d* in \d+\.\d s", summary.splitlines()[0])
     assert " fps" not in ERASED.split(rest)[-1]
     assert rest.split()[-2:] == ["fingerpost:", "stopped"]
+
+
+def test_the_bar_ends_its_line_before_the_summary_of_what_was_interrupted(rig_file, monkeypatch):
+    order = []
+
+    def bar(frames, *_):
+        try:
+            yield from frames
+        finally:
+            order.append("bar")
+
+    def interrupted(summary, fix):
+        counted(summary, fix)
+        raise KeyboardInterrupt
+
+    counted, lines = RunSummary.add, RunSummary.lines
+    monkeypatch.setattr("fingerpost.cli.progress._is_watched", lambda: True)
+    monkeypatch.setattr(sys.modules["fingerpost.cli.run"], "watched", bar)
+    monkeypatch.setattr(RunSummary, "add", interrupted)
+    monkeypatch.setattr(RunSummary, "lines", lambda *given: order.append("sum") or lines(*given))
+    done = invoked("run", rig_file)
+    assert (done.exit_code, order) == (130, ["bar", "sum"])
+    assert done.stdout.startswith("frames   1 in ")
 
 
 def test_a_recording_has_a_bar_and_rows_for_a_program_stand_alone(rig_file):

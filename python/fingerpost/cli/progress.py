@@ -6,7 +6,7 @@ import logging
 import os
 import sys
 import unicodedata
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
 from contextlib import contextmanager
 from itertools import accumulate
 from typing import TextIO, TypeVar
@@ -18,8 +18,8 @@ T = TypeVar("T")
 _USUAL_COLUMNS = 80  # of a terminal that does not say how many it has
 
 
-def watched(items: Iterable[T], length: int | None, label: str) -> Iterator[T]:
-    """Yield the items, with a bar that moves as they go by.
+def watched(items: Iterable[T], length: int | None, label: str) -> Generator[T, None, None]:
+    """Yield the items, with a bar that moves as they go by and ends its line when it is closed.
 
     Parameters
     ----------

@@ -8,7 +8,7 @@ import sys
 import time
 from collections import deque
 from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -104,7 +104,8 @@ def run(
                 line.clear()
                 counts = [n for n in (max_frames, *(source.frame_count for source in sources)) if n]
                 if counts and sources[0].kind is SourceKind.RECORDED:
-                    frames = watched(frames, min(counts), "tracking")
+                    bar = watched(frames, min(counts), "tracking")
+                    frames = stack.enter_context(closing(bar))
                 else:
                     takers.append(_live_status(line, pointer, rig.plane.unit))
             started_s = time.monotonic()
