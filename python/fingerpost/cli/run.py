@@ -10,7 +10,7 @@ from collections import deque
 from collections.abc import Callable
 from contextlib import ExitStack, closing
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from fingerpost.config import Rig
     from fingerpost.pipeline import Pointer, Step
     from fingerpost.recording import TableWriter, TrackRow
 
@@ -77,19 +78,13 @@ def run(
         need_opencv()
         from fingerpost.capture import SourceKind, open_views, read_views
         from fingerpost.config import Rig
-        from fingerpost.pipeline import DEFAULT_REFERENCE_SIGMA_PX, Pointer, at_most, steps
+        from fingerpost.pipeline import Pointer, at_most, steps
 
     rig = Rig.load(rig_file)
     written = {"--points": points, "--tracks": tracks, "--overlay": overlay}
     keep_apart(written, rig_files(rig_file, rig))
-    if reference_sigma_px is None:
-        reference_sigma_px = DEFAULT_REFERENCE_SIGMA_PX
-    elif all(view.reference_covariances_px2 for view in rig.views):
-        raise click.UsageError(
-            f"--reference-noise would do nothing: every view of {rig_file} has "
-            "reference_covariances_px2"
-        )
-    pointer = Pointer(rig, tracker_options={"model": model}, reference_sigma_px=reference_sigma_px)
+    known = _reference_noise(rig, reference_sigma_px)
+    pointer = Pointer(rig, tracker_options={"model": model}, **known)
     summary = RunSummary()
     started_s = time.monotonic()
     try:
@@ -116,6 +111,17 @@ def run(
     finally:
         if summary.frames and not as_json:
             click.echo("\n".join(summary.lines(time.monotonic() - started_s)))
+
+
+def _reference_noise(rig: Rig, sigma_px: float | None) -> dict[str, Any]:
+    """Give the option of `Pointer` that --reference-noise sets; refuse it where it sets nothing."""
+    if sigma_px is None:
+        return {}
+    if all(view.reference_covariances_px2 for view in rig.views):
+        raise click.UsageError(
+            "--reference-noise would do nothing: every view has its own reference_covariances_px2"
+        )
+    return {"reference_sigma_px": sigma_px}
 
 
 def _live_status(line: StatusLine, pointer: Pointer, unit: str) -> Callable[[Step], None]:
