@@ -19,6 +19,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from patience import PATIENCE_S, wait_until
 
 from fingerpost.capture import Frame, SourceKind, open_source, opening, read_views
 from fingerpost.capture.live import LiveSource
@@ -27,7 +28,6 @@ from fingerpost.capture.video import FrameTimes
 from fingerpost.errors import CaptureError, InvalidInputError
 
 WIDTH, HEIGHT, BARS = 160, 120, 8
-PATIENCE_S = 30.0  # for another thread on a busy machine; no test waits it out when it passes
 
 
 def painted(number: int) -> np.ndarray:
@@ -88,13 +88,6 @@ def test_a_monochrome_film_in_three_channels_is_grey(tmp_path: Path, name: str):
 def numbers(source: str | Path, **options: float) -> list[int]:
     with open_source(str(source), **options) as frames:
         return [number_in(frame.image) for frame in frames]
-
-
-def wait_until(condition) -> None:
-    end = time.monotonic() + PATIENCE_S
-    while not condition():
-        assert time.monotonic() < end, "waited in vain"
-        time.sleep(0.002)
 
 
 # --- video files -----------------------------------------------------------------------------
@@ -583,10 +576,11 @@ def test_no_frame_is_given_twice():
 def test_a_camera_that_is_lost_is_an_error_and_not_a_wait_for_ever():
     device = HandFedDevice()
     device.feed(2)
-    with live(device, timeout_s=0.5) as source:
+    with live(device) as source:
         next(source)
         device.unplugged = True
-        with pytest.raises(CaptureError, match=r"camera 0: no new frame within 0\.5 s"):
+        source._timeout_s = 0.05  # from here on: a busy machine may open it late
+        with pytest.raises(CaptureError, match=r"camera 0: no new frame within 0\.05 s"):
             list(source)
     assert device.released.is_set()
 
@@ -594,7 +588,8 @@ def test_a_camera_that_is_lost_is_an_error_and_not_a_wait_for_ever():
 def test_a_camera_that_does_not_open_or_never_sends_is_an_error():
     with pytest.raises(CaptureError, match="camera 0: cannot be opened; is it plugged in"):
         live(HandFedDevice(opened=False))
-    with pytest.raises(CaptureError, match=r"camera 0: no new frame within 0\.1 s"):
+    # A busy machine may not even open it within that.
+    with pytest.raises(CaptureError, match=r"camera 0: (no new frame|did not open) within 0\.1 s"):
         live(HandFedDevice(), timeout_s=0.1)
 
 
@@ -709,9 +704,10 @@ def test_a_stream_read_slowly_stays_fresh(server):
 
 
 def test_a_stream_that_ends_is_lost(server):
-    with open_source(server.url, timeout_s=3.0) as source:
+    with open_source(server.url, timeout_s=PATIENCE_S) as source:
         server.closing = True
-        with pytest.raises(CaptureError, match="no new frame within 3 s") as raised:
+        source._timeout_s = 0.5  # from here on: a busy machine may open it late
+        with pytest.raises(CaptureError, match=r"no new frame within 0\.5 s") as raised:
             list(source)
     assert "secret" not in str(raised.value)
 

@@ -6,12 +6,12 @@ import re
 import signal
 import subprocess
 import sys
-import time
 from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 from click.testing import CliRunner, Result
+from patience import PATIENCE_S, wait_until
 
 from fingerpost.cli import main
 from fingerpost.cli.endings import ending_as_interrupted, ending_orderly
@@ -34,7 +34,7 @@ def fingerpost(*arguments: object, cwd: Path | None = None) -> subprocess.Comple
         capture_output=True,
         text=True,
         cwd=cwd,
-        timeout=120,
+        timeout=PATIENCE_S,
         check=False,
     )
 
@@ -198,7 +198,7 @@ def test_output_that_nothing_takes_is_one_line(rig_file, tmp_path, arguments, un
             stderr=subprocess.PIPE,
             text=True,
             env=os.environ | {"PYTHONUNBUFFERED": unbuffered},
-            timeout=120,
+            timeout=PATIENCE_S,
             check=False,
         )
     assert done.returncode == 1
@@ -223,7 +223,7 @@ def test_a_terminal_that_lacks_signs_gets_the_others(rig_file, arguments, encodi
         [sys.executable, "-m", "fingerpost", *command],
         capture_output=True,
         env=os.environ | {"PYTHONIOENCODING": encoding},
-        timeout=120,
+        timeout=PATIENCE_S,
         check=False,
     )
     assert done.returncode == 0, done.stderr
@@ -261,13 +261,9 @@ def test_ctrl_c_keeps_what_was_written(tmp_path):
         stderr=subprocess.PIPE,
         text=True,
     )
-    deadline_s = time.monotonic() + 60
-    while time.monotonic() < deadline_s and (
-        not points.exists() or len(points.read_text().splitlines()) < 5
-    ):
-        time.sleep(0.05)
+    wait_until(lambda: points.exists() and len(points.read_text().splitlines()) >= 5, "a table")
     demo.send_signal(signal.SIGINT)
-    _, said = demo.communicate(timeout=30)
+    _, said = demo.communicate(timeout=PATIENCE_S)
     assert demo.returncode == 130
     assert said.splitlines()[-1] == "fingerpost: stopped"
     assert len(read_points(points)) >= 4

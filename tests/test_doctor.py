@@ -10,6 +10,7 @@ import msgspec
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from patience import PATIENCE_S
 
 from fingerpost.capture import Frame, open_source
 from fingerpost.capture.live import LiveSource
@@ -413,7 +414,11 @@ def test_live_views_are_read_together_and_not_called_late(clean):
     cameras = CamerasInStep()
     devices = [CameraInStep(cameras, own) for own in frames]
     options = [
-        {"timeout_s": 30.0, "clock": device.time_ns, "connect": lambda *_, device=device: device}
+        {
+            "timeout_s": PATIENCE_S,
+            "clock": device.time_ns,
+            "connect": lambda *_, device=device: device,
+        }
         for device in devices
     ]
     first, last = LiveSource("first", **options[0]), LastView(cameras=cameras, **options[1])

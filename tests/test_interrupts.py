@@ -1,13 +1,27 @@
-"""What a signal handler raises waits for the end of a block, and crashes nothing."""
+"""Ctrl-C where a library cannot bear it: while it is loaded, and in blocks that put it off."""
 
+import os
 import signal
 import subprocess
 import sys
 import threading
+import tomllib
+from pathlib import Path
 
 import pytest
+from patience import PATIENCE_S
 
+import fingerpost
 from fingerpost.recording.interrupts import uninterrupted
+from fingerpost.signals import ending_at_once
+
+ROOT = Path(__file__).resolve().parents[1]
+PIPED = {
+    "capture_output": True,
+    "text": True,
+    "check": False,
+    "env": os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
+}
 
 
 class StoppedError(Exception):
@@ -97,3 +111,98 @@ while stopped < 400:
 def test_writing_words_survives_interrupts():
     done = subprocess.run([sys.executable, "-c", HAMMERED], capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (0, "")
+
+
+# --- while the program is loaded --------------------------------------------------------------
+
+# Ctrl-C comes as a module is looked for, which takes most of the time of an import.
+LOADED = """
+import os, signal, sys
+
+module = sys.argv[1]
+
+class Interrupting:
+    def find_spec(self, name, path=None, target=None):
+        if name == module:
+            sys.meta_path.remove(self)
+            os.kill(os.getpid(), signal.SIGINT)
+
+sys.meta_path.insert(0, Interrupting())
+from fingerpost.__main__ import main
+sys.argv = ["fingerpost", *sys.argv[2:]]
+main()
+"""
+
+
+def interrupted(module: str, *arguments: str) -> tuple[int, str, str]:
+    """Exit code, stdout and stderr of a command that is interrupted as it imports a module."""
+    command = [sys.executable, "-c", LOADED, module, *arguments]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=PATIENCE_S)
+    return done.returncode, done.stdout, done.stderr
+
+
+@pytest.mark.parametrize(
+    "module",
+    [
+        "click",
+        "fingerpost.cli",
+        "fingerpost.cli.robot",
+        "numpy",
+        "numpy._core._multiarray_umath",
+        "msgspec._core",
+        "fingerpost._core",
+        "fingerpost.pipeline",
+        "cv2.version",
+    ],
+)
+def test_ctrl_c_while_the_program_is_loaded_ends_it_without_a_word(module):
+    assert interrupted(module, "run", "rig.toml") == (130, "", "")
+
+
+def test_ctrl_c_is_heard_before_and_after_imports_too():
+    assert interrupted("fingerpost.doctor", "doctor", "rig.toml") == (130, "", "")
+    code, said, error = interrupted("no.such.module", "run", "no-such-rig.toml")
+    assert (code, said) == (2, "")
+    assert "no-such-rig.toml" in error
+
+
+def test_a_background_job_goes_on_ignoring_ctrl_c_while_it_is_loaded():
+    ignoring = f"import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)\n{LOADED}"
+    command = [sys.executable, "-c", ignoring, "numpy", "run", "no-such-rig.toml"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=PATIENCE_S)
+    assert done.returncode == 2
+    assert "no-such-rig.toml" in done.stderr
+
+
+def test_the_handler_of_ctrl_c_is_as_before_once_all_is_loaded(stopping):
+    handler = signal.getsignal(signal.SIGINT)
+    with ending_at_once():
+        assert signal.getsignal(signal.SIGINT) is handler  # of a program's own
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    with ending_at_once():
+        assert signal.getsignal(signal.SIGINT) is not signal.default_int_handler
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_nothing_heavy_is_loaded_before_ctrl_c_is_heard():
+    program = """
+import sys, fingerpost.__main__
+print(sorted({"click", "numpy", "cv2", "msgspec", "typing"} & set(sys.modules)))
+"""
+    done = subprocess.run([sys.executable, "-S", "-c", program], **PIPED)
+    assert (done.stdout, done.stderr) == ("[]\n", "")
+
+
+def test_the_command_and_the_module_begin_alike():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    assert project["scripts"] == {"fingerpost": "fingerpost.__main__:main"}
+
+
+def test_what_the_package_offers_is_what_its_modules_define():
+    assert set(fingerpost.__all__) <= set(dir(fingerpost))
+    for name in fingerpost.__all__:
+        offered = getattr(fingerpost, name)
+        assert offered.__name__ == name
+        assert offered.__module__.startswith("fingerpost")
+    with pytest.raises(AttributeError, match="module 'fingerpost' has no attribute 'Pionter'"):
+        fingerpost.Pionter  # noqa: B018

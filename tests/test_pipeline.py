@@ -111,7 +111,8 @@ def test_a_third_view_that_is_lost_costs_nothing():
 
     *_, last = steps(pointer, frames())
     assert last.fix.status is Status.OK
-    assert "view 2 is acquiring" in last.fix.reason
+    assert last.fix.reason == f'view "{pointer.views[2].name}" is acquiring'
+    assert last.point_row().reason == last.fix.reason
 
 
 def with_references(rig: Rig, plane_points: list[tuple[float, float]]) -> Rig:
@@ -176,8 +177,10 @@ def test_a_view_whose_camera_has_moved_from_a_plain_table_tells_nothing_until_it
         Status.ILL_CONDITIONED,
         Status.OK,
     ]
-    assert "the camera has moved the reference points by 6 px in view 1" in told[23].fix.reason
     still, moved = told[23].observations
+    assert told[23].fix.reason == (
+        f'view "{moved.view}": the camera has moved the reference points by 6 px'
+    )
     assert "moved" not in " ".join(still.reasons)
     assert moved.reasons[0] == "the camera has moved the reference points by 6 px"
     assert moved.track_row().status == "tracking"
@@ -277,7 +280,7 @@ def test_views_that_are_recorded_at_different_rates_point_at_every_frame_of_the_
 def test_views_too_slow_to_be_brought_to_one_time_say_so():
     told = told_of_rates((8.0, 8.0), lag_s=0.02)
     reasons = {step.fix.reason for step in told[-3:-1]}
-    assert reasons == {"view 1: no finger line for 0.125 s; at most 0.1 s are bridged"}
+    assert reasons == {'view "right": no finger line for 0.125 s; at most 0.1 s are bridged'}
 
 
 def test_a_view_that_falls_behind_holds_the_others_up_no_longer_than_it_may():
@@ -293,7 +296,7 @@ def test_a_view_that_falls_behind_holds_the_others_up_no_longer_than_it_may():
         assert k - 8 - 4 < len(told) <= k - 8
     last = told[-1]
     assert last.fix.status is Status.LOST
-    assert "view 1: no frame for 0.1" in last.fix.reason
+    assert 'view "right": no frame for 0.1' in last.fix.reason
     assert "at most 0.1 s are waited for" in last.fix.reason
 
 

@@ -454,6 +454,9 @@ def test_a_point_behind_a_camera_is_refused():
         fingers.append(FingerLine(anchor, a, np.zeros((2, 2)), tip, 0.0))
     fix = indicated_point(fingers, views, time_s=0.0, options=PointingOptions(max_sigma=10.0))
     assert_refused(fix, "beyond the horizon of view 0")
+    options = PointingOptions(max_sigma=10.0)
+    fix = indicated_point(fingers, views, time_s=0.0, options=options, names=["left", "right"])
+    assert_refused(fix, "beyond the horizon of left")
 
 
 def test_a_finger_seen_end_on_is_refused_by_its_own_covariance():
@@ -544,6 +547,17 @@ def test_two_finger_lines_make_a_fix_and_fewer_report_the_worst_view(entries, st
     assert [line is not None for line in fix.constraint_lines] == [c == "f" for c in entries]
     if fix.point is not None:
         assert np.allclose(fix.point, pointing.target, atol=1e-6)
+
+
+def test_reasons_call_views_by_their_names_and_say_why_they_have_no_line():
+    cameras, pointing = [camera(a) for a in (-15, 15, 40)], rod([120, 260], 20.0, 45.0, 150.0)
+    views = [plane_view(view, REFERENCES) for view in cameras]
+    fingers = [finger_line(cameras[0], pointing, FINE), Status.LOST, Status.ACQUIRING]
+    names, absences = ["left", "top", "right"], {1: "out of order", 0: "it has a line"}
+    fix = indicated_point(fingers, views, time_s=0.0, names=names, absences=absences)
+    assert fix.reason == "top: out of order, right is acquiring"
+    with pytest.raises(InvalidInputError, match="2 names for 3 plane_views"):
+        indicated_point(fingers, views, time_s=0.0, names=names[:2])
 
 
 # --- time --------------------------------------------------------------------------------------

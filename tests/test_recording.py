@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from patience import PATIENCE_S
 
 from fingerpost.errors import FingerpostError, InvalidInputError
 from fingerpost.recording import (
@@ -24,7 +25,8 @@ from fingerpost.recording import (
     write_tracks,
 )
 
-POINTS_HEADER = "frame,time_s,status,x,y,cov_xx,cov_xy,cov_yy,crossing_angle_deg"
+FORMER_POINTS_HEADER = "frame,time_s,status,x,y,cov_xx,cov_xy,cov_yy,crossing_angle_deg"
+POINTS_HEADER = f"{FORMER_POINTS_HEADER},reason"
 TRACKS_HEADER = "frame,time_s,view,status,tip_u,tip_v,angle_rad,sigma_angle_rad,sigma_offset_px"
 POINT = PointRow(
     frame=3,
@@ -55,12 +57,16 @@ TRACK = TrackRow(
 
 def test_the_tables_are_the_documented_ones(tmp_path):
     with write_points(tmp_path / "p.csv") as points, write_tracks(tmp_path / "t.csv") as tracks:
-        points.write(PointRow(frame=2, time_s=0.08, status="acquiring"))
+        points.write(
+            PointRow(frame=2, time_s=0.08, status="acquiring", reason='view "a": why, how')
+        )
         points.write(POINT)
         tracks.write(TRACK)
         tracks.write(TrackRow(frame=4, time_s=0.16, view="up, down", status="lost"))
     assert (tmp_path / "p.csv").read_bytes().decode() == (
-        f"{POINTS_HEADER}\n2,0.08,acquiring,,,,,,\n3,0.12,ok,201.5,-3.25,0.5,-0.1,0.25,17.5\n"
+        f"{POINTS_HEADER}\n"
+        '2,0.08,acquiring,,,,,,,"view ""a"": why, how"\n'
+        "3,0.12,ok,201.5,-3.25,0.5,-0.1,0.25,17.5,\n"
     )
     assert (tmp_path / "t.csv").read_bytes().decode() == (
         f"{TRACKS_HEADER}\n3,0.12,left,tracking,194.6,211.9,0.75,0.001,0.02\n"
@@ -72,12 +78,13 @@ def test_numbers_from_numpy_are_written_as_numbers(tmp_path):
     row = PointRow(frame=0, time_s=np.float64(0.1), status="ok", x=np.float64(1 / 3), y=2)
     with write_points(tmp_path / "p.csv") as table:
         table.write(row)
-    assert (tmp_path / "p.csv").read_text().splitlines()[1] == f"0,0.1,ok,{1 / 3},2,,,,"
+    assert (tmp_path / "p.csv").read_text().splitlines()[1] == f"0,0.1,ok,{1 / 3},2,,,,,"
 
 
 finite = st.floats(allow_nan=False, allow_infinity=False)
 sigmas = st.floats(min_value=0, allow_infinity=False) | st.none()
 times = st.floats(0, 1e9)
+words = st.text().filter(str.isprintable)
 
 
 @st.composite
@@ -99,6 +106,7 @@ def point_rows(draw: st.DrawFn) -> PointRow:
         cov_xy=xy,
         cov_yy=yy,
         crossing_angle_deg=draw(finite | st.none()),
+        reason=draw(words),
     )
 
 
@@ -109,7 +117,7 @@ def track_rows(draw: st.DrawFn) -> TrackRow:
     return TrackRow(
         frame=draw(st.integers(0, 2**40)),
         time_s=draw(times),
-        view=draw(st.text(st.characters(exclude_categories=["C"]), min_size=1)),
+        view=draw(words.filter(bool)),
         status=draw(st.sampled_from(statuses)),
         tip_u=u,
         tip_v=v,
@@ -135,9 +143,23 @@ def test_whatever_is_written_reads_back_the_same(tmp_path_factory, points, track
 def test_what_a_spreadsheet_or_a_later_version_writes_is_read(tmp_path):
     path = tmp_path / "p.csv"
     path.write_bytes(
-        f"\ufeffnote,{POINTS_HEADER}\r\nhi,3,.12,ok,2015e-1,-3.25,.5,-.1,.25,17.5\r\n".encode()
+        f"\ufeffnote,{POINTS_HEADER}\r\nhi,3,.12,ok,2015e-1,-3.25,.5,-.1,.25,17.5,\r\n".encode()
     )
     assert read_points(path) == [POINT]
+
+
+def test_a_table_from_before_there_were_reasons_is_read(tmp_path):
+    path = tmp_path / "p.csv"
+    path.write_text(f"{FORMER_POINTS_HEADER}\n3,0.12,ok,201.5,-3.25,0.5,-0.1,0.25,17.5\n")
+    assert read_points(path) == [POINT]
+
+
+@pytest.mark.parametrize("words", ["two\nlines", "two\rlines", "a\x1b[2Jterminal cleared"])
+def test_words_that_are_no_line_of_text_are_refused(words):
+    with pytest.raises(InvalidInputError, match=r"reason is .*; one line of printable text"):
+        PointRow(frame=0, time_s=0.0, status="lost", reason=words)
+    with pytest.raises(InvalidInputError, match=r"view is .*; one line of printable text"):
+        TrackRow(frame=0, time_s=0.0, view=words, status="lost")
 
 
 def test_a_killed_run_loses_no_row(tmp_path):
@@ -205,7 +227,7 @@ def test_a_table_goes_into_a_pipe(tmp_path):
     ) as reader:
         with write_points(pipe) as table:
             table.write(POINT)
-        assert reader.communicate(timeout=60)[0].splitlines()[0] == POINTS_HEADER
+        assert reader.communicate(timeout=PATIENCE_S)[0].splitlines()[0] == POINTS_HEADER
 
 
 def test_a_table_that_cannot_be_created_or_read_is_named(tmp_path):
@@ -243,7 +265,7 @@ def test_a_table_that_cannot_be_created_or_read_is_named(tmp_path):
 )
 def test_a_bad_row_is_named_by_its_line(tmp_path, row, said):
     path = tmp_path / "p.csv"
-    path.write_text(f"{POINTS_HEADER}\n0,0.0,lost,,,,,,\n{row}\n")
+    path.write_text(f"{FORMER_POINTS_HEADER}\n0,0.0,lost,,,,,,\n{row}\n")
     with pytest.raises(InvalidInputError) as raised:
         read_points(path)
     assert str(raised.value).startswith(f"{path}: ")

@@ -13,7 +13,6 @@ import difflib
 import json
 import os
 import re
-import tomllib
 from collections import Counter
 from pathlib import Path
 from typing import Any, Literal, Self
@@ -27,6 +26,7 @@ from fingerpost.checks import finite_array, in_range
 from fingerpost.errors import InvalidInputError, RigError
 from fingerpost.homography import MIN_REFERENCE_POINTS, estimate_image_from_plane
 from fingerpost.lens import Lens
+from fingerpost.rig_text import parsed
 
 Pair = tuple[float, float]
 Triple = tuple[float, float, float]
@@ -464,19 +464,11 @@ def _tables(path: Path) -> dict[str, Any]:
     """Read a TOML file."""
     _refuse_null(path)
     try:
-        text = path.read_text(encoding="utf-8-sig")
+        return parsed(path.read_bytes())
     except OSError as error:
         raise RigError(f"{path}: {error.strerror}; a rig file (TOML) is needed") from error
-    except UnicodeDecodeError as error:
-        raise RigError(f"{path}: not a text file in UTF-8 ({error.reason})") from error
-    try:
-        return tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise RigError(f"{path}: not valid TOML: {error}") from error
-    except ValueError as error:  # Python reads no integer of thousands of digits
-        raise RigError(f"{path}: not a rig file: a number has too many digits") from error
-    except RecursionError as error:
-        raise RigError(f"{path}: not a rig file: nested too deeply") from error
+    except InvalidInputError as error:
+        raise RigError(f"{path}: {error}") from error
 
 
 def _refuse_null(path: Path) -> None:

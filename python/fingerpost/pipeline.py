@@ -16,7 +16,7 @@ import sys
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import islice
 from typing import Any, TypeVar
@@ -266,7 +266,13 @@ class Step:
             (cells["cov_xx"], cells["cov_xy"]), (_, cells["cov_yy"]) = fix.covariance.tolist()
         if fix.point is not None:
             cells["x"], cells["y"] = fix.point.tolist()
-        return PointRow(frame=self.index, time_s=fix.time_s, status=fix.status.value, **cells)
+        return PointRow(
+            frame=self.index,
+            time_s=fix.time_s,
+            status=fix.status.value,
+            reason=fix.reason,
+            **cells,
+        )
 
 
 def _moved(moved_px: float) -> str:
@@ -565,17 +571,32 @@ class Pointer:
         for k in other_fingers([view.viewpoint for view in self.views], told):
             told[k] = _NoLine(Status.ILL_CONDITIONED, ANOTHER_FINGER)
         fingers = [finger.status if isinstance(finger, _NoLine) else finger for finger in told]
-        fix = indicated_point(fingers, plane_views, time_s=pending.time_s, options=self._options)
-        for k, (finger, seen) in enumerate(zip(told, pending.observations, strict=True)):
-            if isinstance(finger, _NoLine) and finger.reason:
-                without, why = f"view {k} is {finger.status}", f"view {k}: {finger.reason}"
-            elif seen.is_adrift:
-                without = f"view {k} is {Status.ILL_CONDITIONED}"
-                why = f"{_moved(seen.moved_px)} in view {k}"
-            else:
-                continue
-            fix = replace(fix, reason=fix.reason.replace(without, why))
+        fix = indicated_point(
+            fingers,
+            plane_views,
+            time_s=pending.time_s,
+            options=self._options,
+            names=[f'view "{view.name}"' for view in self.views],
+            absences=_absences(told, pending.observations),
+        )
         return Step(pending.index, pending.observations, fix, pending.hand)
+
+
+def _absences(
+    told: Sequence[FingerLine | _NoLine], observations: Sequence[Observation]
+) -> dict[int, str]:
+    """Say why views have no finger line, by place, where their status does not say it all."""
+    absences = {}
+    for k, (finger, seen) in enumerate(zip(told, observations, strict=True)):
+        if isinstance(finger, FingerLine):
+            continue
+        if finger.reason:
+            absences[k] = finger.reason
+        elif seen.is_adrift and finger.status is Status.ILL_CONDITIONED:
+            absences[k] = _moved(seen.moved_px)
+        elif seen.is_body:
+            absences[k] = "it shows what the system itself moves"
+    return absences
 
 
 def at_most(frames: Iterator[Frames], count: int | None) -> Iterator[Frames]:

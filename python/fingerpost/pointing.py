@@ -12,11 +12,12 @@ or that points where the views cannot tell, is a `Status` of the `Fix`, not an e
 
 import math
 from bisect import bisect_left
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from functools import cached_property
 from itertools import combinations, pairwise
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -566,6 +567,8 @@ def indicated_point(
     *,
     time_s: float,
     options: PointingOptions = DEFAULT_OPTIONS,
+    names: Sequence[str] | None = None,
+    absences: Mapping[int, str] = MappingProxyType({}),
 ) -> Fix:
     """Where on the working plane the hand points, from all views at one time.
 
@@ -579,6 +582,11 @@ def indicated_point(
         Time of the fix [s]; every finger line is of this time (`align`).
     options
         See `PointingOptions`.
+    names
+        What `Fix.reason` calls the views, in their order; by default "view 0" and on.
+    absences
+        Why a view has no finger line, by its place among the views, where its status does not say
+        it all.
 
     Returns
     -------
@@ -589,10 +597,12 @@ def indicated_point(
     Raises
     ------
     InvalidInputError
-        Fewer than two views, another number of entries, an entry that is neither, or a finger
-        line of another time.
+        Fewer than two views, another number of entries or names, an entry that is neither, or a
+        finger line of another time.
     """
-    _refuse_unmatched(finger_lines, plane_views, time_s, options)
+    if names is None:
+        names = [f"view {k}" for k in range(len(plane_views))]
+    _refuse_unmatched(finger_lines, plane_views, names, time_s, options)
     entries = [
         view.through_pinhole(entry) if isinstance(entry, FingerLine) else entry
         for entry, view in zip(finger_lines, plane_views, strict=True)
@@ -600,7 +610,11 @@ def indicated_point(
     seen = [k for k, entry in enumerate(entries) if isinstance(entry, FingerLine)]
     fingers = [entry for entry in entries if isinstance(entry, FingerLine)]
     missing = [entry for entry in entries if isinstance(entry, Status)]
-    without = ", ".join(f"view {k} is {entries[k]}" for k in range(len(entries)) if k not in seen)
+    without = ", ".join(
+        f"{name}: {absences[k]}" if k in absences else f"{name} is {entry}"
+        for k, (name, entry) in enumerate(zip(names, entries, strict=True))
+        if k not in seen
+    )
 
     # The finger line l_i in each image; eq. 2, l_i = T(l_gp), turns it into the constraint line
     # l_gp = Tᵀ l_i of the plane, on which the indicated point lies.
@@ -623,7 +637,7 @@ def indicated_point(
         _uncertain(wide, max_sigma, crossing)
         or _views_disagree(found, len(fingers), options)
         # Figure 2, last step: the point is projected back into the images.
-        or _misplaced(found, views, fingers, seen, options)
+        or _misplaced(found, views, fingers, [names[k] for k in seen], options)
     )
     if doubt:
         return Fix(time_s, Status.ILL_CONDITIONED, lines, None, wide, crossing, doubt)
@@ -820,15 +834,15 @@ def _misplaced(
     found: Intersection,
     views: Sequence[PlaneView],
     fingers: Sequence[FingerLine],
-    seen: Sequence[int],
+    names: Sequence[str],
     options: PointingOptions,
 ) -> str:
     """Why the point cannot be what the hand in some view points at; empty if it can."""
     placed = []
-    for k, view, finger in zip(seen, views, fingers, strict=True):
+    for name, view, finger in zip(names, views, fingers, strict=True):
         place = view.ahead_of_tip(finger, found)
         if place is None:
-            return f"the point lies beyond the horizon of view {k}"
+            return f"the point lies beyond the horizon of {name}"
         ahead, variance = place
         tip_sigma_px = options.tip_sigma_px * finger.largeness
         placed.append((ahead, math.sqrt(variance + tip_sigma_px**2)))
@@ -836,17 +850,22 @@ def _misplaced(
     k = excess.index(min(excess))
     if excess[k] >= 0.0:
         return ""
-    return f"the point lies {-placed[k][0]:.3g} px behind the finger tip in view {seen[k]}"
+    return f"the point lies {-placed[k][0]:.3g} px behind the finger tip in {names[k]}"
 
 
 def _refuse_unmatched(
     finger_lines: Sequence[FingerLine | Status],
     plane_views: Sequence[PlaneView],
+    names: Sequence[str],
     time_s: float,
     options: PointingOptions,
 ) -> None:
     if len(plane_views) < 2:
         raise InvalidInputError(f"{len(plane_views)} plane_views; pointing needs two or more")
+    if len(names) != len(plane_views):
+        raise InvalidInputError(
+            f"{len(names)} names for {len(plane_views)} plane_views; one for each is needed"
+        )
     if len(finger_lines) != len(plane_views):
         raise InvalidInputError(
             f"{len(finger_lines)} finger_lines for {len(plane_views)} plane_views; "

@@ -23,20 +23,20 @@ from fingerpost.cli.experiment import experiment
 from fingerpost.cli.robot import robot
 from fingerpost.cli.run import run
 from fingerpost.errors import FingerpostError, InvalidInputError
+from fingerpost.signals import STOPPED
 
 FAILED = 1
 BAD_INPUT = 2
-STOPPED = 130
 
 
 class _Commands(click.Group):
     """Turns errors of ours into one line and an exit code; a traceback would be a bug's."""
 
     def main(self, *args: Any, **kwargs: Any) -> Any:
-        _show_what_can_be_shown()
         try:
+            _show_what_can_be_shown()
             return super().main(*args, **{**kwargs, "standalone_mode": False})
-        except click.exceptions.Abort:
+        except (click.exceptions.Abort, KeyboardInterrupt):
             _stop("stopped", STOPPED)
         except click.exceptions.NoArgsIsHelpError as error:
             error.show()

@@ -10,6 +10,8 @@ import click
 
 from fingerpost.cli.outputs import keep_apart, rig_files
 from fingerpost.cli.progress import counting
+from fingerpost.installation import need_opencv
+from fingerpost.signals import ending_at_once
 
 if TYPE_CHECKING:
     from fingerpost.advise import AdviceOptions
@@ -57,9 +59,11 @@ def advise(
     RIG.TOML needs the plane, to scale, and each view's reference points; nobody needs to point
     yet. What is not given is the hand of the accuracy experiment in an ordinary picture.
     """
-    from fingerpost.advise import advise as predicted
-    from fingerpost.config import Rig
-    from fingerpost.recording import check_picture
+    with ending_at_once():
+        need_opencv()
+        from fingerpost.advise import advise as predicted
+        from fingerpost.config import Rig
+        from fingerpost.recording import check_picture
 
     rig = Rig.load(rig_file)
     if draw is not None:

@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from fingerpost.cli.endings import ENDING_SIGNALS, ending_orderly
+from fingerpost.cli.endings import ending_orderly
 from fingerpost.errors import InvalidInputError
+from fingerpost.signals import ENDING_SIGNALS
 
 if TYPE_CHECKING:
     from fingerpost.robot import Guard, HomingProgress, Robot

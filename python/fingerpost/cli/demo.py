@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING
 import click
 
 from fingerpost.cli.progress import telling, watched
+from fingerpost.installation import need_opencv
+from fingerpost.signals import ending_at_once
 
 if TYPE_CHECKING:
     from fingerpost.closed_loop import RobotDemoSummary
@@ -49,13 +51,16 @@ def demo(
     if robot:
         if simulate:
             raise click.UsageError("--robot and --simulate do not go together")
-        from fingerpost.closed_loop import run_robot_demo
+        with ending_at_once():
+            from fingerpost.closed_loop import run_robot_demo
 
         with telling() as tell:
             summary = run_robot_demo(output, seed=seed, max_frames=max_frames, tell=tell)
         failed = bool(summary.problem)
     else:
-        from fingerpost.demo import run_demo
+        with ending_at_once():
+            need_opencv()
+            from fingerpost.demo import run_demo
 
         summary = run_demo(
             output,

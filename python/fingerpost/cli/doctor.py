@@ -1,4 +1,4 @@
-"""`fingerpost doctor`: what is wrong with the pictures and the rig file."""
+"""`fingerpost doctor`: what is wrong with the pictures and the rig file, or the installation."""
 
 from __future__ import annotations
 
@@ -6,16 +6,22 @@ import json
 import sys
 from contextlib import ExitStack
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from fingerpost.cli.progress import watched
+from fingerpost.installation import Installation, examine_installation, need_opencv
+from fingerpost.signals import ending_at_once
+
+if TYPE_CHECKING:
+    from fingerpost.doctor import Diagnosis
 
 SERIOUS = 1
 
 
 @click.command()
-@click.argument("rig_file", metavar="RIG.TOML", type=click.Path(path_type=Path))
+@click.argument("rig_file", metavar="[RIG.TOML]", required=False, type=click.Path(path_type=Path))
 @click.option(
     "--frames",
     metavar="N",
@@ -23,16 +29,34 @@ SERIOUS = 1
     help="Frames of each view to look at.  [default: 40]",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print readings and findings as JSON.")
-def doctor(rig_file: Path, frames: int | None, as_json: bool) -> None:
+def doctor(rig_file: Path | None, frames: int | None, as_json: bool) -> None:
     """Look at some frames of every view and say what is wrong.
 
     Contrast, focus, exposure, noise, size of the hand, reference points, lens, frame rates: what,
-    where and what would be right. Exits with 0 if nothing serious is found, with 1 if something
-    prevents tracking (marked "error").
+    where and what would be right. Without a rig, look at the installation: whether OpenCV is whole,
+    and whether another one is beside it. Exits with 0 if nothing serious is found, with 1 if
+    something prevents tracking (marked "error").
     """
-    from fingerpost.capture import Frame, open_views
-    from fingerpost.config import Rig
-    from fingerpost.doctor import DEFAULT_FRAMES, examine, look
+    found: Installation | Diagnosis
+    if rig_file is not None:
+        found = _examined(rig_file, frames)
+    elif frames is not None:
+        raise click.UsageError("--frames goes with a rig file; name one")
+    else:
+        with ending_at_once():
+            found = examine_installation()
+    click.echo(json.dumps(found.as_dict()) if as_json else "\n".join(found.table()))
+    if found.serious:
+        sys.exit(SERIOUS)
+
+
+def _examined(rig_file: Path, frames: int | None) -> Diagnosis:
+    """Look at some frames of every view of a rig."""
+    with ending_at_once():
+        need_opencv()
+        from fingerpost.capture import Frame, open_views
+        from fingerpost.config import Rig
+        from fingerpost.doctor import DEFAULT_FRAMES, examine, look
 
     rig = Rig.load(rig_file)
     count = DEFAULT_FRAMES if frames is None else frames
@@ -43,7 +67,4 @@ def doctor(rig_file: Path, frames: int | None, as_json: bool) -> None:
             for own, frame in zip(seen, together, strict=True):
                 if frame is not None:
                     own.append(frame)
-    diagnosis = examine(rig, seen)
-    click.echo(json.dumps(diagnosis.as_dict()) if as_json else "\n".join(diagnosis.table()))
-    if diagnosis.serious:
-        sys.exit(SERIOUS)
+    return examine(rig, seen)

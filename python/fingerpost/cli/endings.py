@@ -1,4 +1,4 @@
-"""How a command ends that is told to."""
+"""How a command ends that is told to; an interrupted one exits with 128 and the signal's number."""
 
 from __future__ import annotations
 
@@ -8,10 +8,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
 
-ENDING_SIGNALS = tuple(
-    getattr(signal, name) for name in ("SIGTERM", "SIGHUP", "SIGQUIT") if hasattr(signal, name)
-)
-"""Signals that end a program; an interrupted one exits with 128 and the signal's number."""
+from fingerpost.signals import ENDING_SIGNALS
 
 
 def _handling(handler: Callable[[int, FrameType | None], None]) -> Iterator[None]:

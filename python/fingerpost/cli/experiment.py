@@ -8,8 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from fingerpost.cli.endings import ending_as_interrupted
 from fingerpost.cli.outputs import keep_apart, rig_files
 from fingerpost.cli.progress import counting
+from fingerpost.installation import need_opencv
+from fingerpost.signals import ending_at_once
 
 if TYPE_CHECKING:
     from fingerpost.experiment import ExperimentOptions, ExperimentResult
@@ -99,19 +102,21 @@ def _simulated(options: ExperimentOptions) -> ExperimentResult:
     """Run the experiment on the simulated rig."""
     from fingerpost.experiment import run_experiment
 
-    with counting("targets") as progress:
+    with ending_as_interrupted(), counting("targets") as progress:
         return run_experiment(options, progress=progress)
 
 
 def _measured(recording: Path, truth: Path, tracker: str, draw: Path | None) -> ExperimentResult:
     """Run the experiment on footage."""
-    from fingerpost.config import Rig
-    from fingerpost.experiment import run_recording
+    with ending_at_once():
+        need_opencv()
+        from fingerpost.config import Rig
+        from fingerpost.experiment import run_recording
 
     _refuse_beside("recording", {"truth", "tracker", "draw", "as_json"})
     read = [("the truth", truth), *rig_files(recording, Rig.load(recording))]
     keep_apart({"--draw": draw}, read)
-    with counting("targets") as progress:
+    with ending_as_interrupted(), counting("targets") as progress:
         return run_recording(
             recording, truth, tracker_options={"model": tracker}, progress=progress
         )
@@ -120,9 +125,11 @@ def _measured(recording: Path, truth: Path, tracker: str, draw: Path | None) -> 
 def _guide(trials: int, seed: int, as_json: bool) -> None:
     """Repeat the guidance experiment and print its table."""
     _refuse_beside("guidance", {"seed", "as_json"})
-    from fingerpost.closed_loop import GuidanceOptions, run_guidance
+    with ending_at_once():
+        need_opencv()
+        from fingerpost.closed_loop import GuidanceOptions, run_guidance
 
-    with counting("trials") as progress:
+    with ending_as_interrupted(), counting("trials") as progress:
         result = run_guidance(trials, GuidanceOptions(seed=seed), progress=progress)
     click.echo(json.dumps(result.as_dict()) if as_json else "\n".join(result.table()))
 
@@ -138,8 +145,10 @@ def _refuse_beside(chosen: str, kept: set[str]) -> None:
 
 def _options(tracker: str, settings: dict[str, Any]) -> ExperimentOptions:
     """Lay what was given over the defaults, which stand where the options are defined."""
-    from fingerpost.experiment import ExperimentOptions
-    from fingerpost.simulate import Background, Lighting, Placement, PoseLimits, Sensor
+    with ending_at_once():
+        need_opencv()
+        from fingerpost.experiment import ExperimentOptions
+        from fingerpost.simulate import Background, Lighting, Placement, PoseLimits, Sensor
 
     given = {name: value for name, value in settings.items() if value is not None}
 

@@ -4,23 +4,29 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import sys
 import time
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from fingerpost.cli.endings import ending_as_interrupted
+from fingerpost.cli.live_status import LiveStatus
 from fingerpost.cli.outputs import keep_apart, rig_files
-from fingerpost.cli.progress import watched
+from fingerpost.cli.progress import StatusLine, status_line, watched
+from fingerpost.cli.run_summary import RunSummary
+from fingerpost.installation import need_opencv
+from fingerpost.signals import ending_at_once
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from fingerpost.config import Rig
     from fingerpost.pipeline import Pointer, Step
     from fingerpost.recording import TableWriter, TrackRow
 
@@ -43,6 +49,14 @@ _OUT = click.Path(path_type=Path)
     show_default=True,
     help="The hand: bands of their own width, or the planar template of 1994.",
 )
+@click.option(
+    "--reference-noise",
+    "reference_sigma_px",
+    metavar="PX",
+    type=float,
+    help="Sigma of reference points for which the rig file gives no covariance, px.  "
+    "[default: 0.5]",
+)
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object a frame, no summary.")
 def run(
     rig_file: Path,
@@ -51,34 +65,68 @@ def run(
     overlay: Path | None,
     max_frames: int | None,
     model: str,
+    reference_sigma_px: float | None,
     as_json: bool,
 ) -> None:
     """Track a hand in every view of a rig and tell where on the plane it points.
 
     RIG.TOML names the views (video files, globs of images, camera numbers or URLs), the plane and
-    where the hand is first seen. Ctrl-C ends a run; what was written stays.
+    where the hand is first seen. Ctrl-C ends a run; what was written stays, and the summary tells
+    of the frames until then.
     """
-    from fingerpost.capture import open_views, read_views
-    from fingerpost.config import Rig
-    from fingerpost.pipeline import Pointer, at_most, steps
+    with ending_at_once():
+        need_opencv()
+        from fingerpost.capture import SourceKind, open_views, read_views
+        from fingerpost.config import Rig
+        from fingerpost.pipeline import Pointer, at_most, steps
 
     rig = Rig.load(rig_file)
     written = {"--points": points, "--tracks": tracks, "--overlay": overlay}
     keep_apart(written, rig_files(rig_file, rig))
-    pointer = Pointer(rig, tracker_options={"model": model})
-    statuses: Counter[str] = Counter()
-    with ending_as_interrupted(), ExitStack() as stack:
-        sources = stack.enter_context(open_views(rig.sources))
-        takers = _takers(stack, pointer, rig.plane.unit, points, tracks, overlay, as_json)
-        counts = [n for n in (max_frames, *(source.frame_count for source in sources)) if n]
-        frames = at_most(read_views(sources), max_frames)
-        started_s = time.perf_counter()
-        for step in steps(pointer, watched(frames, min(counts, default=None), "tracking")):
-            statuses[step.fix.status.value] += 1
-            for take in takers:
-                take(step)
-    if not as_json:
-        _print_summary(statuses, time.perf_counter() - started_s)
+    known = _reference_noise(rig, reference_sigma_px)
+    pointer = Pointer(rig, tracker_options={"model": model}, **known)
+    summary = RunSummary()
+    started_s = time.monotonic()
+    try:
+        with ending_as_interrupted(), ExitStack() as stack:
+            line = None if as_json and sys.stdout.isatty() else stack.enter_context(status_line())
+            if line is not None:
+                line.show(f"opening {', '.join(rig.sources)}")
+            sources = stack.enter_context(open_views(rig.sources))
+            takers = _takers(stack, pointer, rig.plane.unit, points, tracks, overlay, as_json)
+            frames = at_most(read_views(sources), max_frames)
+            if line is not None:
+                line.clear()
+                counts = [n for n in (max_frames, *(source.frame_count for source in sources)) if n]
+                if counts and sources[0].kind is SourceKind.RECORDED:
+                    bar = watched(frames, min(counts), "tracking")
+                    frames = stack.enter_context(closing(bar))
+                else:
+                    takers.append(_live_status(line, pointer, rig.plane.unit))
+            started_s = time.monotonic()
+            for step in steps(pointer, frames):
+                summary.add(step.fix)
+                for take in takers:
+                    take(step)
+    finally:
+        if summary.frames and not as_json:
+            click.echo("\n".join(summary.lines(time.monotonic() - started_s)))
+
+
+def _reference_noise(rig: Rig, sigma_px: float | None) -> dict[str, Any]:
+    """Give the option of `Pointer` that --reference-noise sets; refuse it where it sets nothing."""
+    if sigma_px is None:
+        return {}
+    if all(view.reference_covariances_px2 for view in rig.views):
+        raise click.UsageError(
+            "--reference-noise would do nothing: every view has its own reference_covariances_px2"
+        )
+    return {"reference_sigma_px": sigma_px}
+
+
+def _live_status(line: StatusLine, pointer: Pointer, unit: str) -> Callable[[Step], None]:
+    plane_size = pointer.plane_views[0].plane_size
+    return LiveStatus(line, unit=unit, plane_size=plane_size, clock=time.monotonic).take
 
 
 def _takers(
@@ -133,10 +181,3 @@ def _overlay_video(
             trail.append(step.fix.point)
 
     return take
-
-
-def _print_summary(statuses: Counter[str], elapsed_s: float) -> None:
-    frames = statuses.total()
-    click.echo(f"frames   {frames} in {elapsed_s:.1f} s")
-    for status, count in statuses.most_common():
-        click.echo(f"{status:<16} {count:5d}  {100 * count / frames:5.1f} %")

@@ -2,8 +2,8 @@
 
 A table is CSV in UTF-8 with a header; its columns are the fields of its row class. A cell is
 empty where no value exists. Numbers are written with as many digits as it takes to read the same
-number back. Readers find columns by name and pass over those they do not know, so that later
-versions may add some.
+number back. Readers find columns by name, pass over those they do not know, and take a table of an
+earlier version without the columns that have been added since.
 """
 
 from __future__ import annotations
@@ -46,9 +46,14 @@ class PointRow:
         Its covariance in plane units squared; None if unknown.
     crossing_angle_deg
         Angle at which the constraint lines cross on the plane, in degrees, 0 to 90.
+    reason
+        Why the status is not `ok`, or which views a fix had to do without, in one line of words
+        with the names of the views; else empty.
     """
 
     STATUSES: ClassVar = ("ok", "acquiring", "lost", "ill_conditioned")
+    ADDED: ClassVar = ("reason",)
+    """Columns that tables of earlier versions lack."""
 
     frame: int
     time_s: float
@@ -59,6 +64,7 @@ class PointRow:
     cov_xy: float | None = None
     cov_yy: float | None = None
     crossing_angle_deg: float | None = None
+    reason: str = ""
 
     def __post_init__(self) -> None:
         _check_cells(self)
@@ -103,6 +109,8 @@ class TrackRow:
     """
 
     STATUSES: ClassVar = ("acquiring", "tracking", "lost")
+    ADDED: ClassVar[tuple[str, ...]] = ()
+    """Columns that tables of earlier versions lack."""
 
     frame: int
     time_s: float
@@ -258,9 +266,9 @@ def _read(path: Path, row_type: type[Row]) -> list[Row]:
         with path.open(encoding="utf-8-sig", newline="") as file:
             lines = csv.reader(file, strict=True)
             header = next(lines, [])
-            missing = [column for column in _columns(row_type) if column not in header]
-            if missing:
-                raise InvalidInputError(f"line 1: the column {missing[0]} is missing")
+            for column in _columns(row_type):
+                if column not in header and column not in row_type.ADDED:
+                    raise InvalidInputError(f"line 1: the column {column} is missing")
             try:
                 rows = [_row(row_type, header, cells) for cells in lines]
             except (InvalidInputError, csv.Error) as error:
@@ -280,7 +288,9 @@ def _row(row_type: type[Row], header: list[str], cells: list[str]) -> Row:
     named = dict(zip(header, cells, strict=True))
     kinds = get_type_hints(row_type)
     values: dict[str, Any] = {
-        column: _value(named[column], column, kinds[column]) for column in _columns(row_type)
+        column: _value(named[column], column, kinds[column])
+        for column in _columns(row_type)
+        if column in named
     }
     return row_type(**values)
 
@@ -318,6 +328,8 @@ def _check_cells(row: PointRow | TrackRow) -> None:
         value = getattr(row, column)
         if isinstance(value, float) and not math.isfinite(value):
             raise InvalidInputError(f"{column} is {value}; a finite number or no value is needed")
+        if isinstance(value, str) and not value.isprintable():
+            raise InvalidInputError(f"{column} is {value!r}; one line of printable text is needed")
 
 
 def _together(row: PointRow | TrackRow, *columns: str) -> None:

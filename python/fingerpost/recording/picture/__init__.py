@@ -15,8 +15,14 @@ What cannot be drawn (no fix, no bound on it, points beyond the horizon or far o
 is left out.
 """
 
-from fingerpost.recording.picture.composition import MAX_WIDTH_PX, Composition
-from fingerpost.recording.picture.marks import Observed, Pictured, RobotMarks, SearchMarks
+from fingerpost.recording.picture.composition import MAX_WIDTH_PX, Composition, point_in_numbers
+from fingerpost.recording.picture.marks import (
+    Observed,
+    Pictured,
+    RobotMarks,
+    SearchMarks,
+    status_of,
+)
 from fingerpost.recording.picture.plan import Plan, draw_plan
 from fingerpost.recording.picture.view import draw_view
 
@@ -30,4 +36,6 @@ __all__ = [
     "SearchMarks",
     "draw_plan",
     "draw_view",
+    "point_in_numbers",
+    "status_of",
 ]

@@ -239,15 +239,35 @@ def _in_numbers(fix: Fix, unit: str, plane_size: float) -> str:
     """Give the fix to a thousandth of the plane; without one, say why."""
     if fix.point is None or fix.covariance is None:
         return fix.reason
+    crossing = math.degrees(fix.crossing_angle_rad or 0.0)
+    point = point_in_numbers(fix.point, fix.covariance, unit=unit, plane_size=plane_size)
+    return f"{point}   lines cross at {crossing:.0f}°"
+
+
+def point_in_numbers(
+    point: ArrayLike, covariance: ArrayLike, *, unit: str, plane_size: float
+) -> str:
+    """Return an indicated point as people read it: to a thousandth of the plane.
+
+    Parameters
+    ----------
+    point : (2,)
+        In plane units.
+    covariance : (2, 2)
+        In plane units²; the standard deviation along each axis stands behind its coordinate.
+    unit
+        Name of the plane's unit.
+    plane_size
+        Side of the working plane, in its unit, > 0.
+    """
     digits = max(0, -math.floor(math.log10(plane_size / 1000.0)))
     axes = [
         f"{axis} {value:.{digits}f} ± {sigma:.{digits}f}"
         for axis, value, sigma in zip(
-            "XY", fix.point, np.sqrt(np.diag(fix.covariance)), strict=True
+            "XY", np.asarray(point), np.sqrt(np.diag(covariance)), strict=True
         )
     ]
-    crossing = math.degrees(fix.crossing_angle_rad or 0.0)
-    return f"{'   '.join(axes)} {unit}   lines cross at {crossing:.0f}°"
+    return f"{'   '.join(axes)} {unit}"
 
 
 @dataclass(frozen=True)

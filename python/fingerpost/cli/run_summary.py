@@ -1,0 +1,58 @@
+"""What a run came to: how often each status, and why."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from fingerpost.pointing import Fix
+
+_REASONS = 5  # as many as people read
+_NAME_OR_NUMBER = re.compile(r'"[^"]*"|[+-]?\d+(?:\.\d+)?(?:e[+-]?\d+)?')
+
+
+class RunSummary:
+    """How many fixes of each status, and the most frequent reasons for there being no better."""
+
+    def __init__(self) -> None:
+        self._statuses: Counter[str] = Counter()
+        self._reasons: Counter[str] = Counter()
+
+    def add(self, fix: Fix) -> None:
+        """Count a fix."""
+        self._statuses[fix.status.value] += 1
+        if fix.reason:
+            self._reasons[_kind(fix.reason)] += 1
+
+    @property
+    def frames(self) -> int:
+        """How many fixes were counted."""
+        return self._statuses.total()
+
+    def lines(self, elapsed_s: float) -> list[str]:
+        """Return the summary as lines of text for a person.
+
+        Parameters
+        ----------
+        elapsed_s
+            How long the run took.
+        """
+        frames = self.frames
+        lines = [f"frames   {frames} in {elapsed_s:.1f} s"]
+        for status, count in self._statuses.most_common():
+            lines.append(f"{status:<16} {count:5d}  {100 * count / frames:5.1f} %")
+        frequent = self._reasons.most_common(_REASONS)
+        if frequent:
+            lines.append("reasons")
+        lines += [f"{count:5d}   {reason}" for reason, count in frequent]
+        others = self._reasons.total() - sum(count for _, count in frequent)
+        if others:
+            lines.append(f"{others:5d}   others")
+        return lines
+
+
+def _kind(reason: str) -> str:
+    """Return what reasons have in common that differ in their figures alone; names stay."""
+    return _NAME_OR_NUMBER.sub(lambda found: found[0] if found[0][0] == '"' else "…", reason)

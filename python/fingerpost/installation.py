@@ -1,0 +1,227 @@
+"""What fingerpost stands on as it is installed, above all OpenCV.
+
+OpenCV comes in four packages that write the same folder, `cv2`: with or without windows, each with
+or without its extra modules. `pip` knows nothing of that: it installs one over the other, the last
+one is in use, and to remove any of them removes the folder. fingerpost asks for one without
+windows, which does on every machine, and works with all four.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+import sys
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from fingerpost.errors import FingerpostError
+
+OPENCV_PACKAGES = (
+    "opencv-contrib-python",
+    "opencv-python",
+    "opencv-contrib-python-headless",
+    "opencv-python-headless",
+)
+"""The packages that write `cv2`, the one that holds most first."""
+
+OPENCV_VERSIONS = ((4, 10), (6, 0))
+"""The oldest version of OpenCV that will do, and the first that is not known to."""
+
+_EXTRAS = {"mujoco": "mujoco", "ur": "rtde_control", "xarm": "xarm"}
+
+
+@dataclass(frozen=True, slots=True)
+class OpenCv:
+    """OpenCV as Python finds it.
+
+    Attributes
+    ----------
+    version
+        Its version, or empty where it cannot be imported.
+    has_windows
+        Whether it can show windows.
+    error
+        Why it cannot be imported; empty if it can.
+    """
+
+    version: str
+    has_windows: bool
+    error: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """Something that is wrong with an installation.
+
+    Attributes
+    ----------
+    severity
+        "error" if nothing can be tracked, else "warning".
+    what
+        What is wrong.
+    right
+        What to do.
+    """
+
+    severity: str
+    what: str
+    right: str
+
+    def __str__(self) -> str:
+        return f"{self.severity}: {self.what}; {self.right}"
+
+
+@dataclass(frozen=True, slots=True)
+class Installation:
+    """What is installed, and what is wrong with it.
+
+    Attributes
+    ----------
+    versions
+        Of Python and of the packages that matter, by name.
+    opencv
+        OpenCV as Python finds it.
+    extras
+        Optional parts that are there.
+    findings
+        What is wrong; empty if nothing is.
+    """
+
+    versions: Mapping[str, str]
+    opencv: OpenCv
+    extras: tuple[str, ...]
+    findings: tuple[Fault, ...]
+
+    @property
+    def serious(self) -> bool:
+        """Whether nothing can be tracked with it."""
+        return any(fault.severity == "error" for fault in self.findings)
+
+    def table(self) -> list[str]:
+        """Return everything as lines of text."""
+        windows = "with windows" if self.opencv.has_windows else "without windows"
+        used = f"{self.opencv.version}, {windows}" if self.opencv.version else "cannot be imported"
+        rows = {**self.versions, "cv2": used, "extras": ", ".join(self.extras) or "none"}
+        lines = [f"{name:<32}{value}" for name, value in rows.items()]
+        return [*lines, "", *(map(str, self.findings) if self.findings else ["nothing is wrong"])]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return everything for programs, fit for JSON."""
+        return {"serious": self.serious, **asdict(self)}
+
+
+def examine_installation() -> Installation:
+    """Look at what is installed beside fingerpost, and say what is wrong."""
+    from importlib.metadata import distributions  # takes a while, and no other command needs it
+
+    found = {
+        name: distribution.version
+        for distribution in distributions()
+        if (name := _normalized(distribution.metadata["Name"] or ""))
+        in {"fingerpost", "numpy", *OPENCV_PACKAGES}
+    }
+    opencv = _read_opencv()
+    packages = {name: found[name] for name in OPENCV_PACKAGES if name in found}
+    extras = tuple(name for name, module in _EXTRAS.items() if importlib.util.find_spec(module))
+    versions = {"python": ".".join(map(str, sys.version_info[:3])), **dict(sorted(found.items()))}
+    return Installation(versions, opencv, extras, tuple(judge_opencv(opencv, packages)))
+
+
+def need_opencv() -> None:
+    """Import OpenCV.
+
+    Raises
+    ------
+    FingerpostError
+        It cannot be imported, or is not whole.
+    """
+    opencv = _read_opencv()
+    if opencv.error:
+        raise FingerpostError(
+            f"OpenCV cannot be used: {opencv.error}; `fingerpost doctor` says what to do"
+        )
+
+
+def judge_opencv(opencv: OpenCv, packages: Mapping[str, str]) -> list[Fault]:
+    """Say what is wrong with OpenCV.
+
+    Parameters
+    ----------
+    opencv
+        As Python finds it.
+    packages
+        Versions of the packages of OpenCV that are installed, by name, in the order of
+        `OPENCV_PACKAGES`.
+    """
+    shown = " and ".join(f"{name} {version}" for name, version in packages.items())
+    least, limit = (".".join(map(str, version)) for version in OPENCV_VERSIONS)
+    if opencv.error:
+        what = f"OpenCV cannot be used: {opencv.error}"
+        if len(packages) == 1:
+            what += f", though {shown} is installed"
+        # What shows windows needs libraries of the system, which a server may lack.
+        needs_system = ".so" in opencv.error
+        return [Fault("error", what, f"run {_install({} if needs_system else packages)}")]
+    faults = []
+    if not OPENCV_VERSIONS[0] <= _numbers(opencv.version) < OPENCV_VERSIONS[1]:
+        what = f"OpenCV {opencv.version} is in use; from {least} to below {limit} is needed"
+        faults.append(Fault("error", what, f"run {_install(packages)}"))
+    elif len(packages) > 1:
+        faults.append(_judge_several(opencv, packages, shown))
+    return faults
+
+
+def _judge_several(opencv: OpenCv, packages: Mapping[str, str], shown: str) -> Fault:
+    what = f"{shown} are installed, and write the same folder cv2"
+    again = f"run {_install(packages)}"
+    if any(_shows_windows(name) for name in packages) and not opencv.has_windows:
+        return Fault(
+            "warning",
+            f"{what}; the one in use has no windows, so that cv2.imshow fails in other programs",
+            f"{again}, which fingerpost works with as well, "
+            "or give fingerpost an environment of its own",
+        )
+    return Fault(
+        "warning",
+        what,
+        f"fingerpost works with the one in use; to remove either removes that too: then {again}",
+    )
+
+
+def _install(packages: Mapping[str, str]) -> str:
+    """Return the command that has the richest of the installed packages write `cv2` once more."""
+    name, version = next(iter(packages.items()), ("opencv-python-headless", ""))
+    if version and OPENCV_VERSIONS[0] <= _numbers(version) < OPENCV_VERSIONS[1]:
+        wanted = f"{name}=={version}"
+    else:
+        least, limit = (".".join(map(str, numbers)) for numbers in OPENCV_VERSIONS)
+        wanted = f"'{name}>={least},<{limit}'"
+    return f"`pip install --force-reinstall --no-deps {wanted}`"
+
+
+def _shows_windows(package: str) -> bool:
+    return not package.endswith("-headless")
+
+
+def _read_opencv() -> OpenCv:
+    try:
+        cv2 = importlib.import_module("cv2")
+        build = cv2.getBuildInformation()
+    except ImportError as error:
+        return OpenCv("", has_windows=False, error=str(error))
+    except AttributeError:  # Python takes any folder of that name for a package
+        return OpenCv("", has_windows=False, error="the folder cv2 is there, but OpenCV is not")
+    toolkit = re.search(r"^\s*GUI:\s*(\S+)", build, re.MULTILINE)
+    has_windows = toolkit is not None and toolkit[1] != "NONE"
+    return OpenCv(str(cv2.__version__), has_windows)
+
+
+def _normalized(name: str) -> str:
+    return re.sub(r"[-_.]+", "-", name).lower()
+
+
+def _numbers(version: str) -> tuple[int, int]:
+    """Return the first two numbers of a version, of which one that is missing is 0."""
+    major, minor, *_ = (*map(int, re.findall(r"\d+", version)), 0, 0)
+    return major, minor

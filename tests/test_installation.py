@@ -1,0 +1,173 @@
+"""The installation: two packages of OpenCV, one that is broken, one that is too old."""
+
+import json
+import os
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+from patience import PATIENCE_S
+
+from fingerpost.installation import (
+    OPENCV_PACKAGES,
+    OPENCV_VERSIONS,
+    OpenCv,
+    examine_installation,
+    judge_opencv,
+)
+
+ROOT = Path(__file__).resolve().parents[1]
+REPAIR = "pip install --force-reinstall --no-deps"
+CV2 = """
+__version__ = "{version}"
+def getBuildInformation():
+    return "General configuration\\n\\n  GUI:                           {toolkit}\\n"
+"""
+
+
+@pytest.fixture
+def site(tmp_path):
+    """A folder before all others that Python imports from; and what fills it."""
+
+    def fill(packages: dict[str, str], cv2: str | None = None) -> Path:
+        for name, version in packages.items():
+            folder = tmp_path / f"{name.replace('-', '_')}-{version}.dist-info"
+            folder.mkdir()
+            (folder / "METADATA").write_text(
+                f"Metadata-Version: 2.1\nName: {name}\nVersion: {version}\n"
+            )
+        if cv2 is not None:
+            (tmp_path / "cv2").mkdir()
+            (tmp_path / "cv2" / "__init__.py").write_text(cv2)
+        return tmp_path
+
+    return fill
+
+
+def fingerpost(site: Path, *arguments: str) -> tuple[int, str, str]:
+    """Exit code, stdout and stderr of a command that finds what is in the folder first."""
+    path = os.pathsep.join([str(site), *sys.path])
+    done = subprocess.run(
+        [sys.executable, "-m", "fingerpost", *arguments],
+        capture_output=True,
+        text=True,
+        env=os.environ | {"PYTHONPATH": path},
+        timeout=PATIENCE_S,
+        check=False,
+    )
+    return done.returncode, done.stdout, done.stderr
+
+
+def test_an_installation_of_one_opencv_has_nothing_wrong():
+    code, said, error = fingerpost(ROOT, "doctor")
+    assert (code, error) == (0, "")
+    assert said.endswith("nothing is wrong\n")
+    for name in ("python", "numpy", "opencv-python-headless", "cv2", "extras"):
+        assert f"{name} " in said
+
+
+@pytest.mark.parametrize("name", ["opencv-python", "opencv_contrib_python"])
+def test_windows_that_were_taken_away_are_found(site, name):
+    code, said, _ = fingerpost(site({name: "4.11.0.86"}), "doctor")
+    name = name.replace("_", "-")
+    warning = said.splitlines()[-1]
+    assert code == 0
+    assert warning.startswith(f"warning: {name} 4.11.0.86 and opencv-python-headless ")
+    assert "write the same folder cv2; the one in use has no windows" in warning
+    assert f"run `{REPAIR} {name}==4.11.0.86`" in warning
+    assert "environment of its own" in warning
+
+
+def test_what_was_repaired_is_still_told_to_be_two(site):
+    cv2 = CV2.format(version="4.11.0", toolkit="QT5")
+    code, said, _ = fingerpost(site({"opencv-python": "4.11.0.86"}, cv2), "doctor")
+    assert code == 0
+    assert "cv2                             4.11.0, with windows\n" in said
+    assert "fingerpost works with the one in use; to remove either removes that too" in said
+    assert "imshow" not in said
+
+
+def test_one_too_old_to_be_installed_anew_is_not_named_by_its_version(site):
+    cv2 = CV2.format(version="4.5.5", toolkit="GTK3")
+    code, said, _ = fingerpost(site({"opencv-python": "4.5.5.64"}, cv2), "doctor")
+    assert code == 1
+    error = said.splitlines()[-1]
+    assert error.startswith("error: OpenCV 4.5.5 is in use; from 4.10 to below 6.0 is needed; ")
+    assert f"{REPAIR} 'opencv-python>=4.10,<6.0'" in error
+
+
+LIBRARY = "libGL.so.1: cannot open shared object file: No such file or directory"
+
+
+def test_one_that_lacks_a_library_of_the_system_is_replaced_by_one_that_needs_none(site):
+    folder = site({"opencv-python": "4.11.0.86"}, f"raise ImportError({LIBRARY!r})")
+    code, said, _ = fingerpost(folder, "doctor")
+    assert code == 1
+    error = said.splitlines()[-1]
+    assert error.startswith(f"error: OpenCV cannot be used: {LIBRARY}")
+    assert f"run `{REPAIR} 'opencv-python-headless>=4.10,<6.0'`" in error
+
+
+@pytest.mark.parametrize(
+    "command",
+    [["run"], ["doctor"], ["advise"], ["experiment"], ["experiment", "--guidance", "1"], ["demo"]],
+    ids=" ".join,
+)
+def test_no_command_ends_in_a_traceback_for_want_of_opencv(site, tmp_path, command):
+    folder = site({}, f"raise ImportError({LIBRARY!r})")
+    rig = ["rig.toml"] if command[0] in {"run", "doctor", "advise"} else []
+    assert fingerpost(folder, *command, *rig) == (
+        1,
+        "",
+        f"fingerpost: OpenCV cannot be used: {LIBRARY}; `fingerpost doctor` says what to do\n",
+    )
+
+
+def test_an_empty_folder_is_no_opencv(site):
+    code, said, _ = fingerpost(site({"opencv-python": "4.11.0.86"}, ""), "doctor")
+    assert code == 1
+    assert "the folder cv2 is there, but OpenCV is not" in said
+
+
+def test_a_package_that_another_took_away_is_installed_anew():
+    gone = OpenCv("", has_windows=False, error="No module named 'cv2'")
+    (fault,) = judge_opencv(gone, {"opencv-python-headless": "4.12.0.88"})
+    assert fault.severity == "error"
+    assert "though opencv-python-headless 4.12.0.88 is installed" in fault.what
+    assert fault.right == f"run `{REPAIR} opencv-python-headless==4.12.0.88`"
+    (fault,) = judge_opencv(gone, {})
+    assert fault.right == f"run `{REPAIR} 'opencv-python-headless>=4.10,<6.0'`"
+
+
+def test_an_opencv_of_the_system_is_as_good():
+    assert judge_opencv(OpenCv("4.10.0", has_windows=True), {}) == []
+
+
+def test_the_richest_of_three_is_installed_anew():
+    packages = dict.fromkeys(OPENCV_PACKAGES[:3], "4.11.0.86")
+    (fault,) = judge_opencv(OpenCv("4.11.0", has_windows=False), packages)
+    assert f"{REPAIR} opencv-contrib-python==4.11.0.86" in fault.right
+
+
+def test_programs_get_it_as_json(site):
+    code, said, _ = fingerpost(site({"opencv-python": "4.11.0.86"}), "doctor", "--json")
+    told = json.loads(said)
+    assert (code, told["serious"]) == (0, False)
+    assert told["versions"]["opencv-python"] == "4.11.0.86"
+    assert [finding["severity"] for finding in told["findings"]] == ["warning"]
+    assert examine_installation().as_dict()["opencv"] == told["opencv"]
+
+
+def test_frames_are_those_of_a_rig():
+    code, said, error = fingerpost(ROOT, "doctor", "--frames", "3")
+    assert (code, said) == (2, "")
+    assert "--frames goes with a rig file; name one" in error
+
+
+def test_the_versions_are_those_that_the_package_asks_for():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    (wanted,) = [line for line in project["dependencies"] if "opencv" in line]
+    (least, minor), (limit, _) = OPENCV_VERSIONS
+    assert wanted == f"opencv-python-headless>={least}.{minor},<{limit}"
