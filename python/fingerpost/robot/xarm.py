@@ -192,7 +192,7 @@ class Xarm(Arm):
     def _connect(self) -> Any:
         """Connect in a thread, which is left alone when it takes too long."""
         result: queue.SimpleQueue[Any] = queue.SimpleQueue()
-        given_up = threading.Event()
+        wanted = threading.Semaphore()  # for whoever comes first: the connection, or patience's end
 
         def connect() -> None:
             default_s = socket.getdefaulttimeout()
@@ -203,18 +203,20 @@ class Xarm(Arm):
                 return
             finally:
                 socket.setdefaulttimeout(default_s)  # the library sets it for the whole process
-            result.put(api)
-            if given_up.is_set():
+            if wanted.acquire(blocking=False):
+                result.put(api)
+            else:
                 api.disconnect()
 
         threading.Thread(target=connect, name="xarm", daemon=True).start()
         try:
             made = result.get(timeout=OPEN_S)
         except queue.Empty:
-            given_up.set()
-            raise RobotTimeoutError(
-                f"{self._host}: the control box does not answer within {OPEN_S:g} s"
-            ) from None
+            if wanted.acquire(blocking=False):
+                raise RobotTimeoutError(
+                    f"{self._host}: the control box does not answer within {OPEN_S:g} s"
+                ) from None
+            made = result.get()
         if isinstance(made, Exception):
             raise ConnectionLostError(f"{self._host}: {made}") from made
         return made
@@ -238,8 +240,7 @@ class Xarm(Arm):
             self._accept(api.set_state(STOPPED_STATE), "set_state")
             self._accept(api.motion_enable(True), "motion_enable")
             self._accept(api.set_mode(POSITION_MODE), "set_mode")
-            self._accept(api.set_state(READY_STATE), "set_state")
-            self._stopped = False
+            self._make_ready(api)
             if self._options.gripper:
                 self._accept(api.set_gripper_enable(True), "set_gripper_enable", GripperError)
                 self._accept(api.set_gripper_mode(0), "set_gripper_mode", GripperError)
@@ -348,9 +349,16 @@ class Xarm(Arm):
         if api.state == PAUSED_STATE:  # the library would wait until somebody goes on
             raise NotReadyError("paused in UFACTORY Studio: go on or stop there, then home again")
         if self._stopped:
-            self._accept(api.set_state(READY_STATE), "set_state")
-            self._stopped = False
+            self._make_ready(api)
         return api
+
+    def _make_ready(self, api: Any) -> None:
+        self._stopped = False  # before, so that a stop meanwhile is not forgotten
+        try:
+            self._accept(api.set_state(READY_STATE), "set_state")
+        except RobotError:
+            self._stopped = True
+            raise
 
     def _connected(self) -> Any:
         api = self._api
