@@ -17,7 +17,8 @@ from urllib.parse import parse_qsl, urlsplit
 import msgspec
 
 from fingerpost.errors import InvalidInputError
-from fingerpost.robot.gcode import DOBOT, MARLIN, UARM, Dialect, GcodeArm, GcodeOptions
+from fingerpost.robot.gcode import GcodeArm, GcodeOptions
+from fingerpost.robot.gcode_dialects import DEXARM, MARLIN, UARM, Dialect
 from fingerpost.robot.protocol import Robot
 from fingerpost.robot.scorbot import Scorbot, ScorbotOptions
 from fingerpost.robot.serial_line import check_address
@@ -132,13 +133,26 @@ def _factory(name: str, target: str) -> RobotFactory:
         return BUILT_IN[name]
     for point in _plug_ins():
         if point.name == name:
-            factory: RobotFactory = point.load()
-            return factory
+            return _loaded(point)
+    if name in OTHERS:
+        raise InvalidInputError(f"{target!r}: {OTHERS[name]}")
     raise InvalidInputError(
         f"{target!r}: there is no robot {name!r}; there are {', '.join(robot_names())}; "
         "acl:///dev/ttyUSB0 is right, say. "
         f"Others are added by the entry point group {ENTRY_POINT_GROUP!r}"
     )
+
+
+def _loaded(point: EntryPoint) -> RobotFactory:
+    """Import a plug-in; whatever it fails with is one line that names it."""
+    try:
+        factory: RobotFactory = point.load()
+    except Exception as error:
+        words = " ".join(f"{type(error).__name__}: {error}".split())
+        raise InvalidInputError(
+            f"the plug-in for {point.name!r}, {point.value}, cannot be imported: {words}"
+        ) from error
+    return factory
 
 
 def _plug_ins() -> list[EntryPoint]:
@@ -182,7 +196,7 @@ def _host(address: str, name: str) -> str:
 
 BUILT_IN: dict[str, RobotFactory] = {
     "acl": _scorbot,
-    "dobot": _gcode("dobot", DOBOT),
+    "dexarm": _gcode("dexarm", DEXARM),
     "marlin": _gcode("marlin", MARLIN),
     "sim": _simulated,
     "uarm": _gcode("uarm", UARM),
@@ -190,3 +204,10 @@ BUILT_IN: dict[str, RobotFactory] = {
     "xarm": _xarm,
 }
 """The robots of this package; no plug-in can take their names."""
+
+_DOBOT = (
+    "a Dobot Magician speaks a binary protocol, which no driver here knows. Rotrics' DexArm is "
+    "dexarm:///dev/ttyACM0, another arm on a Marlin board marlin:///dev/ttyACM0"
+)
+OTHERS = {"dobot": _DOBOT, "magician": _DOBOT}
+"""What is said of names that look right and are not; a plug-in can take them."""
