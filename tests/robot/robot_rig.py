@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from fingerpost.robot.acl import ABORT
 from fingerpost.robot.emulator.acl import AclController, AclStyle
 from fingerpost.robot.emulator.ports import ArmTime, Emulator, Port, PtyPort
 from fingerpost.robot.protocol import TOOL_DOWN_RAD, Pose
@@ -119,6 +120,20 @@ class Rig:
     def plugged(self) -> bool:
         """Whether the cable is in."""
         return bool(self.port.descriptors())
+
+    @property
+    def stops(self) -> int:
+        """Stops that the controller has seen."""
+        return self.controller.aborts
+
+    @property
+    def stop_bytes(self) -> bytes:
+        """What a stop is known by on the line."""
+        return ABORT[:1]
+
+    def random_goal(self, rng: np.random.Generator) -> Pose:
+        """A pose in reach."""
+        return random_goal(rng)
 
     def true_pose(self) -> Pose:
         """Where the arm really is."""

@@ -1,5 +1,7 @@
 """Thousands of moves with random faults; `python tests/robot/soak.py 10000 --jobs 3` reports.
 
+Of a Scorbot, or with `--arm uarm` (marlin, dexarm) of another arm that is emulated.
+
 Every call must end with the truth or with a typed error within its time-out, and a stop must reach
 the controller's port within 20 ms at any moment. On a crowded machine, run it at a priority of its
 own (`chrt -f 10`): a thread may wait for a processor for longer than that.
@@ -14,14 +16,15 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
+from typing import TypeAlias
 
+import gcode_rig
 import numpy as np
-from robot_rig import REPLY_S, STOP_S, TIME_SCALE, Rig, fast_options, random_goal, scorbot_rig
+from robot_rig import REPLY_S, STOP_S, TIME_SCALE, Rig, fast_options, scorbot_rig
 
-from fingerpost.robot.acl import ABORT
 from fingerpost.robot.emulator.acl import AclStyle
 from fingerpost.robot.emulator.faults import Fault
 from fingerpost.robot.errors import ConnectionLostError, RobotError, StoppedError
@@ -40,6 +43,8 @@ STOP_SEEN_S = 1.0
 """After an error the controller must have been told to stop; a crowded machine may leave the thread
 that reads for it waiting for a while."""
 
+AnyRig: TypeAlias = Rig | gcode_rig.Rig
+
 LIMIT_S = 3.0
 """No call may last longer; the longest time-out, of finding the prompt again, is 0.6 s."""
 
@@ -52,8 +57,10 @@ READING_M = 2.5e-4
 GAP_S = 0.003
 """A sleep of a millisecond that takes longer than this is one that had to wait."""
 
-SLOW_S = 1.5 * REPLY_S
-"""A slow answer comes after its time-out."""
+SLOW_S = 1.5
+"""A slow answer comes after so many time-outs of one."""
+
+ARMS = ("acl", *gcode_rig.ARMS)
 
 FAULTS = (
     [Fault.GARBAGE] * 4
@@ -184,15 +191,26 @@ class SoakReport:
                 setattr(self, name, getattr(self, name) + value)
 
 
-def soak(moves: int, seed: int) -> SoakReport:
+@contextmanager
+def _scorbot(seed: int) -> Iterator[Rig]:
+    style, options = AclStyle(homing_s=2.0), fast_options(max_speed_m_s=1.0)
+    slow_s = SLOW_S * REPLY_S * TIME_SCALE
+    with scorbot_rig(style, options=options, slow_s=slow_s, seed=seed) as rig:
+        yield rig
+
+
+def _plugged_in(arm: str, seed: int) -> AbstractContextManager[AnyRig]:
+    if arm == "acl":
+        return _scorbot(seed)
+    slow_s = SLOW_S * gcode_rig.REPLY_S * TIME_SCALE
+    return gcode_rig.gcode_rig(arm, seed=seed, slow_s=slow_s)
+
+
+def soak(moves: int, seed: int, arm: str = "acl") -> SoakReport:
     """Make so many moves under random faults."""
     rng = np.random.default_rng(seed)
     report = SoakReport()
-    style, options = AclStyle(homing_s=2.0), fast_options(max_speed_m_s=1.0)
-    with (
-        witnesses(report),
-        scorbot_rig(style, options=options, slow_s=SLOW_S * TIME_SCALE, seed=seed) as rig,
-    ):
+    with witnesses(report), _plugged_in(arm, seed) as rig:
         for _ in range(moves):
             # A log that grows makes the collector of garbage hold all threads up, by 0.1 s at last.
             rig.emulator.wire.clear()
@@ -202,8 +220,8 @@ def soak(moves: int, seed: int) -> SoakReport:
     return report
 
 
-def _move(rig: Rig, rng: np.random.Generator, report: SoakReport) -> None:
-    goal = random_goal(rng)
+def _move(rig: AnyRig, rng: np.random.Generator, report: SoakReport) -> None:
+    goal = rig.random_goal(rng)
     report.moves += 1
     meddlers = []
     if rng.random() < FAULT_SHARE:
@@ -213,7 +231,7 @@ def _move(rig: Rig, rng: np.random.Generator, report: SoakReport) -> None:
         meddlers.append(_later(rng, lambda: rig.emulator.inject(fault, count=count)))
     if rng.random() < STOP_SHARE:
         meddlers.append(_later(rng, lambda: _stop(rig, report)))
-    aborts = rig.controller.aborts
+    aborts = rig.stops
     start_s = time.monotonic()
     try:
         if rng.random() < 0.7:
@@ -234,8 +252,8 @@ def _move(rig: Rig, rng: np.random.Generator, report: SoakReport) -> None:
         meddler.join()
 
 
-def _told_to_stop(rig: Rig, aborts: int) -> bool:
-    return rig.controller.aborts > aborts or not rig.plugged
+def _told_to_stop(rig: AnyRig, aborts: int) -> bool:
+    return rig.stops > aborts or not rig.plugged
 
 
 def _later(rng: np.random.Generator, act: Callable[[], None]) -> threading.Thread:
@@ -250,7 +268,7 @@ def _later(rng: np.random.Generator, act: Callable[[], None]) -> threading.Threa
     return thread
 
 
-def _stop(rig: Rig, report: SoakReport) -> None:
+def _stop(rig: AnyRig, report: SoakReport) -> None:
     """Stop, and look in the controller's log when it arrived."""
     seen = len(rig.emulator.wire)
     called_s = time.monotonic()
@@ -282,18 +300,18 @@ def _within(span_s: float, true: Callable[[], bool]) -> bool:
     return True
 
 
-def _abort_seen(rig: Rig, seen: int, called_s: float) -> float | None:
+def _abort_seen(rig: AnyRig, seen: int, called_s: float) -> float | None:
     """When the controller's port read the first abort after a moment, waiting half a second."""
     end_s = time.monotonic() + 0.5
     while time.monotonic() < end_s:
         for event in itertools.islice(rig.emulator.wire, seen, None):
-            if not event.sent and event.time_s >= called_s and ABORT[:1] in event.data:
+            if not event.sent and event.time_s >= called_s and rig.stop_bytes in event.data:
                 return event.time_s
         time.sleep(0.001)
     return None
 
 
-def _read_on_the_way(rig: Rig, report: SoakReport) -> None:
+def _read_on_the_way(rig: AnyRig, report: SoakReport) -> None:
     """Read the pose of a moving arm; it must lie where the arm has been meanwhile."""
     before = rig.true_pose()
     try:
@@ -314,7 +332,7 @@ def _compare(believed: Pose, true: Pose, within_m: float, what: str, report: Soa
         report.wrong_positions.append(f"{what}: believed {believed}, true {true}")
 
 
-def _recover(rig: Rig, report: SoakReport) -> None:
+def _recover(rig: AnyRig, report: SoakReport) -> None:
     """Do what an operator does after an error, faults of the line still going on."""
     while True:
         state = rig.robot.status().state
@@ -342,6 +360,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("moves", type=int, nargs="?", default=10_000)
     parser.add_argument("--jobs", type=int, default=1, help="rigs side by side")
+    parser.add_argument("--arm", choices=ARMS, default="acl")
     parser.add_argument("--seed", type=int, default=0, help="of the first rig")
     given = parser.parse_args()
     start_s = time.monotonic()
@@ -350,7 +369,7 @@ def main() -> None:
     shares[0] += given.moves - sum(shares)
     with ProcessPoolExecutor(given.jobs) as pool:
         seeds = range(given.seed, given.seed + given.jobs)
-        for part in pool.map(soak, shares, seeds):
+        for part in pool.map(soak, shares, seeds, [given.arm] * given.jobs):
             report.add(part)
     late = [stop.as_dict() for stop in report.late_stops]
     print(

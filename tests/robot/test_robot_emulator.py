@@ -30,7 +30,7 @@ def ask(address, command, wait_s=0.3):
     [
         ("acl", b"SPEED 20\r", b"SPEED 20\r\nDone.\r\n>"),
         ("marlin", b"N0 M110 N0*125\n", b"ok\n"),
-        ("dobot", b"N0 M110 N0*125\n", b"ok\n"),
+        ("dexarm", b"N0 M110 N0*125\n", b"ok\n"),
         ("uarm", b"#1 M17\n", b"$1 ok\n"),
     ],
 )

@@ -1,6 +1,7 @@
 """What all robots share: poses, limits, orientations, readings, motion, and robots by name."""
 
 import math
+import sys
 from dataclasses import replace
 from importlib.metadata import EntryPoint
 
@@ -261,7 +262,7 @@ def test_queued_motions_follow_each_other_and_an_abort_drops_them():
 
 def test_every_built_in_has_a_name():
     assert set(registry.BUILT_IN) <= set(robot_names())
-    assert {"acl", "uarm", "marlin", "dobot", "ur", "xarm", "sim"} == set(registry.BUILT_IN)
+    assert {"acl", "uarm", "marlin", "dexarm", "ur", "xarm", "sim"} == set(registry.BUILT_IN)
 
 
 @pytest.mark.parametrize(
@@ -356,6 +357,37 @@ def test_a_plug_in_adds_a_robot(monkeypatch):
         open_robot("myarm://bad")
 
 
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("import no_such_library\n", "ModuleNotFoundError: No module named 'no_such_library'"),
+        ("raise RuntimeError('no\\nlicence')\n", "RuntimeError: no licence"),
+        ("def open_(\n", "SyntaxError"),
+        ("", "has no attribute 'open_arm'"),
+        (None, "No module named 'broken_plug_in'"),
+    ],
+)
+def test_a_plug_in_that_cannot_be_imported_is_one_line(text, words, tmp_path, monkeypatch):
+    if text is not None:
+        (tmp_path / "broken_plug_in.py").write_text(text)
+    monkeypatch.syspath_prepend(tmp_path)
+    point = EntryPoint("myarm", "broken_plug_in:open_arm", registry.ENTRY_POINT_GROUP)
+    monkeypatch.setattr(registry, "entry_points", lambda *, group: [point] if group else [])
+    assert "myarm" in robot_names()
+    with pytest.raises(InvalidInputError, match="'myarm', broken_plug_in:open_arm") as refused:
+        open_robot("myarm://somewhere")
+    assert words in str(refused.value)
+    assert "\n" not in str(refused.value)
+    sys.modules.pop("broken_plug_in", None)
+
+
+def test_a_plug_in_can_be_a_dobot(monkeypatch):
+    point = EntryPoint("dobot", f"{__name__}:open_arm", registry.ENTRY_POINT_GROUP)
+    monkeypatch.setattr(EntryPoint, "load", lambda _: open_arm)
+    monkeypatch.setattr(registry, "entry_points", lambda *, group: [point] if group else [])
+    assert isinstance(open_robot("dobot://good"), SimulatedRobot)
+
+
 # The simulated robot.
 
 
@@ -388,7 +420,7 @@ def test_an_arrival_needs_two_readings():
 
 
 def test_what_is_not_emulated_is_refused():
-    with pytest.raises(InvalidInputError, match="acl, dobot, marlin, uarm"):
+    with pytest.raises(InvalidInputError, match="acl, dexarm, marlin, uarm"):
         make_emulator("puma")
     with pytest.raises(InvalidInputError, match="time_scale"):
         make_emulator("acl", time_scale=0.0)

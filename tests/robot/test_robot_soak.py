@@ -2,13 +2,15 @@
 
 import os
 
-from soak import LIMIT_S, soak
+import pytest
+from soak import ARMS, LIMIT_S, soak
 
 MOVES = int(os.environ.get("FINGERPOST_SOAK_MOVES", "200"))
 
 
-def test_no_hang_no_wrong_position_and_every_stop_in_time():
-    report = soak(MOVES, seed=20_941)
+@pytest.mark.parametrize("arm", ARMS)
+def test_no_hang_no_wrong_position_and_every_stop_in_time(arm):
+    report = soak(MOVES, seed=20_941, arm=arm)
     assert report.wrong_positions == []
     assert report.not_stopped == []
     # A crowded machine delays a thread now and then; `best_of_three` says why this is no defect.

@@ -149,6 +149,7 @@ class Arm(ABC):
         self._stops = 0
         self._state = RobotState.DISCONNECTED
         self._homed = False
+        self._home_lost = ""  # why it is not homed any more
         self._fault: str | None = None
         self._goal: Pose | None = None
         self._due_s = 0.0  # when the arm must have come to its goal
@@ -184,6 +185,11 @@ class Arm(ABC):
     def _move_gripper(self, opening: float, turn: Turn) -> None:
         """Set the gripper to a share of its opening and wait until it is there."""
 
+    def _advice(self, error: RobotError) -> str:
+        """Return what else is known of why a command failed; a driver may know nothing."""
+        del error
+        return ""
+
     # The protocol.
 
     @property
@@ -207,7 +213,8 @@ class Arm(ABC):
         with self._motion_lock, self._exchange_lock:
             self._forget()
             try:
-                self._open()
+                with self._explaining():
+                    self._open()
             except BaseException:
                 self._close()
                 raise
@@ -283,7 +290,7 @@ class Arm(ABC):
                     turn,
                     lambda text: tell(HomingProgress(self._clock() - start_s, timeout_s, text)),
                 )
-            self._homed, self._fault = True, None
+            self._homed, self._home_lost, self._fault = True, "", None
             self._state = RobotState.IDLE
 
     def pose(self) -> Pose:
@@ -297,10 +304,11 @@ class Arm(ABC):
             No reading that can be believed.
         """
         self._need_homing()
-        try:
-            return self._measured_pose(self._short_turn())
-        except StoppedError:  # the stop of another command cut the answer in two; ask again
-            return self._measured_pose(self._short_turn())
+        with self._explaining():
+            try:
+                return self._measured_pose(self._short_turn())
+            except StoppedError:  # the stop of another command cut the answer in two; ask again
+                return self._measured_pose(self._short_turn())
 
     def move_to(
         self,
@@ -418,8 +426,8 @@ class Arm(ABC):
             if held:
                 self._issue_lock.release()
         self._goal = None
-        if self._state is RobotState.MOVING:
-            self._state = RobotState.IDLE
+        if self._state in (RobotState.MOVING, RobotState.IDLE):
+            self._state = RobotState.IDLE if self._homed else RobotState.NOT_HOMED
 
     def status(self) -> RobotStatus:
         """Tell what is known, without waiting."""
@@ -451,7 +459,21 @@ class Arm(ABC):
             self._sleep_for(min(left_s, SLICE_S))
         self._check(turn)
 
+    def _lose_home(self, reason: str) -> None:
+        """Believe no position from here on until the arm has been homed."""
+        self._homed, self._home_lost = False, reason
+
     # Inside.
+
+    @contextmanager
+    def _explaining(self) -> Iterator[None]:
+        """Add what else is known to an error that tells only what has not happened."""
+        try:
+            yield
+        except (RobotTimeoutError, GarbledReplyError, NotArrivedError) as error:
+            if advice := self._advice(error):
+                raise type(error)(f"{error}; {advice}") from error
+            raise
 
     @contextmanager
     def _waiting(self, lock: threading.Lock, turn: Turn) -> Iterator[None]:
@@ -468,7 +490,8 @@ class Arm(ABC):
     def _failing_safely(self) -> Iterator[None]:
         """Stop the arm and keep the books when a command fails in any way."""
         try:
-            yield
+            with self._explaining():
+                yield
         except StoppedError:
             self._state = RobotState.IDLE if self._homed else RobotState.NOT_HOMED
             raise
@@ -495,7 +518,7 @@ class Arm(ABC):
 
     def _forget(self) -> None:
         self._state = RobotState.DISCONNECTED
-        self._homed, self._fault, self._goal = False, None, None
+        self._homed, self._home_lost, self._fault, self._goal = False, "", None, None
         self._last_pose = None
 
     def _short_turn(self) -> Turn:
@@ -568,7 +591,8 @@ class Arm(ABC):
         if self._state is RobotState.FAULT:
             raise NotReadyError(f"fault not cleared ({self._fault}): see to it, then call home()")
         if not self._homed:
-            raise NotHomedError("not homed: call home() first")
+            reason = f" ({self._home_lost})" if self._home_lost else ""
+            raise NotHomedError(f"not homed{reason}: call home() first")
 
 
 def _span_s(timeout_s: float) -> float:

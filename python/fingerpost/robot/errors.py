@@ -40,6 +40,10 @@ class ConnectionLostError(RobotError, ConnectionError):
     """The port is closed or its cable is out; `connect` opens it again."""
 
 
+class PortInUseError(ConnectionLostError):
+    """Another program talks to the robot through the same port: end that one first."""
+
+
 class GarbledReplyError(RobotError):
     """The controller's answer cannot be read, so nothing of it is believed."""
 

@@ -17,7 +17,8 @@ from urllib.parse import parse_qsl, urlsplit
 import msgspec
 
 from fingerpost.errors import FingerpostError, InvalidInputError
-from fingerpost.robot.gcode import DOBOT, MARLIN, UARM, Dialect, GcodeArm, GcodeOptions
+from fingerpost.robot.gcode import GcodeArm, GcodeOptions
+from fingerpost.robot.gcode_dialects import DEXARM, MARLIN, UARM, Dialect
 from fingerpost.robot.protocol import Robot
 from fingerpost.robot.scorbot import Scorbot, ScorbotOptions
 from fingerpost.robot.serial_line import check_address
@@ -134,6 +135,8 @@ def _factory(name: str, target: str) -> RobotFactory:
     for point in _plug_ins():
         if point.name == name:
             return _loaded(point)
+    if name in OTHERS:
+        raise InvalidInputError(f"{target!r}: {OTHERS[name]}")
     raise InvalidInputError(
         f"{target!r}: there is no robot {name!r}; there are {', '.join(robot_names())}; "
         "acl:///dev/ttyUSB0 is right, say. "
@@ -209,7 +212,7 @@ def _host(address: str, name: str) -> str:
 
 BUILT_IN: dict[str, RobotFactory] = {
     "acl": _scorbot,
-    "dobot": _gcode("dobot", DOBOT),
+    "dexarm": _gcode("dexarm", DEXARM),
     "marlin": _gcode("marlin", MARLIN),
     "sim": _simulated,
     "uarm": _gcode("uarm", UARM),
@@ -217,3 +220,10 @@ BUILT_IN: dict[str, RobotFactory] = {
     "xarm": _xarm,
 }
 """The robots of this package; no plug-in can take their names."""
+
+_DOBOT = (
+    "a Dobot Magician speaks a binary protocol, which no driver here knows. Rotrics' DexArm is "
+    "dexarm:///dev/ttyACM0, another arm on a Marlin board marlin:///dev/ttyACM0"
+)
+OTHERS = {"dobot": _DOBOT, "magician": _DOBOT}
+"""What is said of names that look right and are not; a plug-in can take them."""

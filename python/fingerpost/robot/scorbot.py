@@ -37,6 +37,7 @@ from fingerpost.robot.errors import (
     GarbledReplyError,
     HomingError,
     NotReadyError,
+    RobotError,
     RobotTimeoutError,
 )
 from fingerpost.robot.options import CheckedOptions
@@ -204,6 +205,10 @@ class Scorbot(Arm):
 
     def _close(self) -> None:
         self._line.close()
+
+    def _advice(self, error: RobotError) -> str:
+        del error
+        return self._line.advice
 
     def _home(self, turn: Turn, report: Callable[[str], None]) -> None:
         """HOME answers `WAIT!! HOMING...`, and up to three minutes later how it went."""

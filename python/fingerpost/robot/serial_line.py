@@ -1,5 +1,7 @@
 """One serial line by URL: a device, `socket://host:port` or `rfc2217://host:port`.
 
+A device belongs to one program while it is open; see `fingerpost.robot.port_lock`.
+
 Commands and the stop share the line but not its queues: `send_now` throws away what the operating
 system still holds back and lifts a software hold (XOFF) first, so that a stop never stands behind
 a command, and it waits only a moment for a write that another thread has begun.
@@ -7,6 +9,7 @@ a command, and it waits only a moment for a write that another thread has begun.
 
 from __future__ import annotations
 
+import logging
 import os
 import re
 import select
@@ -22,6 +25,15 @@ import serial
 
 from fingerpost.errors import InvalidInputError
 from fingerpost.robot.errors import ConnectionLostError, RobotTimeoutError
+from fingerpost.robot.port_lock import (
+    HELD_BY_ANOTHER,
+    in_use,
+    keep_others_out,
+    let_others_in,
+    need_free,
+)
+
+logger = logging.getLogger(__name__)
 
 Tap: TypeAlias = Callable[[str, bytes], None]
 """Sees every transfer: `tap("out" or "in", data)`."""
@@ -41,6 +53,9 @@ LOCAL = ("alt", "cp2110", "hwgrep", "loop", "spy")
 
 LAST_PORT = 65535
 """Greatest number of a TCP port."""
+
+XON, XOFF = 0x11, 0x13
+"""Bytes by which one end of a line holds the other back (DC1 and DC3 of ASCII)."""
 
 RECEIVE_WAIT_S = 0.02
 """Longest wait of one `receive`; fixed, as changing it would talk to an RFC 2217 server [s]."""
@@ -73,6 +88,11 @@ def _write_to_device(descriptor: int, data: bytes) -> None:
             left_s = end_s - time.monotonic()
             if left_s <= 0 or not select.select([], [descriptor], [], left_s)[1]:
                 raise serial.SerialTimeoutException("write timeout") from None
+
+
+def _on_descriptor(port: Any) -> bool:
+    """Whether a port is a device of POSIX, with a descriptor of its own."""
+    return os.name == "posix" and isinstance(port, serial.Serial)
 
 
 class Flow(StrEnum):
@@ -168,16 +188,38 @@ class SerialLine:
         self._port: Any = None  # pyserial has no types
         self._write_lock = threading.Lock()
         self._purgeable = False
+        self._held_back = False
+
+    @property
+    def advice(self) -> str:
+        """What is probably set wrong on this line, for an error that may be due to it, or nothing.
+
+        Bytes of XON/XOFF on a line without this flow control mean that the other end uses it.
+        """
+        if not self._held_back:
+            return ""
+        remedy = (
+            "switch it on at the serial server"
+            if self.url.startswith("socket:")
+            else "try ?flow=xonxoff"
+        )
+        return f"the controller has sent XON/XOFF, which this line does not use: {remedy}"
 
     def open(self) -> None:
         """Open the line, closing it first if it is open.
 
         Raises
         ------
+        PortInUseError
+            Another program has the device open.
         ConnectionLostError
             There is no such port, or it cannot be opened.
         """
         self.close()
+        self._held_back = False
+        is_device = "://" not in self.url
+        if is_device:
+            need_free(self.url)
         try:
             self._port = serial.serial_for_url(
                 self.url,
@@ -187,9 +229,14 @@ class SerialLine:
                 timeout=RECEIVE_WAIT_S,
                 # An RFC 2217 server takes no write time-out; its socket has one of 5 s.
                 write_timeout=None if self.url.startswith("rfc2217:") else WRITE_TIMEOUT_S,
+                exclusive=True if is_device else None,
             )
         except (OSError, ValueError) as error:
+            if is_device and getattr(error, "errno", None) in HELD_BY_ANOTHER:
+                raise in_use(self.url) from error
             raise ConnectionLostError(f"{self.url} cannot be opened: {error}") from error
+        if _on_descriptor(self._port):
+            keep_others_out(self._port.fd)
 
     def close(self) -> None:
         """Close the line; harmless when closed."""
@@ -197,6 +244,8 @@ class SerialLine:
             port, self._port = self._port, None
             if port is not None:
                 with suppress(*PORT_ERRORS):
+                    if _on_descriptor(port):
+                        let_others_in(port.fd)
                     port.close()
 
     def send(self, data: bytes) -> None:
@@ -268,7 +317,7 @@ class SerialLine:
         with self._translated():
             data: bytes = self._port.read(1)
         if data:
-            self._tap("in", data)
+            self._hear(data)
             data += self.drain()
         return data
 
@@ -285,12 +334,20 @@ class SerialLine:
             while waiting := self._port.in_waiting:
                 data += self._port.read(waiting)
         if data:
-            self._tap("in", data)
+            self._hear(data)
         return data
+
+    def _hear(self, data: bytes) -> None:
+        self._tap("in", data)
+        if self._flow is Flow.XON_XOFF or self._held_back:
+            return
+        if XON in data or XOFF in data:
+            self._held_back = True
+            logger.warning("%s: %s", self.url, self.advice)
 
     def _write(self, data: bytes) -> None:
         with self._translated():
-            if os.name == "posix" and isinstance(self._port, serial.Serial):
+            if _on_descriptor(self._port):
                 _write_to_device(self._port.fd, data)
             else:
                 self._port.write(data)

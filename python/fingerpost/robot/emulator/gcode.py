@@ -1,6 +1,9 @@
 """Small emulated G-code arms: Marlin with numbered lines and sums, and uArm with `#n` and `$n`.
 
-Bytes in, bytes out, at given times, as in `fingerpost.robot.emulator.acl`.
+Bytes in, bytes out, at given times, as in `fingerpost.robot.emulator.acl`. A uArm's words and
+habits are those of the vendor's protocol 4.2 and firmware 4.10: questions (`P…`) are answered at
+once, everything else in its order when the arm stands. While it plans a long `G1`, it reads nothing
+but Ctrl-X; what that cuts off leaves the number of its answer, without a line's end.
 """
 
 from __future__ import annotations
@@ -13,16 +16,33 @@ from dataclasses import dataclass
 import numpy as np
 
 from fingerpost.robot.emulator.faults import Fault
+from fingerpost.robot.emulator.mechanics import (
+    CartesianMechanics,
+    DexarmMechanics,
+    Mechanics,
+    UarmMechanics,
+)
 from fingerpost.robot.motion import MotionQueue, Vector, straight
 
-MAX_REACH_MM = 320.0
-HOME_MM = np.array([200.0, 0.0, 150.0, 0.0])
-CTRL_X = b"\x18"
+PARKED_FROM_HOME_MM = np.array([10.0, 20.0, -30.0])
+"""Where an arm stands when it is switched on."""
+
 BUSY_S = 2.0
 """Marlin says that it is busy this often [s]."""
 
+MARLIN_BLOCKS, UARM_BLOCKS = 16, 18
+"""Blocks that they plan ahead; until the last ones of a move fit, they do nothing else."""
+
+UARM_FIRMWARE = "V4.10.0"
+
+CTRL_X = b"\x18"
+
+COASTING_S = 0.005
+"""A motor that is stopped without slowing down slips by the way of this time [s]."""
+
 _WORD = re.compile(r"([A-Z])(-?\d+(?:\.\d+)?)")
 _NUMBERED = re.compile(r"^N(\d+)\s*(\S.*)\*(\d+)$")
+_EMERGENCY = re.compile(r"^(?:N\d+ ?)?(M410|M112)(?:\*\d+)?$")
 
 
 @dataclass(slots=True)
@@ -34,39 +54,53 @@ class _Deferred:
     finish: Callable[[], None] = lambda: None
 
 
+@dataclass(frozen=True, slots=True)
+class _Planned:
+    """When a motion will all be planned, and have ended [s]; whether it ends at its goal."""
+
+    planned_s: float
+    end_s: float
+    whole: bool = True
+
+
 class GcodeController:
     """The part that the dialects share: an arm, queued lines and answers due later.
 
     Parameters
     ----------
-    acceleration_mm_s2 : float
-        Of the arm [mm/s²].
+    mechanics : Mechanics
+        The arm.
+    blocks : int
+        Blocks that its controller plans ahead.
 
     Attributes
     ----------
     closed : bool
-        The gripper's state.
+        The tool holds something.
     homed : bool
         Homing has been done.
     moves : int
         Moves accepted.
     stops : int
-        Stops received.
+        Stops that were acted on.
     """
 
-    def __init__(self, *, acceleration_mm_s2: float = 2000.0) -> None:
+    def __init__(self, mechanics: Mechanics, blocks: int) -> None:
         self.closed = False
         self.homed = False
         self.moves = 0
         self.stops = 0
-        self._acceleration = acceleration_mm_s2
-        self._arm = MotionQueue(HOME_MM + np.array([10.0, 20.0, -30.0, 0.0]))
+        self._mechanics = mechanics
+        self._blocks = blocks
+        self._arm = MotionQueue(mechanics.home_mm + PARKED_FROM_HOME_MM)
+        self._slipped_mm = np.zeros(3)
         self._input = bytearray()
         self._output = bytearray()
         self._deferred: list[_Deferred] = []
         self._lines: list[str] = []
         self._due: list[Fault] = []
-        self._speed_mm_s = 50.0
+        self._feed = 3000.0
+        self._ran_s = -math.inf
 
     def receive(self, data: bytes, now_s: float) -> None:
         """Take bytes from the line at a time [s]."""
@@ -79,8 +113,8 @@ class GcodeController:
             elif self._input:
                 line = self._input.decode("latin-1")
                 self._input.clear()
-                if not self._urgent_line(line, now_s):
-                    self._lines.append(line)
+                self._look_ahead(line, now_s)
+                self._lines.append(line)
         self._run_events(now_s)
 
     def poll(self, now_s: float) -> bytes:
@@ -97,15 +131,16 @@ class GcodeController:
     def inject(self, fault: Fault, now_s: float) -> None:
         """Have a fault: `IMPACT` restarts the controller, others concern the next move."""
         if fault is Fault.IMPACT:
-            self._stand_still(now_s)
+            self._arm.abort(now_s)
+            self._forget()
             self.homed = False
             self._say("start")
         else:
             self._due.append(fault)
 
     def position_mm(self, now_s: float) -> Vector:
-        """Return where the arm really is: X, Y, Z [mm], R [°]."""
-        return self._arm.position(now_s)
+        """Return where the hand really is: X, Y, Z [mm]."""
+        return self._arm.position(now_s) + self._slipped_mm
 
     def is_moving(self, now_s: float) -> bool:
         """Whether the arm moves."""
@@ -118,56 +153,59 @@ class GcodeController:
         del byte, now_s
         return False
 
-    def _urgent_line(self, line: str, now_s: float) -> bool:
-        """Act on a line that waits for no queue; True if it was one."""
-        del line, now_s
-        return False
+    def _look_ahead(self, line: str, now_s: float) -> None:
+        """Act on a line that waits for no queue; its turn comes as well."""
 
     def _carry_out(self, line: str, now_s: float) -> None:
+        raise NotImplementedError
+
+    def _blocked(self, now_s: float) -> bool:
+        """Whether the controller is too busy to read."""
         raise NotImplementedError
 
     # What they share.
 
     def _run_events(self, now_s: float) -> None:
+        """Do what is due, one moment after the other."""
+        while (due_s := self.next_due_s()) is not None and due_s <= now_s:
+            self._run_moment(max(due_s, self._ran_s))
+        self._run_moment(now_s)
+
+    def _run_moment(self, now_s: float) -> None:
+        self._ran_s = now_s
         for answer in sorted(self._deferred, key=lambda one: one.due_s):
             if answer.due_s <= now_s:
                 self._deferred.remove(answer)
                 answer.finish()
                 self._say(answer.text)
-        while self._lines and not self._blocked():
+        while self._lines and not self._blocked(now_s):
             self._carry_out(self._lines.pop(0), now_s)
 
-    def _blocked(self) -> bool:
-        """Whether lines wait for an answer that is due later."""
-        return bool(self._deferred)
-
-    def _stop(self, now_s: float) -> None:
-        self.stops += 1
-        self._stand_still(now_s)
-
-    def _stand_still(self, now_s: float) -> None:
-        """End motion and forget everything that waits."""
-        self._arm.abort(now_s)
+    def _forget(self) -> None:
+        """Forget everything that waits."""
         self._deferred.clear()
         self._lines.clear()
         self._input.clear()
 
-    def _go(self, command: str, now_s: float) -> float | None:
-        """Queue a G0; return when it ends [s], or None where the arm cannot go."""
+    def _go(self, word: str, command: str, now_s: float) -> _Planned | None:
+        """Queue a G0 or G1; None where the arm cannot go."""
         words = dict(_WORD.findall(command))
-        goal = self._arm.end.copy()
-        for place, letter in enumerate("XYZR"):
+        goal_mm = self._arm.end.copy()
+        for place, letter in enumerate("XYZ"):
             if letter in words:
-                goal[place] = float(words[letter])
-        if "F" in words:
-            self._speed_mm_s = float(words["F"]) / 60
-        if math.hypot(goal[0], goal[1]) > MAX_REACH_MM or self._take_due(Fault.OUT_OF_RANGE):
+                goal_mm[place] = float(words[letter])
+        self._feed = float(words.get("F", self._feed))
+        if not self._mechanics.reaches(goal_mm) or self._take_due(Fault.OUT_OF_RANGE):
             return None
         self.moves += 1
         if self._take_due(Fault.STICK):
-            return now_s
-        path = straight(self._arm.end, goal, lengths=slice(0, 3))
-        return self._arm.add(path, self._speed_mm_s, self._acceleration, now_s)
+            return _Planned(now_s, now_s)
+        way = self._mechanics.line if word == "G1" else self._mechanics.rapid
+        run = way(self._arm.end, goal_mm, self._feed)
+        start_s = self._end_s(now_s)
+        end_s = self._arm.add(run.path, run.speed, run.acceleration, now_s)
+        ahead = max(0.0, 1.0 - self._blocks / run.pieces)
+        return _Planned(start_s + ahead * (end_s - start_s), end_s, run.whole)
 
     def _end_s(self, now_s: float) -> float:
         """Return when everything queued will have ended [s]."""
@@ -186,104 +224,208 @@ class GcodeController:
 
 
 class MarlinController(GcodeController):
-    """Marlin: numbered lines with sums, `ok`, `Resend`, `M400`, `M114`, and an early `M410`.
+    """Marlin: numbered lines with sums, `ok`, `Resend`, `M400`, `M114` and `M410`.
 
     Parameters
     ----------
+    mechanics : Mechanics, optional
+        The arm; a Cartesian one by default.
     home_command : str
-        `G28`, or `M1112` for a Dobot-like arm.
+        `G28`, or what the arm has instead.
     homing_s : float
         Time that homing takes [s].
+    emergency_parser : bool
+        Look for `M410` in the stream; without, it waits until the controller reads its line.
+    resend_ok : bool
+        Say `ok` after `Resend`, as versions before 2.0.8 do.
+    slips : bool
+        The motors slip when `M410` stops them on their way, and nothing tells.
     """
 
-    def __init__(self, *, home_command: str = "G28", homing_s: float = 10.0) -> None:
-        super().__init__()
+    def __init__(
+        self,
+        mechanics: Mechanics | None = None,
+        *,
+        home_command: str = "G28",
+        homing_s: float = 10.0,
+        emergency_parser: bool = True,
+        resend_ok: bool = True,
+        slips: bool = True,
+    ) -> None:
+        super().__init__(mechanics or CartesianMechanics(), MARLIN_BLOCKS)
         self._home_command = home_command
         self._homing_s = homing_s
+        self._emergency_parser = emergency_parser
+        self._resend_ok = resend_ok
+        self._slips = slips
         self._last = 0
 
-    def _urgent_line(self, line: str, now_s: float) -> bool:
-        if line.strip() not in ("M410", "M112"):
-            return False
-        self._stop(now_s)
-        if line.strip() == "M112":
-            self.homed = False
-            self._say("Error:Printer halted. kill() called!")
-        else:
-            self._say("ok")
-        return True
+    def _look_ahead(self, line: str, now_s: float) -> None:
+        if self._emergency_parser and _EMERGENCY.match(line.strip()):
+            self._quick_stop(now_s)
+
+    def _blocked(self, now_s: float) -> bool:
+        del now_s
+        return bool(self._deferred)
 
     def _carry_out(self, line: str, now_s: float) -> None:
         numbered = _NUMBERED.match(line)
+        if not line.startswith("N"):
+            self._command(line.strip(), now_s)
+            return
         if numbered is None:
-            self._say(f"Error:No Checksum with line number, Last Line: {self._last}")
-            self._ask_again()
+            self._ask_again("No Checksum with line number")
             return
         number, command, total = int(numbered[1]), numbered[2], int(numbered[3])
         computed = 0
         for byte in line[: line.rindex("*")].encode("latin-1"):
             computed ^= byte
-        if computed != total:
-            self._say(f"Error:checksum mismatch, Last Line: {self._last}")
-            self._ask_again()
-        elif not command.startswith("M110") and number != self._last + 1:
-            self._say(f"Error:Line Number is not Last Line Number+1, Last Line: {self._last}")
-            self._ask_again()
+        if not command.startswith("M110") and number != self._last + 1:
+            self._ask_again("Line Number is not Last Line Number+1")
+        elif computed != total:
+            self._ask_again("checksum mismatch")
         else:
             self._last = number
             self._command(command, now_s)
 
-    def _ask_again(self) -> None:
-        self._say(f"Resend: {self._last + 1}\nok")
+    def _ask_again(self, reason: str) -> None:
+        self._say(f"Error:{reason}, Last Line: {self._last}")
+        self._say(f"Resend: {self._last + 1}")
+        if self._resend_ok:
+            self._say("ok")
 
     def _command(self, command: str, now_s: float) -> None:
-        word = command.split()[0]
+        word = (command.split() or [""])[0].replace("G01", "G1")
         if word in ("G0", "G1"):
-            if self._go(command, now_s) is None:
-                self._say("Error:target out of reach")
-            self._say("ok")
+            self._move(word, command, now_s)
         elif word == self._home_command:
             self._home(now_s)
         elif word == "M400":
             self._defer(self._end_s(now_s), now_s)
+        elif word == "M410":
+            self._quick_stop(now_s)
+            self._say("ok")
+        elif word == "M112":
+            self._quick_stop(now_s)
+            self.homed = False
+            self._say("Error:Printer halted. kill() called!")
         elif word == "M114":
-            x, y, z, rotation = self._arm.end  # where it is going, as Marlin tells it
-            self._say(f"X:{x:.2f} Y:{y:.2f} Z:{z:.2f} R:{rotation:.2f} Count X:0 Y:0 Z:0\nok")
+            x, y, z = self._arm.end  # where it is going, as Marlin tells it
+            self._say(f"X:{x:.2f} Y:{y:.2f} Z:{z:.2f} E:0.00 Count X:0 Y:0 Z:0\nok")
+        elif word == "M115":
+            self._say("FIRMWARE_NAME:Marlin (emulated) PROTOCOL_VERSION:1.0 EXTRUDER_COUNT:0")
+            self._say(f"Cap:EMERGENCY_PARSER:{self._emergency_parser:d}\nok")
         elif word in ("M1000", "M1001"):
             self.closed = word == "M1000"
+            self._say("ok")
+        elif word == "M280":  # a servo
+            self.closed = not command.endswith("S0")
             self._say("ok")
         elif word in ("G21", "G90", "M110", "M17"):
             self._say("ok")
         else:
             self._say(f'echo:Unknown command: "{command}"\nok')
 
+    def _move(self, word: str, command: str, now_s: float) -> None:
+        if not self.homed:
+            self._say("echo:Home XYZ First\nok")
+        elif (planned := self._go(word, command, now_s)) is None:
+            self._say("Error:target out of reach\nok")
+        else:
+            remark = "" if planned.whole else "XY beyond limit.....\n"
+            self._defer(planned.planned_s, now_s, text=f"{remark}ok")
+
     def _home(self, now_s: float) -> None:
-        path = straight(self._arm.end, HOME_MM, lengths=slice(0, 3))
+        path = straight(self._arm.end, self._mechanics.home_mm, lengths=slice(0, 3))
         end_s = self._arm.add(path, max(path.length, 1.0) / self._homing_s, math.inf, now_s)
 
         def finish() -> None:
             self.homed = True
+            self._slipped_mm = np.zeros(3)
 
         self._defer(end_s, now_s, finish)
 
-    def _defer(self, end_s: float, now_s: float, finish: Callable[[], None] = lambda: None) -> None:
+    def _defer(
+        self,
+        end_s: float,
+        now_s: float,
+        finish: Callable[[], None] = lambda: None,
+        *,
+        text: str = "ok",
+    ) -> None:
+        """Answer at a time, and say meanwhile that it takes long."""
+        if end_s <= now_s:
+            finish()
+            self._say(text)
+            return
         beats = np.arange(now_s + BUSY_S, end_s, BUSY_S)
         self._deferred += [_Deferred(float(beat), "echo:busy: processing") for beat in beats]
-        self._deferred.append(_Deferred(end_s, "ok", finish))
+        self._deferred.append(_Deferred(end_s, text, finish))
+
+    def _quick_stop(self, now_s: float) -> None:
+        """Stop all motors where they are; what waited for their motion goes on."""
+        self.stops += 1
+        if self.is_moving(now_s) and self._slips:
+            way_mm = self._arm.position(now_s) - self._arm.position(now_s - COASTING_S)
+            self._slipped_mm = self._slipped_mm + way_mm
+        self._arm.abort(now_s)
+        waited = [answer.text for answer in self._deferred if answer.text.endswith("ok")]
+        self._deferred.clear()
+        for text in waited:
+            self._say(text)
+
+
+def make_dexarm(homing_s: float) -> MarlinController:
+    """Return a DexArm's controller, which reads its encoders after `M410`.
+
+    Parameters
+    ----------
+    homing_s : float
+        Time that homing takes [s].
+    """
+    return MarlinController(DexarmMechanics(), home_command="M1112", homing_s=homing_s, slips=False)
 
 
 class UarmController(GcodeController):
-    """uArm Swift Pro: `#n …` answered by `$n ok`, a move when it has ended, `P…` at once."""
+    """The controller and its arm.
+
+    Parameters
+    ----------
+    firmware : str
+        Its version. Those before 4 take Ctrl-X for a character of the next line.
+    """
+
+    def __init__(self, firmware: str = UARM_FIRMWARE) -> None:
+        super().__init__(UarmMechanics(), UARM_BLOCKS)
+        self._firmware = firmware
+        self._planning = ("", 0.0)  # the tag of what is being planned, and until when [s]
+
+    def next_due_s(self) -> float | None:
+        """Return when it will next send something by itself [s], or None."""
+        due_s = super().next_due_s()
+        if not self._lines:
+            return due_s
+        return self._planning[1] if due_s is None else min(due_s, self._planning[1])
 
     def _urgent_byte(self, byte: int, now_s: float) -> bool:
-        if byte != CTRL_X[0]:
+        if byte != CTRL_X[0] or int(self._firmware[1:].partition(".")[0]) < 4:
             return False
-        self._stop(now_s)
+        self.stops += 1
+        tag, until_s = self._planning
+        self._arm.abort(now_s)
+        planned = [answer.text for answer in self._deferred]
+        self._forget()
         self._say("ok")
+        for text in planned:
+            if now_s < until_s and text.startswith(f"{tag} "):
+                self._output += tag.encode("ascii")
+            else:
+                self._say(text)
+        self._planning = ("", 0.0)
         return True
 
-    def _blocked(self) -> bool:
-        return False
+    def _blocked(self, now_s: float) -> bool:
+        return now_s < self._planning[1]
 
     def _carry_out(self, line: str, now_s: float) -> None:
         head, _, command = line.partition(" ")
@@ -291,20 +433,33 @@ class UarmController(GcodeController):
             return  # as the firmware does with what it does not know
         tag = f"${head[1:]}"
         word = command.split()[0]
-        if word == "G0":
-            end_s = self._go(command, now_s)
-            if end_s is None:
-                self._say(f"{tag} E22")
-            else:
-                self.homed = True
-                self._deferred.append(_Deferred(end_s, f"{tag} ok"))
+        if word in ("G0", "G1"):
+            self._move(tag, word, command, now_s)
         elif word == "P2220":
-            x, y, z, _ = self._arm.position(now_s)
+            x, y, z = self._arm.position(now_s)
             self._say(f"{tag} ok X{x:.4f} Y{y:.4f} Z{z:.4f}")
-        elif word == "M2232":
-            self.closed = command.endswith("V1")
-            self._say(f"{tag} ok")
-        elif word == "M17":
-            self._say(f"{tag} ok")
+        elif word == "P2203":
+            self._say(f"{tag} ok {self._firmware}")
+        elif word in ("M17", "M2231", "M2232"):
+            if word != "M17":
+                self.closed = command.endswith("V1")
+            self._later(f"{tag} ok", now_s)
         else:
-            self._say(f"{tag} E20")
+            self._later(f"{tag} E20", now_s)
+
+    def _move(self, tag: str, word: str, command: str, now_s: float) -> None:
+        planned = self._go(word, command, now_s)
+        if planned is None:
+            self._later(f"{tag} E22", now_s)
+            return
+        self.homed = True
+        self._planning = (tag, planned.planned_s)
+        self._deferred.append(_Deferred(planned.end_s, f"{tag} ok"))
+
+    def _later(self, text: str, now_s: float) -> None:
+        """Answer when the arm stands."""
+        end_s = self._end_s(now_s)
+        if end_s <= now_s:
+            self._say(text)
+        else:
+            self._deferred.append(_Deferred(end_s, text))

@@ -12,10 +12,10 @@ from fingerpost.checks import in_range
 from fingerpost.errors import InvalidInputError
 from fingerpost.robot.emulator.acl import AclController, AclStyle
 from fingerpost.robot.emulator.faults import Fault
-from fingerpost.robot.emulator.gcode import MarlinController, UarmController
+from fingerpost.robot.emulator.gcode import MarlinController, UarmController, make_dexarm
 from fingerpost.robot.emulator.ports import ArmTime, Controller, Emulator, PtyPort, TcpPort
 
-EMULATED = ("acl", "dobot", "marlin", "uarm")
+EMULATED = ("acl", "dexarm", "marlin", "uarm")
 """Controllers that can be emulated, by the names of their drivers."""
 
 HOMING_S = (1e-3, 3600.0)
@@ -70,7 +70,7 @@ def make_emulator(
     homing_s = in_range(homing_s, "homing_s", *HOMING_S)
     controllers: dict[str, Callable[[], Controller]] = {
         "acl": lambda: AclController(AclStyle(echo=echo, homing_s=homing_s)),
-        "dobot": lambda: MarlinController(home_command="M1112", homing_s=homing_s),
+        "dexarm": lambda: make_dexarm(homing_s),
         "marlin": lambda: MarlinController(homing_s=homing_s),
         "uarm": UarmController,
     }
