@@ -201,7 +201,7 @@ def _point_about(guided, stage, folder, *, pick=False):
         time.sleep(1 / FPS)
     if not pick:
         guided.signal(signal.SIGINT)
-        assert guided.end() == 130
+        assert guided.end() == 130, guided.said()
 
 
 def test_the_scorbots_page(film, tmp_path):
