@@ -115,8 +115,8 @@ class GuidanceTrial:
     fix_rms_mm: float | None  # of the indicated point against where the hand pointed
     frames: int
     fixes: int
-    false_fixes: int = 0  # frames with an indicated point in which there was no hand
     problem: str = ""
+    false_fixes: int = 0  # frames with an indicated point in which there was no hand
 
 
 @dataclass(frozen=True)
@@ -351,8 +351,8 @@ def guide(index: int, rig: Rig, options: GuidanceOptions) -> GuidanceTrial:
             stage.accuracy.rms_mm,
             stage.accuracy.moments,
             stage.accuracy.fixes,
-            stage.accuracy.false_fixes,
             errand.problem,
+            stage.accuracy.false_fixes,
         )
 
 
