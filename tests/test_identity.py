@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from fingerpost import config
 from fingerpost._core import StartPose
 from fingerpost.capture import Frame
 from fingerpost.finding.body import Body, meeting_point, tell_from_hands
@@ -16,9 +17,10 @@ from fingerpost.finding.identity import (
     Memory,
 )
 from fingerpost.finding.pairs import Viewpoint
+from fingerpost.pipeline import Pointer
 from fingerpost.pointing import PlaneView
 from fingerpost.silhouette import Capsule
-from fingerpost.simulate import SimulatedRig
+from fingerpost.simulate import DevicePose, Hand, RodAndProng, Sensor, SimulatedRig
 
 SKIN = (130.0, 158.0, 219.0)
 STEEL = (148.0, 140.0, 133.0)
@@ -182,3 +184,37 @@ def test_a_jaw_is_the_bodys_own_and_a_hand_that_points_past_it_is_not():
     assert body.shows_at(StartPose(tuple(jaw), angle_rad, float(np.linalg.norm(jaw - behind))))
     assert not Body.none().shows_as(line)
     assert not body.shows_as(None)
+
+
+def test_a_stick_does_not_take_the_place_of_the_hand_that_has_left():
+    rig = SimulatedRig(device=Hand(), sensor=Sensor(channels="bgr"))
+    stick = RodAndProng(length_mm=200.0, diameter_mm=16.0, prong_length_mm=0.0)
+    on_table = np.pad(PLANE, ((0, 0), (0, 1)))
+    views = tuple(
+        config.View(
+            name=camera.name,
+            source=camera.name,
+            reference_points_px=tuple(map(tuple, camera.project(on_table).tolist())),
+        )
+        for camera in rig.cameras
+    )
+    plane = config.Plane(unit="mm", points=tuple(map(tuple, PLANE.tolist())))
+    pointer, rng = Pointer(config.Rig(plane=plane, views=views)), np.random.default_rng(3)
+
+    def ok_frames(first, count, device):
+        """Frames with a point while a device, if any, points about."""
+        fixes = []
+        for k in range(first, first + count):
+            pose = DevicePose.pointing_at(
+                (150 + 60 * np.sin(k / 30), 150 + k), hover_mm=80, azimuth_deg=20, slant_deg=40
+            )
+            images = rig.render(pose if device else None, device=device, rng=rng).images
+            frames = [Frame(k, k / 30, image) for image in images]
+            fixes += [step.fix.status for step in pointer.update(frames)]
+        return fixes.count("ok")
+
+    assert ok_frames(0, 12, None) == 0
+    assert ok_frames(12, 40, rig.device) > 30
+    assert ok_frames(52, 8, None) == 0
+    assert ok_frames(60, 40, stick) == 0
+    assert ok_frames(100, 40, rig.device) > 20

@@ -319,6 +319,9 @@ class HandView:
         if self.may_show_body and not self.is_sure:
             self.judge_body(is_hand=False)
             return
+        if self._is_stranger(frame, track):
+            self._leave(had_hand=self.is_sure, keeps_memory=True)
+            return
         self._count_missed(track)
         self._count_waited(frame, track)
         self._track = track
@@ -335,6 +338,14 @@ class HandView:
         if track.finger_line is not None and self.is_sure and not self.may_show_body:
             self._learn_looks(frame, track.finger_line)
 
+    def _is_stranger(self, frame: Frame, track: Track) -> bool:
+        """Whether a tracker that waits for the hand it has lost has taken something unlike it."""
+        line = track.finger_line
+        half_width_px = fitted_half_width_px(track)
+        if line is None or half_width_px is None or self._missed_frames == 0:
+            return False
+        return not self._memory.may_be(Looks.of(frame, line, half_width_px), frame.time_s)
+
     def judge_body(self, *, is_hand: bool | None) -> None:
         """Learn whether what is followed within the body's silhouette is a hand.
 
@@ -344,9 +355,7 @@ class HandView:
         self._doubtful_frames = self._doubtful_frames + 1 if is_hand is None else 0
         if is_hand is False or self._doubtful_frames >= ALONE_FRAMES:
             self.may_show_body = False
-            memory = self._memory  # of the hand, not of the body
-            self._leave(had_hand=self.is_sure)
-            self._memory = memory
+            self._leave(had_hand=self.is_sure, keeps_memory=True)
 
     @property
     def tip_px(self) -> tuple[float, float] | None:
@@ -404,11 +413,16 @@ class HandView:
         if first.looks_flat(flat):
             self._leave(had_hand=first.has_moved)
 
-    def _leave(self, *, had_hand: bool) -> None:
-        """Leave what is no hand: a template that has followed none yet waits for it anew."""
+    def _leave(self, *, had_hand: bool, keeps_memory: bool = False) -> None:
+        """Leave what is no hand: a template that has followed none yet waits for it anew.
+
+        The hand that was followed before is remembered if what is left is known not to be it.
+        """
         waiting = None if self._first_hand is None else self._first_hand.wait_anew()
         if had_hand or waiting is None:
+            memory = self._memory
             self._let_go()
+            self._memory = memory if keeps_memory else self._memory
         else:
             self._tracker, self._track = waiting, None
 

@@ -23,7 +23,7 @@ REMEMBERED_S = 5.0
 KEPT = 0.9
 """What the remembered looks keep from frame to frame: the memory of ten frames."""
 
-CHROMATICITY_SPREAD = 0.12
+CHROMATICITY_SPREAD = 0.08
 """Logarithm of a ratio of two channels by which one hand differs from itself in other light and
 other places of the table, as a standard deviation."""
 
