@@ -196,6 +196,20 @@ def test_a_tracked_hand_that_is_not_the_operators_is_no_operator():
         assert not stage.guard.busy  # and what moves on the first hand's fix is held
 
 
+def test_an_arm_that_has_lost_its_position_is_homed_at_the_key_that_continues():
+    with begun() as stage:
+        stage.session._home = stage.robot.home
+        stage.show([0.4, 0.1], Hand(1, is_presented=True), frames=30)
+        stage.robot._homed = False  # as an arm without encoders that was stopped in motion
+        stage.show([0.45, 0.15], Hand(1, is_presented=True), frames=10)
+        assert not stage.guard.armed
+        assert "home" in " ".join(stage.said)
+        stage.session.press("c")
+        stage.show([0.45, 0.15], Hand(1, is_presented=True), frames=150)
+        assert stage.guard.armed
+        assert stage.robot.position[:2] == pytest.approx([0.45, 0.15], abs=0.005)
+
+
 def test_the_newest_of_the_jobs_that_wait_is_done_in_turn():
     done = []
     with Turns() as turns:

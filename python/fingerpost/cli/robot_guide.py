@@ -22,6 +22,7 @@ from fingerpost.cli.arming import (
     need_consent,
     open_log,
     seconds,
+    show_homing,
     tell,
 )
 from fingerpost.cli.endings import ending_orderly
@@ -198,7 +199,14 @@ def _guide(given: Mapping[str, Any], carry: PickPlaceOptions | None) -> None:
         home(robot, given["homing_timeout"])
         guard = guard_of(robot, table, guard_options, on_record=on_record)
         with guarded(guard):
-            session = _session(guard, follow_options, carry, attendance, given)
+            session = _session(
+                guard,
+                follow_options,
+                carry,
+                attendance,
+                given,
+                home=lambda: robot.home(show_homing, timeout_s=given["homing_timeout"]),
+            )
             if has_keys:
                 stack.enter_context(Keys(session.press, session.leave))
             if sources[0].kind is SourceKind.RECORDED:
@@ -226,6 +234,8 @@ def _session(
     carry: PickPlaceOptions | None,
     attendance: Attendance,
     given: Mapping[str, Any],
+    *,
+    home: Callable[[], None],
 ) -> Session:
     from fingerpost.guidance import Session
     from fingerpost.robot import Follower
@@ -239,6 +249,7 @@ def _session(
         step_by_step=given.get("step_by_step", False),
         blocks=given.get("blocks", 1),
         keys=has_terminal(),
+        home=home if has_terminal() else None,
         say=tell,
         on_report=_print_report if given["as_json"] else lambda _fix, _report: None,
     )

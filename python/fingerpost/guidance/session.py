@@ -30,6 +30,7 @@ from fingerpost.robot import (
     FollowState,
     Guard,
     NotArmedError,
+    NotHomedError,
     NotReadyError,
     PickPlace,
     PickPlaceOptions,
@@ -51,6 +52,10 @@ KEY_HELP = (
 
 HIDDEN_S = 2.0
 """A hand without a fix for so long may be hidden: the operator is told of the key [s]."""
+
+HALTED = (NotArmedError, NotHomedError, StoppedError)
+"""What a command raises that the guard has halted meanwhile, or that no arm can carry out before it
+is homed again, as one without encoders after a stop in motion."""
 
 POLL_S = 0.02
 """How often keys are looked for while nothing else happens [s]."""
@@ -141,6 +146,8 @@ class Session:
         Blocks to carry until the session is done.
     keys
         Whether there are keys: without them, a guard that has been halted ends the session.
+    home
+        Homes an arm that has lost its position, at the key that continues; None ends the session.
     worker
         Does what waits for the arm.
     sleep
@@ -162,6 +169,7 @@ class Session:
         step_by_step: bool = False,
         blocks: int = 1,
         keys: bool = False,
+        home: Callable[[], None] | None = None,
         worker: Jobs | None = None,
         sleep: Callable[[float], None] = time.sleep,
         say: Callable[[str], None] = lambda _: None,
@@ -180,6 +188,7 @@ class Session:
         self._say = say
         self._on_report = on_report
         self._worker = worker or Worker()
+        self._home = home
         self._sleep = sleep
         self._pressed: deque[str] = deque()
         self._selections: list[Selection] = []
@@ -394,10 +403,8 @@ class Session:
     def _continue(self, *, undo: bool) -> None:
         if not self._worker.idle and self._machine is not None:
             return  # a step is being taken: only a stop may come in between
-        if not self._guard.armed:
-            self._guard.arm()
-            self._told_disarmed = False
-            self._say("armed")
+        if not (self._guard.armed or self._arm_again()):
+            return
         machine = self._machine
         if machine is None:
             return
@@ -407,6 +414,23 @@ class Session:
         else:
             self._paused = self._step_by_step
             self._worker.offer(lambda: self._advance(machine))
+
+    def _arm_again(self) -> bool:
+        """Arm after a stop; say why if that cannot be yet, and home what has to be homed first."""
+        try:
+            self._guard.arm()
+        except NotHomedError:
+            if self._home is None:
+                raise
+            home = self._home
+            self._worker.offer(lambda: self._home_again(home))
+            return False
+        except (NotReadyError, StoppedError) as error:
+            self._say(f"not armed: {error}")
+            return False
+        self._told_disarmed = False
+        self._say("armed")
+        return True
 
     def _start_making_way(self) -> None:
         """Take it that the key is held: it repeats, and one retreat answers all of it."""
@@ -453,8 +477,8 @@ class Session:
             self._last = report = self._follower.update(fix)
             if report.state is FollowState.HOLDING:
                 self._guard.locate()  # for what it covers of the views
-        except (NotArmedError, StoppedError):
-            self._last = None  # halted meanwhile; the next step says so
+        except HALTED:
+            self._last = None  # the next step says so
             return
         self.report.add(report)
         held = before is not None and before.state is FollowState.HOLDING
@@ -463,13 +487,24 @@ class Session:
         self._aside = self._aside and report.state is not FollowState.MOVING
         self._on_report(report.fix or fix, report)
 
+    def _home_again(self, home: Callable[[], None]) -> None:
+        self._say("homing; the arm moves")
+        try:
+            home()
+            self._guard.arm()
+            self._guard.enter()
+        except HALTED:
+            return  # the next step says so
+        self._told_disarmed = False
+        self._say(f"armed   {CONTINUE_KEY} continues")
+
     def _make_way(self) -> None:
         self._say("making way ...")
         self._last = None
         try:
             self._guard.make_way()
-        except (NotArmedError, StoppedError):
-            pass  # halted meanwhile; the next step says so
+        except HALTED:
+            pass  # the next step says so
         except RefusedError as error:
             self._say(f"not out of the way: {error}")
         else:
@@ -500,7 +535,7 @@ class Session:
         self._say(f"{step} ...")
         try:
             machine.advance()
-        except (NotArmedError, StoppedError):
+        except HALTED:
             self._paused = True
             return
         self._paused = self._step_by_step
@@ -510,7 +545,7 @@ class Session:
     def _undo(self, machine: PickPlace) -> None:
         try:
             step = machine.undo()
-        except (NotArmedError, StoppedError):
+        except HALTED:
             return
         except NotReadyError as error:
             self._say(str(error))
