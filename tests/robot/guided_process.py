@@ -396,13 +396,6 @@ class _JpegHandler(http.server.BaseHTTPRequestHandler):
         pass
 
 
-def played_once(paths):
-    """Pictures of files one after the other, and then the last of them for good."""
-    pictures = iter([path.read_bytes() for path in paths])
-    last = paths[-1].read_bytes()
-    return lambda: next(pictures, last)
-
-
 def jpeg(image) -> bytes:
     """An image as JPEG."""
     return cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 95])[1].tobytes()
