@@ -280,7 +280,7 @@ def stand_ins(monkeypatch):
 
 
 def test_the_urs_page(film, tmp_path, monkeypatch, stand_ins):
-    controller = UrController()
+    controller = UrController(patience=20.0)
     with serve(controller) as port:
         monkeypatch.setenv("FINGERPOST_TEST_UR_PORT", str(port))
         stage = Stage(controller.arm.position, film)

@@ -132,7 +132,7 @@ UR_FAULTS = {
 
 @pytest.mark.parametrize("kind", UR_FAULTS)
 def test_a_ur_through_faults(kind, monkeypatch):
-    controller = UrController()
+    controller = UrController(patience=20.0)
     controller.parts = {}
     for name, kind_of in libraries(controller).items():
 

@@ -34,8 +34,10 @@ class Program(IntEnum):
 class UrController:
     """One arm, its control script, and what can happen to them at the pendant."""
 
-    def __init__(self):
+    def __init__(self, *, patience=1.0):
+        """A watchdog that waits `patience` periods leaves a crowded machine its time."""
         self.arm = FakeArm()
+        self.patience = patience
         self.program = Program.STOPPED
         self.mode = 7
         self.connected = True
@@ -90,7 +92,7 @@ class UrController:
     def look(self):
         """Let the watchdog act, if its time has come."""
         if self.watchdog_hz is not None and self.program is Program.PLAYING:
-            end_s = self._written_s + 1 / self.watchdog_hz
+            end_s = self._written_s + self.patience / self.watchdog_hz
             if time.monotonic() > end_s:
                 self.stop_program(end_s)
 
