@@ -114,8 +114,9 @@ class Scripted:
         """Do nothing for a while."""
         yield from self._until(lambda: False, span_s)
 
-    def _is_seen(self) -> bool:
-        fix = self._loop.views.fix
+    def _is_known(self) -> bool:
+        """Whether the arm is guided now: there is a fix, and it is that of his hand."""
+        fix = self._loop.guard.newest_fix
         return fix is not None and fix.status is Status.OK
 
 
@@ -170,9 +171,6 @@ class Errand(Scripted):
         self.hand_is_away, self.doing = True, "watch"
         if not (yield from self._until(lambda: self._loop.session.done, CARRYING_S)):
             self._give_up("the block was not carried")
-
-    def _is_known(self) -> bool:
-        return self._is_seen() and self._loop.session.has_hand
 
     def _point(self, target_mm: Array, number: int) -> Waiting:
         """Point open loop, then with feedback until a point is selected."""

@@ -245,7 +245,7 @@ class ClosedLoop:
     report
         What the follower did last; None while it does nothing.
     seen_s
-        When there was a fix last [s].
+        When there was a fix of the operator's hand last [s].
     """
 
     def __init__(
@@ -335,9 +335,10 @@ class ClosedLoop:
             self.views.is_away = person.hand_is_away
             pose, steps = self.views.take(time_s)
             for step in steps:
-                if step.fix.status is Status.OK:
-                    self.seen_s = time_s
                 self.session.take(step)
+                fix = self.guard.newest_fix
+                if fix is not None and fix.status is Status.OK:
+                    self.seen_s = time_s
                 doing = person.doing
                 if self.session.is_carrying:
                     doing = self._said.removesuffix(" ...")
