@@ -719,15 +719,16 @@ def test_a_lost_fix_stops_the_arm_while_the_follower_waits_for_the_line():
 
 
 def test_an_operator_who_watches_over_a_block_is_there_as_long_as_it_lasts():
-    with scorbot_guard() as (rig, guard):
-        guard.arm()
+    with guard_rig(operator_timeout_s=1.0) as rig:
+        guard = rig.guard
         with guard.attended():
-            rig.clock.sleep(3 * guard.options.operator_timeout_s)
+            rig.clock.sleep(3.0)
             guard.check()
             assert guard.armed
+        rig.clock.sleep(0.9)
         guard.check()
         assert guard.armed  # he was there a moment ago
-        rig.clock.sleep(2 * guard.options.operator_timeout_s)
+        rig.clock.sleep(0.2)
         guard.check()
         assert not guard.armed
         assert guard.why_stopped == "the operator is gone"
