@@ -1,0 +1,319 @@
+"""Golden tracks: what every view and every fix of some clips was, to the last bit.
+
+    python tests/golden/generate_tracks.py            # compares with tracks.json beside itself
+    python tests/golden/generate_tracks.py --record   # writes it anew, for a change that means to
+
+A change that is to change no figure keeps every hash. A hash covers all numbers that a step gives,
+with 17 digits: fixes, finger lines, shape vectors, contours, diagnostics, camera motion; words for
+people are left out. The same bits are promised by one build on one kind of processor with the same
+NumPy and OpenCV, which round by their own kernels; so the points are kept too, to be compared
+where one of these differs.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import hashlib
+import json
+import math
+import sys
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import ExitStack
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import cv2
+import numpy as np
+from msgspec import structs
+from numpy.typing import NDArray
+
+from fingerpost._core import ContourTracker, StartPose, Template, Track
+from fingerpost.capture import Frame, open_views, read_views
+from fingerpost.config import Rig
+from fingerpost.pipeline import Observation, Pointer, Step, at_most, steps
+from fingerpost.pointing import FingerLine
+from fingerpost.rehearsal import described
+from fingerpost.simulate import (
+    Background,
+    Hand,
+    Motion,
+    Placement,
+    Sensor,
+    SimulatedRig,
+    figure_eight,
+    pointing_session,
+)
+
+GOLDEN = Path(__file__).with_name("tracks.json")
+DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
+FRAMES = 60
+"""Of every clip: enough to find a hand, follow it and lose it."""
+
+SEED = 1994
+FPS = 30.0
+COMES_FROM_MM = 500.0
+"""Out of every view."""
+
+Image = NDArray[np.uint8]
+Channels = Literal["grey", "bgr"]
+Together = tuple[Frame | None, ...]
+
+
+@dataclass(frozen=True)
+class Clip:
+    """Some frames and a rig, and how they are followed."""
+
+    rig: Rig
+    frames: Iterable[Together]
+    options: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass
+class Golden:
+    """What a clip gave: a hash of all numbers, and the points in short."""
+
+    sha256: str
+    points: list[list[float] | None]
+
+
+# --- clips ----------------------------------------------------------------------------------------
+
+
+def footage(
+    rig_file: Path,
+    *,
+    with_start: bool = True,
+    shown: Callable[[Image, int], Image] = lambda image, _: image,
+    frames: int = FRAMES,
+    **options: Any,
+) -> Clip:
+    """Return a recording, with its start or to be found, and its images changed."""
+    rig = Rig.load(rig_file)
+    if not with_start:
+        found = tuple(structs.replace(view, start=None) for view in rig.views)
+        rig = structs.replace(rig, views=found)
+    return Clip(rig, _read(rig, shown, frames), options)
+
+
+def _read(rig: Rig, shown: Callable[[Image, int], Image], count: int) -> Iterator[Together]:
+    with ExitStack() as stack:
+        sources = stack.enter_context(open_views(rig.sources))
+        for together in at_most(read_views(sources), count):
+            yield tuple(
+                frame and replace(frame, image=shown(frame.image, frame.index))
+                for frame in together
+            )
+
+
+def grey(image: Image, _: int) -> Image:
+    """Take the colours away."""
+    return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY))
+
+
+def moved(image: Image, index: int) -> Image:
+    """Show it as a camera does that is pushed and turned a little from frame to frame."""
+    height, width = image.shape[:2]
+    turn = cv2.getRotationMatrix2D((width / 2, height / 2), 2.0 * math.sin(index / 9), 1.0)
+    turn[:, 2] += (12.0 * math.sin(index / 7), 8.0 * math.sin(index / 11))
+    return np.asarray(cv2.warpAffine(image, turn, (width, height), borderMode=cv2.BORDER_REPLICATE))
+
+
+def simulated(placement: Placement, channels: Channels, *, with_start: bool) -> Clip:
+    """Return a hand that comes, points along half of an eight and stays, before a wooden table."""
+    rig = SimulatedRig(
+        placement,
+        device=Hand(),
+        background=Background(texture="wood", clutter=15),
+        sensor=Sensor(channels=channels),
+    )
+    path = figure_eight(rig.workspace, hover_mm=100.0)[:8]
+    motion = pointing_session(path, entry_mm=COMES_FROM_MM, wait_s=0.3)
+    starts = None
+    if with_start:
+        views = rig.truth(motion, time_s=COMES_FROM_MM / 600.0 + 0.2).views
+        starts = [view.finger.start() for view in views if view.finger is not None]
+    return Clip(described(rig, starts=starts), _rendered(rig, motion))
+
+
+def _rendered(rig: SimulatedRig, motion: Motion) -> Iterator[Together]:
+    rng = np.random.default_rng(SEED)
+    for index in range(FRAMES):
+        time_s = COMES_FROM_MM / 600.0 - 0.3 + index / FPS
+        images = rig.render(motion, time_s=time_s, rng=rng).images
+        yield tuple(Frame(index, index / FPS, np.asarray(image)) for image in images)
+
+
+SMALL = Placement(width_px=320, height_px=240)
+THREE = replace(SMALL, azimuths_deg=(-25.0, 0.0, 25.0))
+DESK, MAT = DATA / "desk" / "rig.toml", DATA / "mat" / "rig.toml"
+
+SIMULATED: dict[str, Callable[[], Clip]] = {
+    "simulated-grey": lambda: simulated(SMALL, "grey", with_start=True),
+    "simulated-colour": lambda: simulated(SMALL, "bgr", with_start=False),
+    "simulated-three-views": lambda: simulated(THREE, "grey", with_start=False),
+}
+FOOTAGE: dict[str, Callable[[], Clip]] = {
+    "desk": lambda: footage(DESK),
+    "desk-found": lambda: footage(DESK, with_start=False),
+    "desk-grey-found": lambda: footage(DESK, with_start=False, shown=grey),
+    "desk-paper": lambda: footage(DESK, tracker_options={"model": "paper"}),
+    "desk-moving": lambda: footage(DESK, shown=moved),
+    "mat": lambda: footage(MAT, frames=120),
+    "mat-found": lambda: footage(MAT, with_start=False),
+    "mat-grey": lambda: footage(MAT, shown=grey),
+    "device": lambda: footage(DATA / "device" / "pose_03.toml", frames=25),
+    "device-found": lambda: footage(DATA / "device" / "pose_11.toml", with_start=False, frames=25),
+}
+PHOTOGRAPHS = "ti1k"
+
+
+# --- what is kept ---------------------------------------------------------------------------------
+
+
+def golden(clip: Clip) -> Golden:
+    """Follow a clip; return what came of it."""
+    digest, points = hashlib.sha256(), []
+    for step in steps(Pointer(clip.rig, **clip.options), clip.frames):
+        _add(digest, of_step(step))
+        points.append(None if step.fix.point is None else step.fix.point.tolist())
+    return Golden(digest.hexdigest(), points)
+
+
+def golden_photographs() -> Golden:
+    """Follow the finger of the photographs, which bends in the end, in one view; tips are kept."""
+    folder = DATA / "ti1k"
+    with (folder / "axis.csv").open() as file:
+        axes = {int(row["frame"][-8:-4]): row for row in csv.DictReader(file)}
+    first, width_px = axes[553], float(axes[553]["width_px"])
+    start = StartPose(
+        (float(first["apex_x"]), float(first["apex_y"])),
+        math.radians(float(first["angle_deg"])),
+        3.25 * width_px,
+    )
+    tracker = ContourTracker(Template.pistol("none"), start)
+    digest, tips = hashlib.sha256(), []
+    for index, number in enumerate([553] * 8 + list(range(554, 569))):
+        image = cv2.imread(str(folder / f"TI1K_IMAGE_{number:04d}.jpg"))
+        track = tracker.update(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), 0.1 * index, image)
+        _add(digest, _of_track(track))
+        tips.append(None if track.finger_line is None else list(track.finger_line.tip_px))
+    return Golden(digest.hexdigest(), tips)
+
+
+def made(name: str) -> Golden:
+    """Make the golden data of one clip."""
+    if name == PHOTOGRAPHS:
+        return golden_photographs()
+    return golden((SIMULATED | FOOTAGE)[name]())
+
+
+def names() -> list[str]:
+    """All clips that can be made here: footage may be absent."""
+    return [*SIMULATED, *([*FOOTAGE, PHOTOGRAPHS] if DATA.is_dir() else [])]
+
+
+def _add(digest: Any, values: Iterable[Any]) -> None:
+    digest.update(("\n".join(map(written, values)) + "\n\n").encode())
+
+
+def written(value: Any) -> str:
+    """Write a value so that its last bit shows."""
+    if value is None or isinstance(value, str | bool | int):
+        return str(value)
+    return " ".join(f"{number:.17g}" for number in np.asarray(value, dtype=np.float64).ravel())
+
+
+def of_step(step: Step) -> Iterator[Any]:
+    """Give all numbers of a step."""
+    fix = step.fix
+    yield from (step.index, fix.time_s, fix.status.value, fix.point, fix.covariance)
+    yield from (fix.crossing_angle_rad, step.hand.number, step.hand.is_presented)
+    for seen in step.observations:
+        yield from _of_observation(seen)
+
+
+def _of_observation(seen: Observation) -> Iterator[Any]:
+    finger = seen.finger
+    yield from (seen.view, seen.contour_px, seen.moved_px, seen.is_adrift, seen.is_body)
+    if isinstance(finger, FingerLine):
+        yield from (finger.tip_px, finger.angle_rad, finger.covariance)
+    else:
+        yield finger.value
+    yield from (seen.aside.offset, seen.aside.off)
+    if seen.plane_view is not None:
+        yield from (seen.plane_view.image_from_plane, seen.plane_view.entries_covariance)
+    if seen.searched is not None:
+        yield seen.searched.offset_px
+    if seen.track is not None:
+        yield from _of_track(seen.track)
+
+
+def _of_track(track: Track) -> Iterator[Any]:
+    why = track.diagnostics
+    yield from (track.time_s, track.status, track.shape_vector, track.shape_covariance)
+    yield from (why.visible, why.hits, why.inliers, why.agreement, why.min_agreement)
+    yield from (why.residual_rms_px, why.max_residual_px, why.rank, why.iterations)
+    yield from (why.accepted, why.refusal, why.innovation, why.bend_rad)
+    line = track.finger_line
+    if line is not None:
+        yield from (line.anchor_px, line.tip_px, line.angle_rad, line.half_length_px)
+        yield from (line.stretch_px, line.covariance, line.source)
+
+
+# --- the file -------------------------------------------------------------------------------------
+
+
+def environment() -> dict[str, str]:
+    """What the bits rest on beside fingerpost itself."""
+    return {
+        "numpy": np.__version__,
+        "opencv": cv2.__version__,
+        "processor": cv2.getCPUFeaturesLine(),
+    }
+
+
+def recorded() -> dict[str, Any]:
+    """Read the file."""
+    data: dict[str, Any] = json.loads(GOLDEN.read_text(encoding="utf-8"))
+    return data
+
+
+def record() -> None:
+    """Write the file anew, from every clip there is."""
+    if not DATA.is_dir():
+        sys.exit(f"{DATA} is needed to record: the footage")
+    clips = {}
+    for name in names():
+        new = made(name)
+        short = [p and [float(f"{x:.7g}") for x in p] for p in new.points]
+        clips[name] = {"sha256": new.sha256, "points": short}
+        print(name, new.sha256[:12], sum(p is not None for p in new.points), len(new.points))
+    lines = [f"  {json.dumps(name)}: {json.dumps(clip)}" for name, clip in clips.items()]
+    text = ",\n".join(lines)
+    GOLDEN.write_text(
+        f'{{"made_with": {json.dumps(environment())},\n"clips": {{\n{text}\n}}}}\n',
+        encoding="utf-8",
+    )
+
+
+def main() -> None:
+    """Compare with the file, or write it."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n", maxsplit=1)[0])
+    parser.add_argument("clips", nargs="*", metavar="CLIP", help="default: all")
+    parser.add_argument("--record", action="store_true", help="write tracks.json anew")
+    arguments = parser.parse_args()
+    if arguments.record:
+        record()
+        return
+    kept, differ = recorded()["clips"], 0
+    for name in arguments.clips or names():
+        same = made(name).sha256 == kept[name]["sha256"]
+        differ += not same
+        print(f"{name:24} {'same' if same else 'DIFFERENT'}", flush=True)
+    sys.exit(bool(differ))
+
+
+if __name__ == "__main__":
+    main()
