@@ -12,13 +12,16 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+from msgspec import structs
+from numpy.typing import NDArray
 
 from fingerpost._core import ContourTracker, StartPose, Template
 from fingerpost.capture import Frame
-from fingerpost.config import Rig, View
+from fingerpost.config import LensParameters, Pair, Rig, View
 from fingerpost.errors import InvalidInputError
 from fingerpost.homography import transfer_jacobian_by_point
 from fingerpost.pointing import PlaneView
+from fingerpost.references import Reduction
 
 
 class Contradiction(NamedTuple):
@@ -83,6 +86,36 @@ def points_outside(view: View, size_px: tuple[int, int]) -> Contradiction | None
         f"the image of {size_px[0]} × {size_px[1]} px",
         "were they measured in images of another size? the workspace should be in view",
     )
+
+
+def reduced_view(view: View, reduction: Reduction) -> View:
+    """Return a view as its rig would tell it of reduced pictures."""
+    lens, start = reduction.lens(view.lens), view.start
+    covariances_px2 = view.reference_covariances_px2
+    return structs.replace(
+        view,
+        reference_points_px=_pairs(reduction.points(view.reference_points_px)),
+        reference_covariances_px2=None
+        if covariances_px2 is None
+        else tuple(
+            (uu / reduction.factor**2, uv / reduction.factor**2, vv / reduction.factor**2)
+            for uu, uv, vv in covariances_px2
+        ),
+        lens_parameters=None
+        if lens is None
+        else LensParameters(fx=lens.fx, fy=lens.fy, cx=lens.cx, cy=lens.cy, k1=lens.k1, k2=lens.k2),
+        start=None
+        if start is None
+        else structs.replace(
+            start,
+            tip_px=_pairs(reduction.points([start.tip_px]))[0],
+            length_px=start.length_px / reduction.factor,
+        ),
+    )
+
+
+def _pairs(points_px: NDArray[np.float64]) -> tuple[Pair, ...]:
+    return tuple((u, v) for u, v in points_px.tolist())
 
 
 def check_tracker_options(options: Mapping[str, Any] | None) -> None:

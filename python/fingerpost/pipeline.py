@@ -25,10 +25,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fingerpost._core import SearchLines, Track, update_views
-from fingerpost.admission import Admission, check_tracker_options, different_sides
+from fingerpost.admission import (
+    Admission,
+    check_tracker_options,
+    different_sides,
+    reduced_view,
+)
 from fingerpost.capture import Frame, open_views, read_views
 from fingerpost.checks import in_range
-from fingerpost.config import Rig
+from fingerpost.config import Rig, View
 from fingerpost.errors import FingerpostError, InvalidInputError
 from fingerpost.finding import (
     BETWEEN_EDGES,
@@ -57,7 +62,7 @@ from fingerpost.pointing import (
 )
 from fingerpost.recording import PointRow, TrackRow
 from fingerpost.recording.picture import SearchMarks
-from fingerpost.references import ReferenceWatch
+from fingerpost.references import Reduction, ReferenceWatch
 from fingerpost.silhouette import Capsule
 
 DEFAULT_REFERENCE_SIGMA_PX = 0.5
@@ -69,10 +74,17 @@ ANOTHER_FINGER = "its fingertip is not that of the other views"
 TOLD_OFF = 0.05
 """From so many half-widths on, people are told that the axis may be off."""
 
+LARGEST_PX = 2560
+"""Frames with a longer side are followed at a reduced size: a finger is no sharper in them, and
+time and memory would be many times those of decoding."""
+
 # Standard deviations of reference points whose squares are something beside everything else [px].
 _REFERENCE_SIGMAS_PX = (1e-6, 1e6)
 
+WHOLE = Reduction(1)
+
 Frames = TypeVar("Frames")
+Entry = TypeVar("Entry")
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +96,10 @@ class Observation:
     view
         The view's name.
     frame
-        The frame; None where there is none of that time, or it could not be read.
+        The frame as it was followed, reduced if it is large (`LARGEST_PX`); None where there is
+        none of that time, or it could not be read. All pixels here are this frame's.
+    reduction
+        How it was reduced.
     track
         What the tracker made of it; None without a frame, and while no hand has been found.
     contour_px
@@ -116,12 +131,16 @@ class Observation:
     plane_view: PlaneView | None = None
     aside: Aside = BETWEEN_EDGES
     is_body: bool = False
+    reduction: Reduction = WHOLE
 
     @classmethod
-    def of(cls, view: HandView, frame: Frame | None, watch: ReferenceWatch) -> Observation:
+    def of(
+        cls, view: HandView, frame: Frame | None, watch: ReferenceWatch, reduction: Reduction
+    ) -> Observation:
         """Return what a view saw in the frame that it and the watch have had last."""
         tracker = view.tracker
-        camera = watch.moved_px, watch.is_adrift, view.plane_view, view.aside, view.shows_body
+        moved = watch.moved_px, watch.is_adrift
+        camera = *moved, view.plane_view, view.aside, view.shows_body, reduction
         if frame is None or tracker is None:
             return cls(view.name, frame, None, np.empty((0, 2)), None, view.missing, *camera)
         contour_px, searched = tracker.contour(), tracker.search_lines()
@@ -152,10 +171,11 @@ class Observation:
         if self.frame is None:
             return ("no frame of this time could be read",)
         if self.is_adrift:
-            return (_moved(self.moved_px), *self._reasons)
+            return (_moved(self), *self._reasons)
         if self.moved_px > 0.0:
             *others, last = self._reasons
-            return (*others, f"camera moved by {self.moved_px:.0f} px   {last}")
+            moved_px = self.reduction.factor * self.moved_px
+            return (*others, f"camera moved by {moved_px:.0f} px   {last}")
         return self._reasons
 
     @property
@@ -177,7 +197,8 @@ class Observation:
         status = "tracking" if line is not None else str(self.finger)
         if line is not None:
             sigma_offset_px, sigma_angle_rad = np.sqrt(np.diag(line.covariance)).tolist()
-            tip_u, tip_v = line.tip_px.tolist()
+            sigma_offset_px *= self.reduction.factor
+            tip_u, tip_v = self.reduction.whole(line.tip_px).tolist()
             cells = {
                 "tip_u": tip_u,
                 "tip_v": tip_v,
@@ -275,7 +296,8 @@ class Step:
         )
 
 
-def _moved(moved_px: float) -> str:
+def _moved(seen: Observation) -> str:
+    moved_px = seen.reduction.factor * seen.moved_px
     return f"the camera has moved the reference points by {moved_px:.0f} px"
 
 
@@ -416,19 +438,17 @@ class Pointer:
             raise InvalidInputError(
                 f"the rig has {len(rig.views)} view; pointing needs two or more"
             )
-        self.views = tuple(
-            HandView(view, rig.plane.points, tracker_options, reference_sigma_px)
-            for view in rig.views
-        )
+        self._rig = rig
+        self._tracker_options, self._reference_sigma_px = tracker_options, reference_sigma_px
+        self._reductions: list[Reduction | None] = [None] * len(rig.views)
+        self.views = tuple(self._hand_view(view, WHOLE) for view in rig.views)
         if (wrong := different_sides(rig, self.plane_views)) is not None:
             raise InvalidInputError(f"{wrong.what}; {wrong.right}")
         self._admission = Admission(rig.views)
         self._moving = moving
         self._options = pointing_options
         self._still = self.plane_views
-        self._watches = tuple(
-            ReferenceWatch(view.reference_points_px, view.lens) for view in rig.views
-        )
+        self._watches = tuple(_watch(view) for view in rig.views)
         self._histories = tuple(_History() for _ in self.views)
         self._pending: deque[_Pending] = deque()
         self._identity = Identity()
@@ -458,6 +478,7 @@ class Pointer:
             points; or a later one of another size.
         """
         self._admission.admit(frames)
+        frames = [self._reduced(k, frame) for k, frame in enumerate(frames)]
         self._watch(frames)
         bodies = self._moving()
         for view, frame in zip(self.views, frames, strict=True):
@@ -479,8 +500,10 @@ class Pointer:
         for view in self.views:
             view.doubt([other for other in self.views if other is not view], shared)
         observations = tuple(
-            Observation.of(view, frame, watch)
-            for view, frame, watch in zip(self.views, frames, self._watches, strict=True)
+            Observation.of(view, frame, watch, reduction or WHOLE)
+            for view, frame, watch, reduction in zip(
+                self.views, frames, self._watches, self._reductions, strict=True
+            )
         )
         for history, observation, view in zip(
             self._histories, observations, self.views, strict=True
@@ -495,6 +518,30 @@ class Pointer:
         needed_s = self._pending[0].time_s if self._pending else np.inf
         for history in self._histories:
             history.forget(needed_s)
+
+    def _hand_view(self, view: View, reduction: Reduction) -> HandView:
+        sigma_px = self._reference_sigma_px / reduction.factor
+        return HandView(view, self._rig.plane.points, self._tracker_options, sigma_px)
+
+    def _reduced(self, k: int, frame: Frame | None) -> Frame | None:
+        """Reduce a large frame; its view begins anew in reduced pixels with its first frame."""
+        if frame is None:
+            return None
+        reduction = self._reductions[k]
+        if reduction is None:
+            reduction = self._reductions[k] = Reduction.of(frame.image.shape, LARGEST_PX)
+            if reduction.factor > 1:
+                self._begin(k, reduction)
+        if reduction.factor == 1:
+            return frame
+        return Frame(frame.index, frame.time_s, reduction.picture(frame.image))
+
+    def _begin(self, k: int, reduction: Reduction) -> None:
+        view = reduced_view(self._rig.views[k], reduction)
+        hand_view = self._hand_view(view, reduction)
+        self.views = _with(self.views, k, hand_view)
+        self._still = _with(self._still, k, hand_view.plane_view)
+        self._watches = _with(self._watches, k, _watch(view))
 
     def _watch(self, frames: Sequence[Frame | None]) -> None:
         """Tell the views how they see the plane: a camera may have moved."""
@@ -582,6 +629,14 @@ class Pointer:
         return Step(pending.index, pending.observations, fix, pending.hand)
 
 
+def _watch(view: View) -> ReferenceWatch:
+    return ReferenceWatch(view.reference_points_px, view.lens)
+
+
+def _with(entries: tuple[Entry, ...], k: int, entry: Entry) -> tuple[Entry, ...]:
+    return (*entries[:k], entry, *entries[k + 1 :])
+
+
 def _absences(
     told: Sequence[FingerLine | _NoLine], observations: Sequence[Observation]
 ) -> dict[int, str]:
@@ -593,7 +648,7 @@ def _absences(
         if finger.reason:
             absences[k] = finger.reason
         elif seen.is_adrift and finger.status is Status.ILL_CONDITIONED:
-            absences[k] = _moved(seen.moved_px)
+            absences[k] = _moved(seen)
         elif seen.is_body:
             absences[k] = "it shows what the system itself moves"
     return absences

@@ -4,6 +4,7 @@
 the working plane has moved in its picture if it does not.
 """
 
+from fingerpost.references.reduction import Reduction
 from fingerpost.references.registration import PlaneMotion, PlaneRegistration, Segment
 from fingerpost.references.watch import ADRIFT_PX, LOOK_EVERY, MOVED_PX, ReferenceWatch
 
@@ -13,6 +14,7 @@ __all__ = [
     "MOVED_PX",
     "PlaneMotion",
     "PlaneRegistration",
+    "Reduction",
     "ReferenceWatch",
     "Segment",
 ]

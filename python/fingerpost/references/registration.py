@@ -110,6 +110,9 @@ moved if it has changed by no more than this part of that, and by what noise may
 times what is expected of it, and still has this part of its contrast. Where a camera has moved
 hardly any squares have not; an arm leaves more than this share. So many squares must tell."""
 
+ROW = 64
+"""Pixels are looked up in rows of so many."""
+
 SOME = 5
 """One pixel in so many of the better half tells whether a picture is unlike the first one."""
 
@@ -129,6 +132,19 @@ class PlaneMotion:
 
     now_from_first: Array
     covariance: Array
+
+    def scaled(self, scaled_from_px: Array) -> PlaneMotion:
+        """Return the motion as pictures of another size show it.
+
+        Parameters
+        ----------
+        scaled_from_px
+            (3, 3) What takes pixels to theirs.
+        """
+        px_from_scaled = np.linalg.inv(scaled_from_px)
+        by_entries = np.kron(scaled_from_px, px_from_scaled.T)
+        now_from_first = scaled_from_px @ self.now_from_first @ px_from_scaled
+        return PlaneMotion(now_from_first, by_entries @ self.covariance @ by_entries.T)
 
 
 class PlaneRegistration:
@@ -448,9 +464,11 @@ class _Level:
         places_px = (places_px + 0.5) * self._scale - 0.5
         last_px = np.array(self._size_px) - 2.0
         in_sight &= ((places_px >= 1.0) & (places_px <= last_px)).all(axis=1)
-        u, v = np.where(in_sight[:, None], places_px, 0.0).astype(np.float32).T
-        here = cv2.remap(smooth, u, v, cv2.INTER_LINEAR)
-        return np.asarray(here, np.float64).ravel(), in_sight
+        # OpenCV takes no side of 32,768 and more.
+        rows = np.where(in_sight[:, None], places_px, 0.0).astype(np.float32)
+        rows = np.resize(rows, (-(-len(rows) // ROW), ROW, 2))
+        here = cv2.remap(smooth, rows[..., 0].copy(), rows[..., 1].copy(), cv2.INTER_LINEAR)
+        return np.asarray(here, np.float64).ravel()[: len(places_px)], in_sight
 
     def _centred(self, columns: Array, weights: Array) -> Array:
         """Return columns less their mean in each square, one after the other."""

@@ -20,10 +20,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fingerpost.lens import Lens
+from fingerpost.references.reduction import Reduction
 from fingerpost.references.registration import PlaneMotion, PlaneRegistration, Segment, is_within
 
 LOOK_EVERY = 5
 """One frame in so many of a camera that keeps still is looked at."""
+
+LARGEST_PX = 1280
+"""Pictures with a longer side are watched at a reduced size."""
 
 WIDEST_PX = 320
 """Wider pictures are halved until they are not; all lengths below are of the halved picture."""
@@ -97,37 +101,48 @@ _Points = NDArray[np.float32]
 class ReferenceWatch:
     """Watches whether a view's camera stands where it stood when the first frame was taken.
 
+    Large pictures are watched at a reduced size (`Reduction`).
+
     Parameters
     ----------
     reference_points_px
         The view's N ≥ 4 reference points (u, v) [px].
     lens
         The view's distortion, if it is known.
-
-    Attributes
-    ----------
-    moved_px
-        How far what stands on the table has moved in the picture, on average, by the last look
-        that told; 0 while the camera keeps still [px].
-    motion
-        How the plane has moved in the picture since the first frame; None while the camera keeps
-        still, and where it cannot be told.
     """
 
     def __init__(
         self, reference_points_px: Sequence[tuple[float, float]], lens: Lens | None = None
     ) -> None:
-        self.moved_px = 0.0
-        self.motion: PlaneMotion | None = None
         self._reference_points_px = np.array(reference_points_px, np.float64).reshape(-1, 2)
         self._lens = lens
-        self._size: tuple[int, ...] = ()
-        self._whole_px = 1.0
+        self._shape: tuple[int, ...] = ()
+        self._reduction = Reduction(1)
+        self._watch = _Watch(self._reference_points_px, lens)
+
+    @property
+    def moved_px(self) -> float:
+        """How far what stands on the table has moved in the picture [px].
+
+        On average, by the last look that could tell; 0 while the camera keeps still.
+        """
+        return self._reduction.factor * self._watch.moved_px
 
     @property
     def is_adrift(self) -> bool:
         """Whether the camera has moved and it is not known where to."""
-        return self.motion is None and self.moved_px > ADRIFT_PX
+        return self._watch.is_adrift
+
+    @property
+    def motion(self) -> PlaneMotion | None:
+        """How the plane has moved in the picture since the first frame.
+
+        None while the camera keeps still, and where it cannot be told.
+        """
+        motion = self._watch.motion
+        if motion is None or self._reduction.factor == 1:
+            return motion
+        return motion.scaled(self._reduction.whole_from_reduced)
 
     def look(self, grey: _Picture, hand: Segment | None = None) -> None:
         """Take the next frame.
@@ -143,7 +158,44 @@ class ReferenceWatch:
         hand
             Where a hand was in the frame before, if one is followed: it moves no camera.
         """
-        if grey.shape != self._size:
+        if grey.shape != self._shape:
+            self._shape, self._reduction = grey.shape, Reduction.of(grey.shape, LARGEST_PX)
+            self._watch = _Watch(
+                self._reduction.points(self._reference_points_px),
+                self._reduction.lens(self._lens),
+            )
+        if hand is not None and self._reduction.factor > 1:
+            end_px, other_px, radius_px = hand
+            ends = self._reduction.points([end_px, other_px])
+            hand = (*ends, radius_px / self._reduction.factor)
+        self._watch.look(self._reduction.picture(grey), hand)
+
+
+class _Watch:
+    """Watches pictures of one size, none of them large.
+
+    Attributes
+    ----------
+    moved_px, motion
+        As of `ReferenceWatch`.
+    """
+
+    def __init__(self, reference_points_px: NDArray[np.float64], lens: Lens | None) -> None:
+        self.moved_px = 0.0
+        self.motion: PlaneMotion | None = None
+        self._reference_points_px = reference_points_px
+        self._lens = lens
+        self._has_begun = False
+        self._whole_px = 1.0
+
+    @property
+    def is_adrift(self) -> bool:
+        """Whether the camera has moved and it is not known where to."""
+        return self.motion is None and self.moved_px > ADRIFT_PX
+
+    def look(self, grey: _Picture, hand: Segment | None = None) -> None:
+        """Take the next frame, as `ReferenceWatch.look`."""
+        if not self._has_begun:
             self._begin(grey)
             return
         self._frames += 1
@@ -154,7 +206,7 @@ class ReferenceWatch:
 
     def _begin(self, grey: _Picture) -> None:
         """Find the corners of the first picture, the reference points before all others."""
-        self._size, self._halves = grey.shape, _halves(grey)
+        self._has_begun, self._halves = True, _halves(grey)
         self._first = _halved(grey, self._halves).copy()
         self._whole_px = grey.shape[1] / self._first.shape[1]
         self._frames, self._unlike_px = 0, FIRST_UNLIKE_PX
