@@ -71,6 +71,18 @@ def _turn(plane_view: PlaneView) -> float:
     return float(np.sign(np.linalg.det(jacobian)))
 
 
+def other_size(view: View, size_px: tuple[int, int]) -> Contradiction | None:
+    """Tell whether a rig's pixels were measured in images of another size than a view's."""
+    if view.size_px is None or view.size_px == size_px:
+        return None
+    width, height = size_px
+    return Contradiction(
+        f"its images have {width} × {height} px, and size_px = [{view.size_px[0]}, "
+        f"{view.size_px[1]}] says in which its points were measured",
+        "set the camera to that size, or measure reference_points_px and [view.start] anew",
+    )
+
+
 def points_outside(view: View, size_px: tuple[int, int]) -> Contradiction | None:
     """Tell whether most reference points lie outside an image (width, height) of their view.
 
@@ -94,6 +106,7 @@ def reduced_view(view: View, reduction: Reduction) -> View:
     covariances_px2 = view.reference_covariances_px2
     return structs.replace(
         view,
+        size_px=None,
         reference_points_px=_pairs(reduction.points(view.reference_points_px)),
         reference_covariances_px2=None
         if covariances_px2 is None
@@ -190,7 +203,8 @@ class Admission:
                     f'view "{view.name}": frame {frame.index} has {width} × {height} px, the first '
                     f"one has {first_px[0]} × {first_px[1]}; all must have one size"
                 )
-            if (wrong := points_outside(view, size_px)) is not None:
+            wrong = other_size(view, size_px) or points_outside(view, size_px)
+            if wrong is not None:
                 raise InvalidInputError(f'view "{view.name}": {wrong.what}; {wrong.right}')
             self._sizes_px[k] = size_px
 

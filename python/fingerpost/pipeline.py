@@ -34,6 +34,7 @@ from fingerpost.admission import (
 from fingerpost.capture import Frame, open_views, read_views
 from fingerpost.checks import in_range
 from fingerpost.config import Rig, View
+from fingerpost.consistency import Monitor
 from fingerpost.errors import FingerpostError, InvalidInputError
 from fingerpost.finding import (
     BETWEEN_EDGES,
@@ -71,6 +72,9 @@ DEFAULT_REFERENCE_SIGMA_PX = 0.5
 ANOTHER_FINGER = "its fingertip is not that of the other views"
 """What is said of a view that follows another finger than all others."""
 
+FROZEN = "its picture stands still"
+"""What is said of a view that hands out an old picture."""
+
 TOLD_OFF = 0.05
 """From so many half-widths on, people are told that the axis may be off."""
 
@@ -100,6 +104,8 @@ class Observation:
         none of that time, or it could not be read. All pixels here are this frame's.
     reduction
         How it was reduced.
+    is_frozen
+        Whether the view hands out an old picture again and again; it counts as no frame.
     track
         What the tracker made of it; None without a frame, and while no hand has been found.
     contour_px
@@ -132,15 +138,21 @@ class Observation:
     aside: Aside = BETWEEN_EDGES
     is_body: bool = False
     reduction: Reduction = WHOLE
+    is_frozen: bool = False
 
     @classmethod
     def of(
-        cls, view: HandView, frame: Frame | None, watch: ReferenceWatch, reduction: Reduction
+        cls,
+        view: HandView,
+        frame: Frame | None,
+        watch: ReferenceWatch,
+        reduction: Reduction,
+        is_frozen: bool,
     ) -> Observation:
         """Return what a view saw in the frame that it and the watch have had last."""
         tracker = view.tracker
         moved = watch.moved_px, watch.is_adrift
-        camera = *moved, view.plane_view, view.aside, view.shows_body, reduction
+        camera = *moved, view.plane_view, view.aside, view.shows_body, reduction, is_frozen
         if frame is None or tracker is None:
             return cls(view.name, frame, None, np.empty((0, 2)), None, view.missing, *camera)
         contour_px, searched = tracker.contour(), tracker.search_lines()
@@ -168,6 +180,8 @@ class Observation:
     @property
     def reasons(self) -> tuple[str, ...]:
         """Why the frame went the way it did, for people: the verdict, then details."""
+        if self.is_frozen:
+            return (FROZEN,)
         if self.frame is None:
             return ("no frame of this time could be read",)
         if self.is_adrift:
@@ -342,9 +356,8 @@ class _History:
 
     entries: list[tuple[float, FingerLine | Status, PlaneView]] = field(default_factory=list)
 
-    def add(self, observation: Observation, plane_view: PlaneView) -> None:
-        if observation.frame is not None:
-            self.entries.append((observation.frame.time_s, observation.finger, plane_view))
+    def add(self, time_s: float, observation: Observation, plane_view: PlaneView) -> None:
+        self.entries.append((time_s, observation.finger, plane_view))
 
     def forget(self, time_s: float) -> None:
         """Forget what is not needed to tell what the view has at a time, or later."""
@@ -445,6 +458,7 @@ class Pointer:
         if (wrong := different_sides(rig, self.plane_views)) is not None:
             raise InvalidInputError(f"{wrong.what}; {wrong.right}")
         self._admission = Admission(rig.views)
+        self._monitor = Monitor([view.name for view in rig.views])
         self._moving = moving
         self._options = pointing_options
         self._still = self.plane_views
@@ -479,6 +493,14 @@ class Pointer:
         """
         self._admission.admit(frames)
         frames = [self._reduced(k, frame) for k, frame in enumerate(frames)]
+        old, frozen = self._monitor.look(frames)
+        # An old picture is no new measurement; that a view has none any more is.
+        times_s = [
+            frame.time_s if frame is not None and (is_frozen or not is_old) else None
+            for frame, is_old, is_frozen in zip(frames, old, frozen, strict=True)
+        ]
+        first = frames[0]
+        frames = [None if is_old else frame for frame, is_old in zip(frames, old, strict=True)]
         self._watch(frames)
         bodies = self._moving()
         for view, frame in zip(self.views, frames, strict=True):
@@ -500,17 +522,20 @@ class Pointer:
         for view in self.views:
             view.doubt([other for other in self.views if other is not view], shared)
         observations = tuple(
-            Observation.of(view, frame, watch, reduction or WHOLE)
-            for view, frame, watch, reduction in zip(
-                self.views, frames, self._watches, self._reductions, strict=True
+            Observation.of(view, frame, watch, reduction or WHOLE, is_frozen)
+            for view, frame, watch, reduction, is_frozen in zip(
+                self.views, frames, self._watches, self._reductions, frozen, strict=True
             )
         )
-        for history, observation, view in zip(
-            self._histories, observations, self.views, strict=True
+        for history, time_s, observation, view in zip(
+            self._histories, times_s, observations, self.views, strict=True
         ):
-            history.add(observation, view.plane_view)
-        first = frames[0]
-        if first is not None:
+            if time_s is not None:
+                history.add(time_s, observation, view.plane_view)
+        # Of a camera that moves, tips of different times have no line in common.
+        steady = [seen.finger if seen.moved_px == 0.0 else None for seen in observations]
+        self._monitor.take(times_s, steady, self.plane_views)
+        if first is not None and times_s[0] is not None:
             self._identity.update(self.views, first.time_s)
             hand = self._identity.hand
             self._pending.append(_Pending(first.index, first.time_s, observations, hand))
@@ -588,6 +613,10 @@ class Pointer:
             if flat is not None:
                 view.look_flat(flat)
 
+    def notes(self) -> list[str]:
+        """Return what was noticed of the views so far, a line each: old pictures, other clocks."""
+        return self._monitor.notes()
+
     def finish(self) -> Iterator[Step]:
         """Yield the last steps, whose time not every view has reached."""
         while self._pending:
@@ -617,6 +646,9 @@ class Pointer:
         ]
         for k in other_fingers([view.viewpoint for view in self.views], told):
             told[k] = _NoLine(Status.ILL_CONDITIONED, ANOTHER_FINGER)
+        for k, lag in enumerate(self._monitor.lags):
+            if lag is not None and isinstance(told[k], FingerLine):
+                told[k] = _NoLine(Status.ILL_CONDITIONED, f"it lags by {lag.lag_s:.2f} s")
         fingers = [finger.status if isinstance(finger, _NoLine) else finger for finger in told]
         fix = indicated_point(
             fingers,
@@ -647,6 +679,8 @@ def _absences(
             continue
         if finger.reason:
             absences[k] = finger.reason
+        elif seen.is_frozen:
+            absences[k] = FROZEN
         elif seen.is_adrift and finger.status is Status.ILL_CONDITIONED:
             absences[k] = _moved(seen)
         elif seen.is_body:
@@ -702,6 +736,6 @@ def track(rig: Rig, *, max_frames: int | None = None, **options: Any) -> Iterato
     """
     pointer = Pointer(rig, **options)
     with ExitStack() as stack:
-        sources = stack.enter_context(open_views(rig.sources))
+        sources = stack.enter_context(open_views(rig.sources, rig.offsets_s))
         for step in steps(pointer, at_most(read_views(sources), max_frames)):
             yield step.fix

@@ -1,8 +1,8 @@
 """Still images as a recorded source: one file per frame.
 
-Images carry no times, so frame k was taken at k / fps. Every pixel format becomes 8-bit grey or
-8-bit blue-green-red (`decode_image`); an image stored rotated is turned as its EXIF tag says,
-as every viewer shows it.
+Images carry no times, so their names tell them (`fingerpost.capture.numbering`). Every pixel
+format becomes 8-bit grey or 8-bit blue-green-red (`decode_image`); an image stored rotated is
+turned as its EXIF tag says, as every viewer shows it.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from fingerpost.capture.numbering import taken
 from fingerpost.capture.source import Frame, Source, SourceKind
 from fingerpost.errors import CaptureError
 
@@ -29,25 +30,30 @@ def natural_order(path: Path) -> list[str | int]:
 
 
 class ImageSequence(Source):
-    """Images read in the given order, `fps` frames a second; sizes must agree."""
+    """Images read in the given order; sizes must agree."""
 
     kind = SourceKind.RECORDED
 
     def __init__(self, paths: Sequence[Path], *, fps: float, name: str) -> None:
         super().__init__(name)
         self._paths = paths
-        self._fps = fps
+        self._taken = taken(paths, fps, name)
         self._index = 0
         self.frame_count = len(paths)
 
     def _next_frame(self) -> Frame:
         if self._index == len(self._paths):
             raise StopIteration
-        index, self._index = self._index, self._index + 1
-        return Frame(index, index / self._fps, decode_image(self._paths[index]))
+        place, self._index = self._index, self._index + 1
+        index, time_s = self._taken[place]
+        return Frame(index, time_s, decode_image(self._paths[place]))
 
     def _place(self, index: int) -> str:
-        return str(self._paths[index])
+        return next(
+            str(path)
+            for path, one in zip(self._paths, self._taken, strict=True)
+            if one.place == index
+        )
 
     def close(self) -> None:
         """Stop: no more frames will come."""

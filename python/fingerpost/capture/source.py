@@ -101,11 +101,14 @@ class Source(ABC):
     frame_count
         How many frames a recorded source should have; None if unknown. Exact for still images;
         for a video it is the claim of the file's header, fit for a progress bar and no more.
+    offset_s
+        Added to the times of all frames [s].
     """
 
     kind: SourceKind
     name: str
     frame_count: int | None = None
+    offset_s: float = 0.0
 
     def __init__(self, name: str) -> None:
         self.name = name
@@ -143,6 +146,8 @@ class Source(ABC):
                 f"the first frame has {self._shape[1]} x {self._shape[0]}; "
                 "all frames of a view must have one size"
             )
+        if self.offset_s:
+            return Frame(frame.index, frame.time_s + self.offset_s, frame.image)
         return frame
 
     def wait(self) -> None:  # noqa: B027 - nothing to wait for is the usual case

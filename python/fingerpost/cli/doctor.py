@@ -62,7 +62,7 @@ def _examined(rig_file: Path, frames: int | None) -> Diagnosis:
     count = DEFAULT_FRAMES if frames is None else frames
     seen: list[list[Frame]] = [[] for _ in rig.views]
     with ExitStack() as stack:
-        sources = stack.enter_context(open_views(rig.sources))
+        sources = stack.enter_context(open_views(rig.sources, rig.offsets_s))
         for together in watched(look(sources, count), count, "looking"):
             for own, frame in zip(seen, together, strict=True):
                 if frame is not None:

@@ -190,7 +190,7 @@ def _guide(given: Mapping[str, Any], carry: PickPlaceOptions | None) -> None:
     with ExitStack() as stack:
         on_record = open_log(stack, given["log"])
         stack.enter_context(ending_orderly())
-        sources = stack.enter_context(open_views(rig.sources))
+        sources = stack.enter_context(open_views(rig.sources, rig.offsets_s))
         frames: Iterator[Sequence[Frame | None]] = read_views(sources)
         stack.enter_context(robot)
         guard.check_limits()

@@ -92,7 +92,7 @@ def run(
             line = None if as_json and sys.stdout.isatty() else stack.enter_context(status_line())
             if line is not None:
                 line.show(f"opening {', '.join(rig.sources)}")
-            sources = stack.enter_context(open_views(rig.sources))
+            sources = stack.enter_context(open_views(rig.sources, rig.offsets_s))
             takers = _takers(stack, pointer, rig.plane.unit, points, tracks, overlay, as_json)
             frames = at_most(read_views(sources), max_frames)
             if line is not None:
@@ -110,7 +110,7 @@ def run(
                     take(step)
     finally:
         if summary.frames and not as_json:
-            click.echo("\n".join(summary.lines(time.monotonic() - started_s)))
+            click.echo("\n".join(summary.lines(time.monotonic() - started_s) + pointer.notes()))
 
 
 def _reference_noise(rig: Rig, sigma_px: float | None) -> dict[str, Any]:
