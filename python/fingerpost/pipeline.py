@@ -11,6 +11,7 @@ loop exists once; whatever plays, draws, records or drives stands around it.
 
 from __future__ import annotations
 
+import logging
 import numbers
 import sys
 from collections import deque
@@ -34,7 +35,7 @@ from fingerpost.admission import (
 from fingerpost.capture import Frame, open_views, read_views
 from fingerpost.checks import in_range
 from fingerpost.config import Rig, View
-from fingerpost.consistency import Monitor
+from fingerpost.consistency import Monitor, Scenery
 from fingerpost.errors import FingerpostError, InvalidInputError
 from fingerpost.finding import (
     BETWEEN_EDGES,
@@ -65,6 +66,8 @@ from fingerpost.recording import PointRow, TrackRow
 from fingerpost.recording.picture import SearchMarks
 from fingerpost.references import Reduction, ReferenceWatch
 from fingerpost.silhouette import Capsule
+
+_log = logging.getLogger(__name__)
 
 DEFAULT_REFERENCE_SIGMA_PX = 0.5
 """Standard deviation of a reference point that a person clicked or a line fit gave [px]."""
@@ -458,6 +461,7 @@ class Pointer:
         if (wrong := different_sides(rig, self.plane_views)) is not None:
             raise InvalidInputError(f"{wrong.what}; {wrong.right}")
         self._admission = Admission(rig.views)
+        self._first: dict[int, Frame] | None = {}
         self._monitor = Monitor([view.name for view in rig.views])
         self._moving = moving
         self._options = pointing_options
@@ -492,6 +496,7 @@ class Pointer:
             points; or a later one of another size.
         """
         self._admission.admit(frames)
+        self._compare_scenery(frames)
         frames = [self._reduced(k, frame) for k, frame in enumerate(frames)]
         old, frozen = self._monitor.look(frames)
         # An old picture is no new measurement; that a view has none any more is.
@@ -543,6 +548,31 @@ class Pointer:
         needed_s = self._pending[0].time_s if self._pending else np.inf
         for history in self._histories:
             history.forget(needed_s)
+
+    def _compare_scenery(self, frames: Sequence[Frame | None]) -> None:
+        """Refuse reference points that the first frames of all views belie, and warn of others.
+
+        Raises
+        ------
+        InvalidInputError
+            The views show the plane as one only when a mistake is undone that people make.
+        """
+        if self._first is None:
+            return
+        for k, frame in enumerate(frames):
+            if frame is not None:
+                self._first.setdefault(k, frame)
+        if len(self._first) < len(self._rig.views):
+            return
+        pictures = [self._first[k].image for k in range(len(self._rig.views))]
+        self._first = None
+        mistake = Scenery(self._rig, pictures).mistake()
+        if mistake is None:
+            return
+        words = f"{mistake.what}; {mistake.lines(self._rig)} would be right"
+        if mistake.is_certain:
+            raise InvalidInputError(words)
+        _log.warning("%s", words)
 
     def _hand_view(self, view: View, reduction: Reduction) -> HandView:
         sigma_px = self._reference_sigma_px / reduction.factor

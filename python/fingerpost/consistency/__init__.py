@@ -6,6 +6,7 @@ them comes out. `Monitor` watches while a rig runs; the doctor asks the same que
 
 from fingerpost.consistency.freshness import Freshness
 from fingerpost.consistency.monitor import Monitor
+from fingerpost.consistency.scenery import Mistake, Scenery
 from fingerpost.consistency.synchrony import Lag, Tips, lag_between
 
-__all__ = ["Freshness", "Lag", "Monitor", "Tips", "lag_between"]
+__all__ = ["Freshness", "Lag", "Mistake", "Monitor", "Scenery", "Tips", "lag_between"]
