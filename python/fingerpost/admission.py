@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import numbers
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from msgspec import structs
@@ -18,25 +18,11 @@ from numpy.typing import NDArray
 from fingerpost._core import ContourTracker, StartPose, Template
 from fingerpost.capture import Frame
 from fingerpost.config import LensParameters, Pair, Rig, View
+from fingerpost.consistency import Contradiction
 from fingerpost.errors import InvalidInputError
 from fingerpost.homography import transfer_jacobian_by_point
 from fingerpost.pointing import PlaneView
 from fingerpost.references import Reduction
-
-
-class Contradiction(NamedTuple):
-    """What a rig says and its pictures or its other views belie.
-
-    Attributes
-    ----------
-    what
-        What is wrong, with the values found.
-    right
-        What would be right.
-    """
-
-    what: str
-    right: str
 
 
 def different_sides(rig: Rig, plane_views: Sequence[PlaneView]) -> Contradiction | None:
@@ -114,9 +100,7 @@ def reduced_view(view: View, reduction: Reduction) -> View:
             (uu / reduction.factor**2, uv / reduction.factor**2, vv / reduction.factor**2)
             for uu, uv, vv in covariances_px2
         ),
-        lens_parameters=None
-        if lens is None
-        else LensParameters(fx=lens.fx, fy=lens.fy, cx=lens.cx, cy=lens.cy, k1=lens.k1, k2=lens.k2),
+        lens_parameters=None if lens is None else LensParameters.of(lens),
         start=None
         if start is None
         else structs.replace(

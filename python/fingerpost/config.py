@@ -133,6 +133,11 @@ class LensParameters(_Table, kw_only=True, frozen=True):
             in_range(getattr(self, name), f"lens {name}", -longest, longest)
         self.lens()
 
+    @classmethod
+    def of(cls, lens: Lens) -> LensParameters:
+        """Return the parameters of a model."""
+        return cls(fx=lens.fx, fy=lens.fy, cx=lens.cx, cy=lens.cy, k1=lens.k1, k2=lens.k2)
+
     def lens(self) -> Lens:
         """Return the model with these parameters."""
         return Lens(**msgspec.structs.asdict(self))

@@ -457,6 +457,7 @@ class Pointer:
         self._rig = rig
         self._tracker_options, self._reference_sigma_px = tracker_options, reference_sigma_px
         self._reductions: list[Reduction | None] = [None] * len(rig.views)
+        self._rig_views = list(rig.views)
         self.views = tuple(self._hand_view(view, WHOLE) for view in rig.views)
         if (wrong := different_sides(rig, self.plane_views)) is not None:
             raise InvalidInputError(f"{wrong.what}; {wrong.right}")
@@ -566,13 +567,19 @@ class Pointer:
             return
         pictures = [self._first[k].image for k in range(len(self._rig.views))]
         self._first = None
-        mistake = Scenery(self._rig, pictures).mistake()
-        if mistake is None:
-            return
-        words = f"{mistake.what}; {mistake.lines(self._rig)} would be right"
-        if mistake.is_certain:
-            raise InvalidInputError(words)
-        _log.warning("%s", words)
+        scenery = Scenery(self._rig, pictures)
+        if (same := scenery.same_pictures()) is not None:
+            raise InvalidInputError(f"{same.what}; {same.right}")
+        if (mistake := scenery.mistake()) is not None:
+            words = f"{mistake.what}; {mistake.lines(self._rig)} would be right"
+            if mistake.is_certain:
+                raise InvalidInputError(words)
+            _log.warning("%s", words)
+        for k, bend in scenery.bends().items():
+            view = self._rig_views[k]
+            _log.warning('view "%s": %s; %s', view.name, bend.what, bend.right)
+            self._rig_views[k] = bend.allowed_for(view, self._reference_sigma_px)
+            self._begin(k)
 
     def _hand_view(self, view: View, reduction: Reduction) -> HandView:
         sigma_px = self._reference_sigma_px / reduction.factor
@@ -586,13 +593,15 @@ class Pointer:
         if reduction is None:
             reduction = self._reductions[k] = Reduction.of(frame.image.shape, LARGEST_PX)
             if reduction.factor > 1:
-                self._begin(k, reduction)
+                self._begin(k)
         if reduction.factor == 1:
             return frame
         return Frame(frame.index, frame.time_s, reduction.picture(frame.image))
 
-    def _begin(self, k: int, reduction: Reduction) -> None:
-        view = reduced_view(self._rig.views[k], reduction)
+    def _begin(self, k: int) -> None:
+        """Begin a view anew, as it is known by now."""
+        reduction = self._reductions[k] or WHOLE
+        view = reduced_view(self._rig_views[k], reduction)
         hand_view = self._hand_view(view, reduction)
         self.views = _with(self.views, k, hand_view)
         self._still = _with(self._still, k, hand_view.plane_view)

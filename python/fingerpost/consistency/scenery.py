@@ -21,6 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fingerpost.config import Rig
+from fingerpost.consistency.contradiction import Contradiction
+from fingerpost.consistency.straightness import Bend, bend_of
 from fingerpost.errors import FingerpostError
 from fingerpost.homography import transfer_to_image
 from fingerpost.pointing import PlaneView
@@ -40,8 +42,14 @@ that is undone must bring it to the second, and by the third above what it is. R
 and mats have 0.87 to 0.94, and 0.06 to 0.14 before plain tables; wrong ones −0.1 to 0.1, and 0.6
 where only the outline of a sheet agrees, or points are off by a little."""
 
+LEAST_SEEN = 0.125
+"""Part of a texture that both views must show."""
+
 SIMPLER = 0.05
 """A mistake in one more view must explain so much more."""
+
+SAME = 0.97
+"""Pictures whose sharp parts correlate by this are one; those of two cameras do by 0.1."""
 
 CORNER_PX = 3.0
 """A sharp corner this near to a point is under it."""
@@ -126,6 +134,7 @@ class Scenery:
             reduction.lens(view.lens)
             for reduction, view in zip(self._reductions, rig.views, strict=True)
         ]
+        self._stills = stills
         self._sizes = [(still.shape[1], still.shape[0]) for still in stills]
         self._smooth = [np.asarray(cv2.GaussianBlur(still, (0, 0), 1.5)) for still in stills]
         self._corners = [_sharp_corners(still) for still in stills]
@@ -145,6 +154,47 @@ class Scenery:
         if first is None:
             return 0.0
         return min(0.0 if other is None else _correlation(first, other) for other in others)
+
+    def bends(self) -> dict[int, Bend]:
+        """Return how lenses bend the pictures of views that have none told, by their place."""
+        found = {}
+        for k, view in enumerate(self._rig.views):
+            if view.lens is None:
+                bend = bend_of(
+                    self._stills[k], self._plane_points, self._given[k], self._reductions[k]
+                )
+                if bend is not None:
+                    found[k] = bend
+        return found
+
+    def same_pictures(self) -> Contradiction | None:
+        """Tell whether two views show the same picture, which two cameras never do."""
+        for k, name in enumerate(view.name for view in self._rig.views):
+            for j in range(k):
+                if self._sizes[j] == self._sizes[k] and self._is_same(j, k):
+                    return Contradiction(
+                        f'views "{self._rig.views[j].name}" and "{name}" show the same picture',
+                        "each needs a camera, or the film of a camera, of its own",
+                    )
+        return None
+
+    def plain(self) -> list[int]:
+        """Return the places of views whose pictures show nothing at all."""
+        return [
+            k
+            for k, still in enumerate(self._stills)
+            if float(np.std(still)) < _PLAIN_LEVELS or np.ptp(np.percentile(still, (1, 99))) < 6
+        ]
+
+    def _is_same(self, j: int, k: int) -> bool:
+        """Whether what is sharp in two pictures is the same in both."""
+        import cv2
+
+        one, other = (
+            still.astype(np.float64) - cv2.GaussianBlur(still, (0, 0), _SMOOTH_PATCH)
+            for still in (self._smooth[j], self._smooth[k])
+        )
+        return _correlation(one, other) > SAME
 
     def mistake(self) -> Mistake | None:
         """Return the likeliest mistake in the points; None if there is none to be seen."""
@@ -373,7 +423,7 @@ def _sharp_corners(still: Grey) -> Array:
 def _correlation(first: Array, second: Array) -> float:
     """Correlation of two textures where both are seen; 0 of plain ones."""
     both = np.isfinite(first) & np.isfinite(second)
-    if both.sum() < _PATCH**2 // 8:
+    if both.sum() < LEAST_SEEN * both.size:
         return 0.0
     a, b = first[both] - first[both].mean(), second[both] - second[both].mean()
     if min(a.std(), b.std()) < _PLAIN_LEVELS:
