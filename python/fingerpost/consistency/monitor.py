@@ -97,7 +97,7 @@ class Monitor:
         way = "after" if lag.lag_s > 0.0 else "before"
         return (
             f'view "{name}" shows the hand {abs(lag.lag_s):.2f} s {way} view "{self._names[0]}" '
-            f"does, by how it moves in both: offset_s = {-lag.lag_s:.2f} more in its [[view]] "
+            f"does, by how it moves in both; offset_s = {-lag.lag_s:.2f} more in its [[view]] "
             "brings them together, if they were begun apart"
         )
 

@@ -45,6 +45,9 @@ where only the outline of a sheet agrees, or points are off by a little."""
 LEAST_SEEN = 0.125
 """Part of a texture that both views must show."""
 
+TIE = 0.01
+"""Of mistakes that explain as much, to this, the commonest one is named."""
+
 SIMPLER = 0.05
 """A mistake in one more view must explain so much more."""
 
@@ -67,6 +70,7 @@ _PLAIN_LEVELS = 2.0
 _ECC_STEPS = (3, 60, 1e-4)  # iterations and a least improvement
 _ECC_BLUR = 5
 _QUALITY = 0.02
+_LEAST_CONTRAST = 12.0  # below, corners are noise [levels]
 _MOST_CORNERS = 150
 _CORNERS_APART_PX = 6
 
@@ -222,7 +226,7 @@ class Scenery:
         for what, points_px in guesses:
             agreement = self._agreement(points_px)
             score = agreement - SIMPLER * len(points_px)
-            if agreement > max(LEAST_AGREEMENT, as_given + BETTER) and score > most:
+            if agreement > max(LEAST_AGREEMENT, as_given + BETTER) and score > most + TIE:
                 best, most = Mistake(what, points_px, agreement, as_given, is_certain), score
         return best
 
@@ -247,7 +251,8 @@ class Scenery:
             yield "the views' points are swapped", {0: self._given[1], 1: self._given[0]}
         for what, right in _slips():
             each = {k: right(self._given[k], self._sizes[k]) for k in views}
-            yield f"{what} in all views", each
+            if "order" not in what:  # another order in all views is another pair of axes
+                yield f"{what} in all views", each
             for k in views:
                 yield f'{what} in view "{self._rig.views[k].name}"', {k: each[k]}
         moved = [self._shifts(k) for k in views]
@@ -395,7 +400,7 @@ def _slips() -> Iterator[tuple[str, Callable[[Array, tuple[int, int]], Array]]]:
     for order in permutations(range(4)):
         if order != (0, 1, 2, 3):
             yield (
-                f"points are in another order, {list(order)} is right,",
+                f"points are to be taken in the order {list(order)}",
                 lambda px, _, order=order: np.vstack([px[list(order)], px[4:]]),  # type: ignore[misc]
             )
 
@@ -412,6 +417,9 @@ def _sharp_corners(still: Grey) -> Array:
     """Return the sharpest corners of a picture, (M, 2) [px], to part of a pixel."""
     import cv2
 
+    low, high = np.percentile(still, (1, 99)).tolist()
+    if high - low < _LEAST_CONTRAST:
+        return np.empty((0, 2))
     found = cv2.goodFeaturesToTrack(still, _MOST_CORNERS, _QUALITY, _CORNERS_APART_PX, blockSize=5)
     if found is None:
         return np.empty((0, 2))
