@@ -57,13 +57,17 @@ MISTAKES = {
     "2 times as large": lambda px: px * 2,
     "the order": lambda px: np.roll(px, 1, axis=0),
 }
+MADE = [
+    (words, views)
+    for words, views in product(MISTAKES, [(0,), (1,), (0, 1)])
+    # In both views alike, another order means other axes of the plane.
+    if (words, views) != ("the order", (0, 1))
+]
 
 
-@pytest.mark.parametrize(("words", "views"), list(product(MISTAKES, [(0,), (1,), (0, 1)])))
+@pytest.mark.parametrize(("words", "views"), MADE)
 def test_a_mistake_is_named_with_the_points_that_would_be_right(right, words, views):
     rig, pictures = right
-    if words == "the order" and len(views) == 2:
-        pytest.skip("then the plane's axes lie elsewhere, in both views alike")
     wrong = with_points(rig, {k: MISTAKES[words](given(rig)[k]) for k in views})
     mistake = Scenery(wrong, pictures).mistake()
     assert words in mistake.what
