@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import enum
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -63,6 +64,29 @@ class Frame:
         return self.image if self._has_colours else None
 
 
+@dataclass(frozen=True, slots=True)
+class Loss:
+    """What a view has in place of a frame: there is no picture of that time, or a damaged one.
+
+    Attributes
+    ----------
+    index, time_s
+        As a `Frame`'s.
+    why
+        What is wrong, for people: "its picture is damaged".
+    """
+
+    index: int
+    time_s: float
+    why: str
+
+
+DAMAGED = "its picture is damaged"
+"""What is said of a picture that its decoder has mended by guess."""
+
+UNDECODABLE = "its picture cannot be decoded"
+"""What is said of a picture that its decoder makes nothing of."""
+
 SAME_GREY = 3
 """A grey picture's channels differ by no more than this once a video has been decoded [levels]."""
 
@@ -80,6 +104,28 @@ def _is_coloured(image: NDArray[np.uint8]) -> bool:
     return False
 
 
+_FILLED_SHARE = 8
+# YCbCr of mid grey, with which JPEG decoders fill, and of all zeros, as a failed decoder leaves it.
+_FILLINGS = (np.array([128, 128, 128]), np.array([0, 135, 0]))
+_FILLING_ROUNDING = 1
+
+
+def ends_filled(image: NDArray[np.uint8]) -> bool:
+    """Tell whether the lowest eighth of a picture, or more, is what decoders fill in for pictures.
+
+    No camera shows one level over thousands of pixels, but a drawing may: what a source has shown
+    from its first frame on proves nothing.
+    """
+    rows = max(1, image.shape[0] // _FILLED_SHARE)
+    # One row is enough for nearly every picture.
+    last = image[-1:].reshape(-1, image.shape[2] if image.ndim == 3 else 1)
+    for filling in _FILLINGS:
+        if (np.abs(last - filling.astype(np.int16)) <= _FILLING_ROUNDING).all():
+            part = image[-rows:].reshape(-1, last.shape[1])
+            return bool((np.abs(part - filling.astype(np.int16)) <= _FILLING_ROUNDING).all())
+    return False
+
+
 class SourceKind(enum.Enum):
     """Who sets the pace: the consumer, or the world."""
 
@@ -90,17 +136,20 @@ class SourceKind(enum.Enum):
 class Source(ABC):
     """A stream of frames of one size: close it, or use it as a context manager.
 
-    Iterating goes on where the last iteration stopped; there is no way back.
+    Iterating goes on where the last iteration stopped; there is no way back. Where a picture cannot
+    be believed, a `Loss` stands in its place.
 
     Attributes
     ----------
     name
-        What the source is called in messages; passwords in URLs are masked.
+        What the source is called in messages; passwords and tokens in URLs are masked.
     kind
         Recorded or live.
     frame_count
         How many frames a recorded source should have; None if unknown. Exact for still images;
         for a video it is the claim of the file's header, fit for a progress bar and no more.
+    losses
+        How many pictures so far were lost.
     """
 
     kind: SourceKind
@@ -109,7 +158,20 @@ class Source(ABC):
 
     def __init__(self, name: str) -> None:
         self.name = name
+        self.losses = 0
+        self._sound = 0
+        self._detail = ""  # of the first loss: what its decoder says, or which file it is
         self._shape: tuple[int, ...] | None = None
+        self._filled = False
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What is to be said of the source in the end, for people; empty if all is well."""
+        if not self.losses:
+            return ()
+        of = self.losses + self._sound
+        detail = f"; the first: {self._detail}" if self._detail else ""
+        return (f"{self.losses} of {of} pictures are damaged{detail}",)
 
     def __enter__(self) -> Self:
         return self
@@ -122,18 +184,37 @@ class Source(ABC):
     ) -> None:
         self.close()
 
-    def __iter__(self) -> Iterator[Frame]:
+    def __iter__(self) -> Iterator[Frame | Loss]:
         return self
 
-    def __next__(self) -> Frame:
-        """Return the next (recorded) or the newest (live) frame.
+    def __next__(self) -> Frame | Loss:
+        """Return the next (recorded) or the newest (live) frame, or what is there in its place.
 
         Raises
         ------
         CaptureError
-            The frame cannot be read, or its size differs from the first one's.
+            The size of a frame differs from the first one's, the source fails, or a recording has
+            ended without a single picture that is sound.
         """
-        frame = self._next_frame()
+        try:
+            seen = self._next()
+        except StopIteration:
+            if self.losses and not self._sound:
+                raise CaptureError(
+                    f"{self.name}: no picture is sound: {'; '.join(self.notes)}"
+                ) from None
+            raise
+        if isinstance(seen, Frame):
+            self._refuse_other_size(seen)
+            if self._has_been_filled(seen.image):
+                seen = Loss(seen.index, seen.time_s, DAMAGED)
+        if isinstance(seen, Frame):
+            self._sound += 1
+        else:
+            self._count()
+        return seen
+
+    def _refuse_other_size(self, frame: Frame) -> None:
         shape = frame.image.shape[:2]
         if self._shape is None:
             self._shape = shape
@@ -143,20 +224,32 @@ class Source(ABC):
                 f"the first frame has {self._shape[1]} x {self._shape[0]}; "
                 "all frames of a view must have one size"
             )
-        return frame
 
-    def wait(self) -> None:  # noqa: B027 - nothing to wait for is the usual case
-        """Return when the next frame can be had at once; a recorded source is always ready.
+    def _has_been_filled(self, image: NDArray[np.uint8]) -> bool:
+        """Tell whether a picture ends in what decoders fill in, where sound ones do not."""
+        filled = ends_filled(image)
+        if filled and self._sound and not self._filled:
+            return True
+        self._filled = filled
+        return False
 
-        Raises
-        ------
-        CaptureError
-            A live source sent nothing new within its time limit: the camera is lost.
-        """
+    def _count(self) -> None:
+        self.losses += 1
+
+    @property
+    def silent_s(self) -> float:
+        """How long a live source has sent nothing; a recorded one is never silent."""
+        return 0.0
+
+    def wait(self, at_most_s: float = math.inf) -> None:  # noqa: B027 - nothing to wait for is usual
+        """Return when the next frame, or a loss, can be had at once; recorded ones always can."""
+
+    def linger(self, longest_s: float) -> None:  # noqa: B027 - as above
+        """Wait so long at most for a live source that is lost."""
 
     @abstractmethod
-    def _next_frame(self) -> Frame:
-        """Deliver a frame, whatever its size; raise StopIteration at the end."""
+    def _next(self) -> Frame | Loss:
+        """Deliver a frame, whatever its size, or a loss; raise StopIteration at the end."""
 
     def _place(self, index: int) -> str:
         """Say where a frame was found."""
