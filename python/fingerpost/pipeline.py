@@ -31,7 +31,7 @@ from fingerpost.admission import (
     different_sides,
     reduced_view,
 )
-from fingerpost.capture import Frame, open_views, read_views
+from fingerpost.capture import Frame, Loss, open_views, read_views
 from fingerpost.checks import in_range
 from fingerpost.config import Rig, View
 from fingerpost.errors import FingerpostError, InvalidInputError
@@ -97,7 +97,9 @@ class Observation:
         The view's name.
     frame
         The frame as it was followed, reduced if it is large (`LARGEST_PX`); None where there is
-        none of that time, or it could not be read. All pixels here are this frame's.
+        none of that time. All pixels here are this frame's.
+    loss
+        What is there in place of a frame: a damaged picture, or a camera that sends nothing.
     reduction
         How it was reduced.
     track
@@ -132,15 +134,21 @@ class Observation:
     aside: Aside = BETWEEN_EDGES
     is_body: bool = False
     reduction: Reduction = WHOLE
+    loss: Loss | None = None
 
     @classmethod
     def of(
-        cls, view: HandView, frame: Frame | None, watch: ReferenceWatch, reduction: Reduction
+        cls,
+        view: HandView,
+        frame: Frame | None,
+        loss: Loss | None,
+        watch: ReferenceWatch,
+        reduction: Reduction,
     ) -> Observation:
         """Return what a view saw in the frame that it and the watch have had last."""
         tracker = view.tracker
         moved = watch.moved_px, watch.is_adrift
-        camera = *moved, view.plane_view, view.aside, view.shows_body, reduction
+        camera = *moved, view.plane_view, view.aside, view.shows_body, reduction, loss
         if frame is None or tracker is None:
             return cls(view.name, frame, None, np.empty((0, 2)), None, view.missing, *camera)
         contour_px, searched = tracker.contour(), tracker.search_lines()
@@ -168,8 +176,10 @@ class Observation:
     @property
     def reasons(self) -> tuple[str, ...]:
         """Why the frame went the way it did, for people: the verdict, then details."""
+        if self.loss is not None:
+            return (self.loss.why,)
         if self.frame is None:
-            return ("no frame of this time could be read",)
+            return ("there is no frame of this time",)
         if self.is_adrift:
             return (_moved(self), *self._reasons)
         if self.moved_px > 0.0:
@@ -189,11 +199,12 @@ class Observation:
         return _verdict(self.track), _details(self.track, self.search, self.aside)
 
     def track_row(self) -> TrackRow | None:
-        """Return the row of `tracks.csv`; None without a frame."""
-        if self.frame is None:
+        """Return the row of `tracks.csv`; None where there is neither a frame nor a loss."""
+        seen = self.frame or self.loss
+        if seen is None:
             return None
         cells: dict[str, float] = {}
-        line = measured_line(self.track, self.frame.time_s, self.aside)
+        line = None if self.loss else measured_line(self.track, seen.time_s, self.aside)
         status = "tracking" if line is not None else str(self.finger)
         if line is not None:
             sigma_offset_px, sigma_angle_rad = np.sqrt(np.diag(line.covariance)).tolist()
@@ -207,8 +218,8 @@ class Observation:
                 "sigma_offset_px": sigma_offset_px,
             }
         return TrackRow(
-            frame=self.frame.index,
-            time_s=self.frame.time_s,
+            frame=seen.index,
+            time_s=seen.time_s,
             view=self.view,
             status=status,
             **cells,
@@ -338,13 +349,16 @@ class _NoLine:
 
 @dataclass(slots=True)
 class _History:
-    """The latest entries of one view, oldest first: time, finger line or status, plane view."""
+    """The latest entries of one view, oldest first: time, finger line or why not, plane view."""
 
-    entries: list[tuple[float, FingerLine | Status, PlaneView]] = field(default_factory=list)
+    entries: list[tuple[float, FingerLine | _NoLine, PlaneView]] = field(default_factory=list)
 
     def add(self, observation: Observation, plane_view: PlaneView) -> None:
-        if observation.frame is not None:
-            self.entries.append((observation.frame.time_s, observation.finger, plane_view))
+        seen, finger = observation.frame or observation.loss, observation.finger
+        if seen is not None:
+            why = observation.loss.why if observation.loss else ""
+            entry = _NoLine(finger, why) if isinstance(finger, Status) else finger
+            self.entries.append((seen.time_s, entry, plane_view))
 
     def forget(self, time_s: float) -> None:
         """Forget what is not needed to tell what the view has at a time, or later."""
@@ -353,10 +367,10 @@ class _History:
 
     def at(self, time_s: float, options: PointingOptions) -> FingerLine | _NoLine | None:
         """Tell what the view has at a time; None if its next frame is needed for that."""
-        before: FingerLine | Status = Status.ACQUIRING
+        before: FingerLine | _NoLine = _NoLine(Status.ACQUIRING)
         for entry_time_s, entry, _ in self.entries:
             if entry_time_s == time_s:
-                return _NoLine(entry) if isinstance(entry, Status) else entry
+                return entry
             if entry_time_s > time_s:
                 return _between(before, entry, time_s, options)
             before = entry
@@ -376,16 +390,16 @@ class _History:
 
 
 def _between(
-    before: FingerLine | Status,
-    after: FingerLine | Status,
+    before: FingerLine | _NoLine,
+    after: FingerLine | _NoLine,
     time_s: float,
     options: PointingOptions,
 ) -> FingerLine | _NoLine:
-    """Finger line between two neighbours in time; the status of the one that has none."""
-    if isinstance(before, Status):
-        return _NoLine(before)
-    if isinstance(after, Status):
-        return _NoLine(after)
+    """Finger line between two neighbours in time; why not, of the one that has none."""
+    if isinstance(before, _NoLine):
+        return before
+    if isinstance(after, _NoLine):
+        return after
     aligned = align([before, after], time_s, options)
     return aligned.line or _NoLine(Status.LOST, aligned.reason)
 
@@ -458,7 +472,7 @@ class Pointer:
         """How each view sees the plane, as of its last frame."""
         return tuple(view.plane_view for view in self.views)
 
-    def update(self, frames: Sequence[Frame | None]) -> Iterator[Step]:
+    def update(self, seen: Sequence[Frame | Loss | None]) -> Iterator[Step]:
         """Take one frame of every view; yield the steps that can be told from them.
 
         Views that are captured at one time give their step at once. Where a view lags behind, the
@@ -467,8 +481,9 @@ class Pointer:
 
         Parameters
         ----------
-        frames
-            One per view, in the rig's order; None where a view has none of that time.
+        seen
+            One per view, in the rig's order; None where a view has none of that time, a `Loss`
+            where that has been lost: nothing is followed or learned then.
 
         Raises
         ------
@@ -477,8 +492,12 @@ class Pointer:
             time cannot be used; a view's first frame that does not show half of its reference
             points; or a later one of another size.
         """
-        self._admission.admit(frames)
-        frames = [self._reduced(k, frame) for k, frame in enumerate(frames)]
+        self._admission.admit(seen)
+        losses = [entry if isinstance(entry, Loss) else None for entry in seen]
+        frames = [
+            None if isinstance(entry, Loss) else self._reduced(k, entry)
+            for k, entry in enumerate(seen)
+        ]
         self._watch(frames)
         bodies = self._moving()
         for view, frame in zip(self.views, frames, strict=True):
@@ -500,16 +519,16 @@ class Pointer:
         for view in self.views:
             view.doubt([other for other in self.views if other is not view], shared)
         observations = tuple(
-            Observation.of(view, frame, watch, reduction or WHOLE)
-            for view, frame, watch, reduction in zip(
-                self.views, frames, self._watches, self._reductions, strict=True
+            Observation.of(view, frame, loss, watch, reduction or WHOLE)
+            for view, frame, loss, watch, reduction in zip(
+                self.views, frames, losses, self._watches, self._reductions, strict=True
             )
         )
         for history, observation, view in zip(
             self._histories, observations, self.views, strict=True
         ):
             history.add(observation, view.plane_view)
-        first = frames[0]
+        first = frames[0] or losses[0]
         if first is not None:
             self._identity.update(self.views, first.time_s)
             hand = self._identity.hand
@@ -669,14 +688,20 @@ def at_most(frames: Iterator[Frames], count: int | None) -> Iterator[Frames]:
     return islice(frames, min(int(count), sys.maxsize))  # more cannot be counted
 
 
-def steps(pointer: Pointer, frames: Iterable[Sequence[Frame | None]]) -> Iterator[Step]:
+def steps(pointer: Pointer, frames: Iterable[Sequence[Frame | Loss | None]]) -> Iterator[Step]:
     """Feed a pointer with frames and yield its steps to the last."""
     for together in frames:
         yield from pointer.update(together)
     yield from pointer.finish()
 
 
-def track(rig: Rig, *, max_frames: int | None = None, **options: Any) -> Iterator[Fix]:
+def track(
+    rig: Rig,
+    *,
+    max_frames: int | None = None,
+    give_up_after_s: float | None = None,
+    **options: Any,
+) -> Iterator[Fix]:
     """Yield the fixes of a rig, live or recorded, in the order of the first view's frames.
 
     Parameters
@@ -685,6 +710,9 @@ def track(rig: Rig, *, max_frames: int | None = None, **options: Any) -> Iterato
         At least two views.
     max_frames
         Stop after as many frames of each view; None reads on to the end.
+    give_up_after_s
+        How long a live view may send nothing before that is an error; None waits for ever for it
+        to come back.
     **options
         Those of `Pointer`.
 
@@ -698,10 +726,11 @@ def track(rig: Rig, *, max_frames: int | None = None, **options: Any) -> Iterato
     InvalidInputError
         A rig that cannot point, an option out of range, or frames that `Pointer.update` refuses.
     CaptureError
-        A source that cannot be opened or read.
+        A source that cannot be opened or read, or is given up.
     """
     pointer = Pointer(rig, **options)
     with ExitStack() as stack:
         sources = stack.enter_context(open_views(rig.sources))
-        for step in steps(pointer, at_most(read_views(sources), max_frames)):
+        frames = read_views(sources, give_up_after_s=give_up_after_s)
+        for step in steps(pointer, at_most(frames, max_frames)):
             yield step.fix

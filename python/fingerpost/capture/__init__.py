@@ -16,6 +16,7 @@ from fingerpost.capture.opening import (
     source_files,
     source_relative_to,
 )
+from fingerpost.capture.remote import is_url
 from fingerpost.capture.source import Frame, Loss, Source, SourceKind
 from fingerpost.capture.views import read_views
 
@@ -24,6 +25,7 @@ __all__ = [
     "Loss",
     "Source",
     "SourceKind",
+    "is_url",
     "open_source",
     "open_views",
     "read_views",

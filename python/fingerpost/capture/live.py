@@ -185,7 +185,7 @@ class LiveSource(Source):
         return Loss(self._frames_grabbed, self._clock() / 1e9, why)
 
     def _count(self) -> None:
-        """A source that sends nothing loses no pictures."""
+        """Count nothing: a source that sends nothing loses no pictures."""
 
     def close(self) -> None:
         """Stop the reader; one that is stuck in its device is left behind after 2 s."""

@@ -77,9 +77,7 @@ def open_source(
         raise SourceError(str(error)) from error
 
 
-def _opened(
-    source: str | int, fps: float, timeout_s: float, clock: Callable[[], int]
-) -> Source:
+def _opened(source: str | int, fps: float, timeout_s: float, clock: Callable[[], int]) -> Source:
     for name, value in (("fps", fps), ("timeout_s", timeout_s)):
         if not (math.isfinite(value) and value > 0):
             raise InvalidInputError(f"{name} = {value}: must be a finite number above 0")

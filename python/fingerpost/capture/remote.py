@@ -26,7 +26,9 @@ from fingerpost.errors import CaptureError, InvalidInputError
 _HIDDEN = "***"
 # Words and short numbers, as in "Streaming/Channels/101" or "cam-2/video.mjpg"; a token is longer,
 # or mixes letters and digits.
-_PLAIN = re.compile(r"(?=.{0,16}$)(?:[A-Za-z]?[a-z]+|[A-Z]+)(?:[-_.][A-Za-z]+)*[-_]?\d{0,2}(?:\.\w{2,5})?|\d{1,4}|")
+_PLAIN = re.compile(
+    r"(?=.{0,16}$)(?:[A-Za-z]?[a-z]+|[A-Z]+)(?:[-_.][A-Za-z]+)*[-_]?\d{0,2}(?:\.\w{2,5})?|\d{1,4}|"
+)
 _PORTS = {"rtsp": 554, "rtsps": 322, "rtmp": 1935, "rtmps": 443, "tcp": None}
 _WEB = ("http", "https")
 _FIRST_BYTES = 512

@@ -199,10 +199,7 @@ class Source(ABC):
         try:
             seen = self._next()
         except StopIteration:
-            if self.losses and not self._sound:
-                raise CaptureError(
-                    f"{self.name}: no picture is sound: {'; '.join(self.notes)}"
-                ) from None
+            self.refuse_unsound()
             raise
         if isinstance(seen, Frame):
             self._refuse_other_size(seen)
@@ -213,6 +210,17 @@ class Source(ABC):
         else:
             self._count()
         return seen
+
+    def refuse_unsound(self) -> None:
+        """Refuse a source of which every picture so far was lost.
+
+        Raises
+        ------
+        CaptureError
+            There were pictures, and none of them was sound.
+        """
+        if self.losses and not self._sound:
+            raise CaptureError(f"{self.name}: no picture is sound: {'; '.join(self.notes)}")
 
     def _refuse_other_size(self, frame: Frame) -> None:
         shape = frame.image.shape[:2]

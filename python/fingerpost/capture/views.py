@@ -46,8 +46,8 @@ def read_views(
     CaptureError
         A source fails while it is read, or is given up.
     InvalidInputError
-        `give_up_after_s` is out of range, there is no source, or recorded and live ones are mixed: their times have nothing in
-        common.
+        `give_up_after_s` is out of range, there is no source, or recorded and live ones are mixed:
+        their times have nothing in common.
     """
     if not sources:
         raise InvalidInputError("no source: at least one view is needed")

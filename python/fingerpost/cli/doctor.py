@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import sys
 from contextlib import ExitStack
@@ -10,7 +11,9 @@ from typing import TYPE_CHECKING
 
 import click
 
+from fingerpost.cli.live_views import hush_streams
 from fingerpost.cli.progress import watched
+from fingerpost.cli.run_summary import source_notes
 from fingerpost.installation import Installation, examine_installation, need_opencv
 from fingerpost.signals import ending_at_once
 
@@ -61,10 +64,14 @@ def _examined(rig_file: Path, frames: int | None) -> Diagnosis:
     rig = Rig.load(rig_file)
     count = DEFAULT_FRAMES if frames is None else frames
     seen: list[list[Frame]] = [[] for _ in rig.views]
+    hush_streams(rig.sources)
     with ExitStack() as stack:
         sources = stack.enter_context(open_views(rig.sources))
         for together in watched(look(sources, count), count, "looking"):
             for own, frame in zip(seen, together, strict=True):
-                if frame is not None:
+                if isinstance(frame, Frame):
                     own.append(frame)
-    return examine(rig, seen)
+        for source in sources:
+            source.refuse_unsound()
+        notes = source_notes(rig.sources, sources)
+    return dataclasses.replace(examine(rig, seen), notes=tuple(notes))

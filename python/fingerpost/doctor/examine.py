@@ -8,7 +8,7 @@ from itertools import zip_longest
 import numpy as np
 from numpy.typing import NDArray
 
-from fingerpost.capture import Frame, Source, SourceKind, read_views
+from fingerpost.capture import Frame, Loss, Source, SourceKind, read_views
 from fingerpost.config import Rig, View
 from fingerpost.doctor.findings import Check, Diagnosis, Finding, Severity, ViewReadings
 from fingerpost.doctor.hand import HandReadings, judge_hand, read_hand
@@ -20,6 +20,9 @@ from fingerpost.pointing import DEFAULT_OPTIONS, PlaneView
 
 DEFAULT_FRAMES = 40
 """Frames of each view that are looked at: a tracker needs a few to settle."""
+
+PATIENCE_S = 5.0
+"""How long a live view may send nothing while it is looked at."""
 
 SLOW_FPS = 15.0
 """Below this rate a hand moves further between two frames than the tracker looks."""
@@ -40,7 +43,7 @@ _ORDER = {Severity.ERROR: 0, Severity.WARNING: 1}
 _STILL_FRAMES = 9
 
 
-def look(sources: Sequence[Source], count: int) -> Iterator[tuple[Frame | None, ...]]:
+def look(sources: Sequence[Source], count: int) -> Iterator[tuple[Frame | Loss | None, ...]]:
     """Read what `examine` looks at.
 
     Live views are read together, as the main loop reads them, for their times to be compared.
@@ -55,19 +58,19 @@ def look(sources: Sequence[Source], count: int) -> Iterator[tuple[Frame | None, 
 
     Yields
     ------
-    tuple of Frame or None
+    tuple of Frame, Loss or None
         One entry per source; None where a recording has ended.
 
     Raises
     ------
     CaptureError
-        A source fails while it is read.
+        A source fails while it is read, or a live one sends nothing for `PATIENCE_S`.
     InvalidInputError
         Recorded and live sources are mixed.
     """
     if all(source.kind is SourceKind.RECORDED for source in sources):
         return zip_longest(*(at_most(source, count) for source in sources))
-    return at_most(read_views(sources), count)
+    return at_most(read_views(sources, give_up_after_s=PATIENCE_S), count)
 
 
 def examine(rig: Rig, frames: Sequence[Sequence[Frame]]) -> Diagnosis:

@@ -111,10 +111,13 @@ class Diagnosis:
         What was measured, one per view.
     findings
         What is wrong, the gravest first; empty if nothing is.
+    notes
+        What the sources have to say of their pictures: how many are damaged, how they are scaled.
     """
 
     readings: tuple[ViewReadings, ...]
     findings: tuple[Finding, ...]
+    notes: tuple[str, ...] = ()
 
     @property
     def serious(self) -> bool:
@@ -127,8 +130,8 @@ class Diagnosis:
             f"{'view':<12}{'size':>12}{'frames/s':>10}{'grey 1/50/95 %':>16}{'clipped':>9}"
             f"{'noise':>7}{'blur px':>9}{'hand':>6}{'contrast':>10}{'finger px':>11}"
         )
-        rows = [head, *(_row(reading) for reading in self.readings), ""]
-        if not self.findings:
+        rows = [head, *(_row(reading) for reading in self.readings), "", *self.notes]
+        if not self.findings and not self.notes:
             return [*rows, "nothing is wrong"]
         return [*rows, *(str(finding) for finding in self.findings)]
 
@@ -138,6 +141,7 @@ class Diagnosis:
             "serious": self.serious,
             "readings": [asdict(reading) for reading in self.readings],
             "findings": [asdict(finding) for finding in self.findings],
+            "notes": list(self.notes),
         }
 
 
