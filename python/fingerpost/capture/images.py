@@ -80,8 +80,8 @@ class _Pictures(Source):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What is to be said of the source in the end, for people; empty if all is well."""
-        return tuple(filter(None, (self._depth.note, *super().notes)))
+        """What else is to be said of the source in the end, for people."""
+        return (self._depth.note,) if self._depth.note else ()
 
     def _next(self) -> Frame | Loss:
         if self._index >= self.frame_count:

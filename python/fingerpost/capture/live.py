@@ -140,9 +140,11 @@ class LiveSource(Source):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What is to be said of the source in the end, for people; empty if all is well."""
+        """What else is to be said of the source in the end, for people."""
         times = "once" if self._stalls == 1 else f"{self._stalls} times"
-        return (*super().notes, *((f"was lost {times}",) if self._stalls else ()))
+        return (
+            (f"sent nothing for {self._timeout_s:g} s and more, {times}",) if self._stalls else ()
+        )
 
     def wait(self, at_most_s: float = math.inf) -> None:
         """Return when a frame is there that was not fetched yet, or the source is closed or lost.

@@ -5,24 +5,39 @@ they did is written to the standard error stream and nowhere else; so the stream
 to a file while a picture is decoded. Lines that no decoder wrote, by other threads meanwhile, are
 passed on.
 
-A process whose `OPENCV_FFMPEG_LOGLEVEL` is below 16 (errors) has silenced FFmpeg: nothing is heard.
+That it conceals what is missing is no error to FFmpeg but information, so that it is asked to say
+so, and each line's level, for as long as it is listened to. It can be asked where OpenCV's package
+brings FFmpeg as libraries, as it does for Linux and macOS; elsewhere errors alone are heard. Where
+`OPENCV_FFMPEG_LOGLEVEL` is set, FFmpeg says what that wishes to standard output: nothing is heard.
 """
 
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import os
 import re
 import tempfile
 import threading
+from functools import cache
+from itertools import chain
+from pathlib import Path
 from types import TracebackType
 from typing import Self
 
 _STDERR = 2
 _ONE_AT_A_TIME = threading.Lock()
 
-# "[h264 @ 0x55ae9e1c95c0] error while decoding MB 5 8", and what continues such a line.
-_FFMPEG = re.compile(r"\[(?P<part>[\w,.:/ -]+) @ (?:0x)?[0-9a-fA-F]+\] ?(?P<words>.*)")
+# FFmpeg's level of information, and its wish that lines tell their level.
+_INFORMATION, _WITH_LEVEL = 32, 2
+
+# "[h264 @ 0x55ae9e1c95c0] [error] error while decoding MB 5 8", on terminals in colours.
+_FFMPEG = re.compile(
+    r"\[[\w,.:/ -]+ @ (?:0x)?[0-9a-fA-F]+\] ?(?:\[(?P<level>\w+)\] )?(?P<words>.*)"
+)
+_COLOURS = re.compile(r"\x1b\[[\d;]*m")
+_GRAVE = (None, "error", "fatal", "panic")
+_TELLING = ("concealing", "Packet corrupt")  # of lines that are no errors
 _OPENCV = re.compile(r"\[ ?(?:WARN|ERROR|INFO|DEBUG|FATAL):\d+@|OpenCV[(:]|> ")
 _LIBRARIES = re.compile(
     r"Corrupt JPEG data|Premature end of JPEG|Unsupported marker type|libpng (?:error|warning)"
@@ -43,13 +58,15 @@ class Listener:
     Attributes
     ----------
     lines
-        What decoders wrote in the last block, without addresses: "h264: error while decoding ...".
+        What decoders complained of in the last block.
     """
 
     def __init__(self) -> None:
         self.lines: tuple[str, ...] = ()
         self._file = tempfile.TemporaryFile(buffering=0)  # noqa: SIM115 - lives as long as this
         self._saved: int | None = None
+        self._ffmpeg = _ffmpeg()
+        self._wishes = (0, 0)
 
     def __enter__(self) -> Self:
         _ONE_AT_A_TIME.acquire()
@@ -58,6 +75,9 @@ class Listener:
         except OSError:  # closed before the program began
             self._saved = None
         os.dup2(self._file.fileno(), _STDERR)
+        if self._ffmpeg is not None:
+            self._wishes = self._ffmpeg.av_log_get_level(), self._ffmpeg.av_log_get_flags()
+            self._wish(_INFORMATION, _WITH_LEVEL)
         return self
 
     def __exit__(
@@ -66,6 +86,7 @@ class Listener:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
+        self._wish(*self._wishes)
         if self._saved is None:
             os.close(_STDERR)
         else:
@@ -74,6 +95,11 @@ class Listener:
         _ONE_AT_A_TIME.release()
         self.lines = self._read() if self._file.tell() else ()
 
+    def _wish(self, level: int, flags: int) -> None:
+        if self._ffmpeg is not None:
+            self._ffmpeg.av_log_set_level(level)
+            self._ffmpeg.av_log_set_flags(flags)
+
     @property
     def complaint(self) -> str:
         """The first line of the last block that tells of a damaged picture; empty without one."""
@@ -81,13 +107,15 @@ class Listener:
 
     def _read(self) -> tuple[str, ...]:
         self._file.seek(0)
-        text = self._file.read().decode("utf-8", "replace")
+        text = _COLOURS.sub("", self._file.read().decode("utf-8", "replace"))
         self._file.seek(0)
         self._file.truncate()
         lines, foreign = [], []
         for line in text.splitlines(keepends=True):
             if found := _FFMPEG.match(line):
-                lines.append(f"{found['part']}: {found['words'].strip()}")
+                words = found["words"].strip()
+                if found["level"] in _GRAVE or words.startswith(_TELLING):
+                    lines.append(words)
             elif _LIBRARIES.match(line):
                 lines.append(line.strip())
             elif not (_OPENCV.match(line) or line.startswith(_CONTINUATION) or line.isspace()):
@@ -100,3 +128,16 @@ class Listener:
     def close(self) -> None:
         """Give the file back."""
         self._file.close()
+
+
+@cache
+def _ffmpeg() -> ctypes.CDLL | None:
+    """The library of FFmpeg that writes messages, as OpenCV has loaded it; None if not found."""
+    import cv2
+
+    package = Path(cv2.__file__).parent
+    places = (package.parent.glob("opencv_*.libs/libavutil*"), package.glob(".dylibs/libavutil*"))
+    for path in chain(*places):
+        with contextlib.suppress(OSError):
+            return ctypes.CDLL(str(path))
+    return None

@@ -165,13 +165,18 @@ class Source(ABC):
         self._filled = False
 
     @property
-    def notes(self) -> tuple[str, ...]:
-        """What is to be said of the source in the end, for people; empty if all is well."""
+    def damage(self) -> str:
+        """How many pictures are damaged, for people; empty if none is."""
         if not self.losses:
-            return ()
+            return ""
         of = self.losses + self._sound
-        detail = f"; the first: {self._detail}" if self._detail else ""
-        return (f"{self.losses} of {of} pictures are damaged{detail}",)
+        detail = f" ({self._detail})" if self._detail else ""
+        return f"{self.losses} of {of} pictures are damaged{detail}"
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What else is to be said of the source in the end, for people."""
+        return ()
 
     def __enter__(self) -> Self:
         return self
@@ -220,7 +225,7 @@ class Source(ABC):
             There were pictures, and none of them was sound.
         """
         if self.losses and not self._sound:
-            raise CaptureError(f"{self.name}: no picture is sound: {'; '.join(self.notes)}")
+            raise CaptureError(f"{self.name}: no picture is sound: {self.damage}")
 
     def _refuse_other_size(self, frame: Frame) -> None:
         shape = frame.image.shape[:2]

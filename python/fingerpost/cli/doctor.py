@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import sys
 from contextlib import ExitStack
@@ -13,7 +12,6 @@ import click
 
 from fingerpost.cli.live_views import hush_streams
 from fingerpost.cli.progress import watched
-from fingerpost.cli.run_summary import source_notes
 from fingerpost.installation import Installation, examine_installation, need_opencv
 from fingerpost.signals import ending_at_once
 
@@ -73,5 +71,10 @@ def _examined(rig_file: Path, frames: int | None) -> Diagnosis:
                     own.append(frame)
         for source in sources:
             source.refuse_unsound()
-        notes = source_notes(rig.sources, sources)
-    return dataclasses.replace(examine(rig, seen), notes=tuple(notes))
+        damage = [source.damage for source in sources]
+        notes = [
+            f"{view}: {note}"
+            for view, source in zip(rig.sources, sources, strict=True)
+            for note in source.notes
+        ]
+    return examine(rig, seen, damage=damage, notes=notes)

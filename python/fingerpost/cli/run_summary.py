@@ -26,7 +26,9 @@ def source_notes(views: Iterable[str], sources: Iterable[Source]) -> list[str]:
         As they were opened; none where that failed.
     """
     return [
-        f"{view}: {note}" for view, own in zip(views, sources, strict=False) for note in own.notes
+        f"{view}: {note}"
+        for view, own in zip(views, sources, strict=False)
+        for note in filter(None, (own.damage, *own.notes))
     ]
 
 

@@ -73,7 +73,13 @@ def look(sources: Sequence[Source], count: int) -> Iterator[tuple[Frame | Loss |
     return at_most(read_views(sources, give_up_after_s=PATIENCE_S), count)
 
 
-def examine(rig: Rig, frames: Sequence[Sequence[Frame]]) -> Diagnosis:
+def examine(
+    rig: Rig,
+    frames: Sequence[Sequence[Frame]],
+    *,
+    damage: Sequence[str] = (),
+    notes: Sequence[str] = (),
+) -> Diagnosis:
     """Look at some frames of every view and say what is wrong.
 
     Parameters
@@ -83,6 +89,10 @@ def examine(rig: Rig, frames: Sequence[Sequence[Frame]]) -> Diagnosis:
     frames
         Frames of each view, in time, at least one; `DEFAULT_FRAMES` from the start of a
         recording are usual.
+    damage
+        How many pictures of each view are damaged, as `Source.damage` says it.
+    notes
+        What else there is to say.
 
     Returns
     -------
@@ -110,7 +120,7 @@ def examine(rig: Rig, frames: Sequence[Sequence[Frame]]) -> Diagnosis:
         for view in rig.views
     ]
     stills = [_still(own) for own in frames]
-    readings, findings = [], []
+    readings, findings = [], list(_judge_damage(rig.views, damage))
     for view, own in zip(rig.views, frames, strict=True):
         reading, wrong = _examine_view(view, own)
         readings.append(reading)
@@ -119,7 +129,21 @@ def examine(rig: Rig, frames: Sequence[Sequence[Frame]]) -> Diagnosis:
     findings += judge_together(rig, plane_views, stills)
     findings += _judge_rates(readings)
     findings += _judge_skew(rig, frames)
-    return Diagnosis(tuple(readings), tuple(sorted(findings, key=lambda f: _ORDER[f.severity])))
+    ordered = tuple(sorted(findings, key=lambda f: _ORDER[f.severity]))
+    return Diagnosis(tuple(readings), ordered, tuple(notes))
+
+
+def _judge_damage(views: Sequence[View], damage: Sequence[str]) -> Iterator[Finding]:
+    for view, words in zip(views, damage, strict=False):  # nothing is known without a source
+        if words:
+            yield Finding(
+                Severity.WARNING,
+                Check.PICTURES,
+                view.name,
+                words,
+                "they are lost for this view: record over a line that loses nothing, or copy the "
+                "files again",
+            )
 
 
 def _examine_view(view: View, frames: Sequence[Frame]) -> tuple[ViewReadings, list[Finding]]:

@@ -19,6 +19,7 @@ class Severity(StrEnum):
 class Check(StrEnum):
     """What was looked at."""
 
+    PICTURES = "pictures"
     EXPOSURE = "exposure"
     NOISE = "noise"
     FOCUS = "focus"
@@ -112,7 +113,7 @@ class Diagnosis:
     findings
         What is wrong, the gravest first; empty if nothing is.
     notes
-        What the sources have to say of their pictures: how many are damaged, how they are scaled.
+        What else there is to say of the pictures: how they are scaled.
     """
 
     readings: tuple[ViewReadings, ...]
@@ -131,7 +132,7 @@ class Diagnosis:
             f"{'noise':>7}{'blur px':>9}{'hand':>6}{'contrast':>10}{'finger px':>11}"
         )
         rows = [head, *(_row(reading) for reading in self.readings), "", *self.notes]
-        if not self.findings and not self.notes:
+        if not self.findings:
             return [*rows, "nothing is wrong"]
         return [*rows, *(str(finding) for finding in self.findings)]
 
