@@ -132,7 +132,7 @@ class Listener:
 
 @cache
 def _ffmpeg() -> ctypes.CDLL | None:
-    """The library of FFmpeg that writes messages, as OpenCV has loaded it; None if not found."""
+    """Return the library of FFmpeg that writes messages, as OpenCV has loaded it, or None."""
     import cv2
 
     package = Path(cv2.__file__).parent

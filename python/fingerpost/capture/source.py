@@ -106,7 +106,7 @@ def _is_coloured(image: NDArray[np.uint8]) -> bool:
 
 _FILLED_SHARE = 8
 # YCbCr of mid grey, with which JPEG decoders fill, and of all zeros, as a failed decoder leaves it.
-_FILLINGS = (np.array([128, 128, 128]), np.array([0, 135, 0]))
+_FILLINGS = ((128, 128, 128), (0, 135, 0))
 _FILLING_ROUNDING = 1
 
 
@@ -116,13 +116,12 @@ def ends_filled(image: NDArray[np.uint8]) -> bool:
     No camera shows one level over thousands of pixels, but a drawing may: what a source has shown
     from its first frame on proves nothing.
     """
-    rows = max(1, image.shape[0] // _FILLED_SHARE)
-    # One row is enough for nearly every picture.
-    last = image[-1:].reshape(-1, image.shape[2] if image.ndim == 3 else 1)
+    corner = np.broadcast_to(image[-1, -1], 3).tolist()
     for filling in _FILLINGS:
-        if (np.abs(last - filling.astype(np.int16)) <= _FILLING_ROUNDING).all():
-            part = image[-rows:].reshape(-1, last.shape[1])
-            return bool((np.abs(part - filling.astype(np.int16)) <= _FILLING_ROUNDING).all())
+        # One pixel is enough for nearly every picture.
+        if max(abs(a - b) for a, b in zip(corner, filling, strict=True)) <= _FILLING_ROUNDING:
+            lowest = image[-max(1, image.shape[0] // _FILLED_SHARE) :]
+            return int(np.ptp(lowest, axis=(0, 1)).max()) <= _FILLING_ROUNDING
     return False
 
 
