@@ -102,7 +102,6 @@ class _Pictures(Source):
     def close(self) -> None:
         """Stop: no more frames will come."""
         self._index = self.frame_count
-        self._listener.close()
 
 
 class ImageSequence(_Pictures):
@@ -193,7 +192,7 @@ def picture_count(path: Path) -> int:
     """Count the pictures of an image file; 1 where it is not one of many, or cannot be read."""
     import cv2
 
-    with Listener() as _:
+    with Listener():
         try:
             return max(1, cv2.imcount(opencv_path(path, "source")))
         except cv2.error:

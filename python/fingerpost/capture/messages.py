@@ -63,18 +63,19 @@ class Listener:
 
     def __init__(self) -> None:
         self.lines: tuple[str, ...] = ()
-        self._file = tempfile.TemporaryFile(buffering=0)  # noqa: SIM115 - lives as long as this
-        self._saved: int | None = None
         self._ffmpeg = _ffmpeg()
+        self._paper = -1
+        self._saved = -1
         self._wishes = (0, 0)
 
     def __enter__(self) -> Self:
+        self._paper = _paper(os.getpid())
         _ONE_AT_A_TIME.acquire()
         try:
             self._saved = os.dup(_STDERR)
         except OSError:  # closed before the program began
-            self._saved = None
-        os.dup2(self._file.fileno(), _STDERR)
+            self._saved = -1
+        os.dup2(self._paper, _STDERR)
         if self._ffmpeg is not None:
             self._wishes = self._ffmpeg.av_log_get_level(), self._ffmpeg.av_log_get_flags()
             self._wish(_INFORMATION, _WITH_LEVEL)
@@ -87,29 +88,30 @@ class Listener:
         trace: TracebackType | None,
     ) -> None:
         self._wish(*self._wishes)
-        if self._saved is None:
+        if self._saved < 0:
             os.close(_STDERR)
         else:
             os.dup2(self._saved, _STDERR)
             os.close(self._saved)
+        size = os.lseek(self._paper, 0, os.SEEK_CUR)
+        self.lines = self._read(size) if size else ()
         _ONE_AT_A_TIME.release()
-        self.lines = self._read() if self._file.tell() else ()
-
-    def _wish(self, level: int, flags: int) -> None:
-        if self._ffmpeg is not None:
-            self._ffmpeg.av_log_set_level(level)
-            self._ffmpeg.av_log_set_flags(flags)
 
     @property
     def complaint(self) -> str:
         """The first line of the last block that tells of a damaged picture; empty without one."""
         return next((line for line in self.lines if not _HARMLESS.search(line)), "")
 
-    def _read(self) -> tuple[str, ...]:
-        self._file.seek(0)
-        text = _COLOURS.sub("", self._file.read().decode("utf-8", "replace"))
-        self._file.seek(0)
-        self._file.truncate()
+    def _wish(self, level: int, flags: int) -> None:
+        if self._ffmpeg is not None:
+            self._ffmpeg.av_log_set_level(level)
+            self._ffmpeg.av_log_set_flags(flags)
+
+    def _read(self, size: int) -> tuple[str, ...]:
+        os.lseek(self._paper, 0, os.SEEK_SET)
+        text = _COLOURS.sub("", os.read(self._paper, size).decode("utf-8", "replace"))
+        os.ftruncate(self._paper, 0)
+        os.lseek(self._paper, 0, os.SEEK_SET)
         lines, foreign = [], []
         for line in text.splitlines(keepends=True):
             if found := _FFMPEG.match(line):
@@ -125,9 +127,14 @@ class Listener:
                 os.write(_STDERR, "".join(foreign).encode("utf-8", "replace"))
         return tuple(lines)
 
-    def close(self) -> None:
-        """Give the file back."""
-        self._file.close()
+
+@cache
+def _paper(_process: int) -> int:
+    """Open the file that a process writes to while it is listened to; forks have their own."""
+    descriptor, name = tempfile.mkstemp(prefix="fingerpost-")
+    with contextlib.suppress(OSError):  # some systems keep the names of open files
+        Path(name).unlink()
+    return descriptor
 
 
 @cache

@@ -198,7 +198,10 @@ class VideoFile(Source):
         import cv2
 
         codec = _codec(int(self._capture.get(cv2.CAP_PROP_FOURCC)))
-        if not codec:
+        packets = cv2.VideoCapture(
+            opencv_path(self._path, "source"), cv2.CAP_FFMPEG, [cv2.CAP_PROP_FORMAT, -1]
+        )
+        if not codec or not packets.grab():
             return (
                 f"{self.name}: no frame can be read; a video or an image that OpenCV decodes is "
                 "needed"
@@ -285,7 +288,6 @@ class VideoFile(Source):
         """Close the file: no more frames will come."""
         self._first = None
         self._capture.release()
-        self._listener.close()
 
 
 # How files name codecs for which people know another name.
@@ -310,5 +312,7 @@ _CODEC_NAMES = {
 
 def _codec(fourcc: int) -> str:
     """Return the name of a codec; empty if there is none."""
+    if fourcc in (-1, 0):
+        return ""
     name = fourcc.to_bytes(4, "little", signed=fourcc < 0).decode("latin-1").strip("\0 ")
     return _CODEC_NAMES.get(name.lower(), name if name.isprintable() else hex(fourcc))
