@@ -11,6 +11,7 @@ as that lasts. Its thread opens it anew, after pauses that double, until it is b
 
 from __future__ import annotations
 
+import atexit
 import logging
 import math
 import threading
@@ -21,7 +22,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from fingerpost.capture.remote import masked
+from fingerpost.capture.remote import is_url, masked
 from fingerpost.capture.source import Frame, Loss, Source, SourceKind
 from fingerpost.checks import opencv_path
 from fingerpost.errors import CaptureError
@@ -198,6 +199,10 @@ class LiveSource(Source):
         self._reader.join(_JOIN_S)
         if self._reader.is_alive():
             _log.warning("%s: the device does not answer; its reader is left behind", self.name)
+            # A decoder that comes back while the interpreter ends takes the process down with it;
+            # one of a stream comes back by its own time limit, one of a device may never.
+            if is_url(self.name):
+                atexit.register(self._reader.join, self._timeout_s)
 
     def _await_opening(self) -> None:
         if not self._await(lambda: self._opened is not None, self._timeout_s):
