@@ -30,6 +30,7 @@ _DIGITS = re.compile(r"(\d+)")
 _JPEG_START = b"\xff\xd8"
 _JPEG_END = b"\xff\xd9"
 _JPEG_SCAN = b"\xff\xda"
+_NEXT_JPEG = _JPEG_START + b"\xff"
 _MULTI_PICTURE = b"MPF\0"
 _TIFF_STARTS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 # So many pictures are decoded at a time: OpenCV skips to the first of them through all before it.
@@ -131,6 +132,29 @@ class ImageSequence(_Pictures):
         return str(self._paths[index])
 
 
+class JpegFilm(_Pictures):
+    """The pictures of a file that is JPEG after JPEG, `fps` a second."""
+
+    def __init__(self, path: Path, *, fps: float) -> None:
+        with path.open("rb") as file:
+            self._data = _mapped(file)
+        self._places = list(_jpegs(self._data))
+        super().__init__(str(path), len(self._places))
+        self._fps = fps
+
+    def _load(self, index: int) -> NDArray[np.generic]:
+        start, end = self._places[index]
+        return _decoded(self._data[start:end], self._place(index), self._listener)
+
+    def _time_s(self, index: int) -> float:
+        return index / self._fps
+
+    def close(self) -> None:
+        """Close the file: no more frames will come."""
+        super().close()
+        self._data.close()
+
+
 class PictureStack(_Pictures):
     """The pictures of one animation (GIF, APNG, WebP, AVIF), or the pages of one TIFF.
 
@@ -150,6 +174,9 @@ class PictureStack(_Pictures):
 
     def _load(self, index: int) -> NDArray[np.generic]:
         if not self._chunk_start <= index < self._chunk_start + len(self._chunk):
+            self._read_chunk(index)
+        if not self._chunk and self._chunk_size > 1:  # one damaged picture hides all of a chunk
+            self._chunk_size = 1
             self._read_chunk(index)
         if index >= self._chunk_start + len(self._chunk):
             raise UndecodableError(f"{self._place(index)} cannot be decoded: damaged or cut off")
@@ -216,6 +243,21 @@ def _mapped(file: BinaryIO) -> mmap.mmap:
     return mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
 
 
+def _jpegs(data: mmap.mmap) -> Iterator[tuple[int, int]]:
+    """Start and end of each JPEG, of one that has lost its own end that before the next."""
+    start = data.find(_NEXT_JPEG)
+    while start >= 0:
+        # Neither a start nor an end can stand in the data of a picture.
+        scan = max(_jpeg_scan(data, start), start + len(_JPEG_START))
+        following = data.find(_NEXT_JPEG, scan)
+        end = data.find(_JPEG_END, scan, following if following >= 0 else len(data))
+        yield (
+            start,
+            end + len(_JPEG_END) if end >= 0 else following if following >= 0 else len(data),
+        )
+        start = following
+
+
 def path_is_animation(path: Path) -> bool:
     """Tell whether a file of many pictures says how long each is shown: all but TIFF do."""
     with path.open("rb") as file:
@@ -234,14 +276,18 @@ def decode_image(path: Path, listener: Listener) -> NDArray[np.generic]:
     CaptureError
         It holds floating-point pixels.
     """
-    import cv2
-
     try:
         data = path.read_bytes()
     except OSError as error:
         raise UndecodableError(f"{path}: {error.strerror}") from error
     if not data:
         raise UndecodableError(f"{path}: the file is empty; an image is needed")
+    return _decoded(data, str(path), listener)
+
+
+def _decoded(data: bytes, place: str, listener: Listener) -> NDArray[np.generic]:
+    import cv2
+
     image = None
     with contextlib.suppress(cv2.error), listener:
         image = cv2.imdecode(
@@ -249,11 +295,11 @@ def decode_image(path: Path, listener: Listener) -> NDArray[np.generic]:
         )
     if image is None or _is_cut_off_jpeg(data) or listener.complaint:
         raise UndecodableError(
-            f"{path}: cannot be decoded: damaged, cut off, or not an image that OpenCV reads"
+            f"{place}: cannot be decoded: damaged, cut off, or not an image that OpenCV reads"
         )
     if image.dtype not in (np.uint8, np.uint16):
         raise CaptureError(
-            f"{path}: pixels are stored as {image.dtype}; 8 or 16 bits per channel are read"
+            f"{place}: pixels are stored as {image.dtype}; 8 or 16 bits per channel are read"
         )
     return image
 
@@ -268,11 +314,11 @@ def _is_cut_off_jpeg(data: bytes) -> bool:
     return scan >= 0 and data.find(_JPEG_END, scan) < 0
 
 
-def _jpeg_scan(data: bytes | mmap.mmap) -> int:
+def _jpeg_scan(data: bytes | mmap.mmap, start: int = 0) -> int:
     """Place where the data of a JPEG's picture begin; −1 where the decoder has to judge it."""
-    if data[: len(_JPEG_START)] != _JPEG_START:
+    if data[start : start + len(_JPEG_START)] != _JPEG_START:
         return -1
-    position = len(_JPEG_START)
+    position = start + len(_JPEG_START)
     while data[position : position + 2] != _JPEG_SCAN:
         if data[position : position + 1] != b"\xff" or position + 4 > len(data):
             return -1  # not the plain sequence of segments

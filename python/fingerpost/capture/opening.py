@@ -13,6 +13,7 @@ from pathlib import Path
 
 from fingerpost.capture.images import (
     ImageSequence,
+    JpegFilm,
     PictureStack,
     is_motion_jpeg,
     natural_order,
@@ -134,7 +135,7 @@ def _open_file(path: Path, fps: float) -> Source:
         if not file.read(1):
             raise CaptureError(f"{path}: the file is empty; a video or an image is needed")
     if is_motion_jpeg(path):
-        return VideoFile(path, fps=fps)
+        return JpegFilm(path, fps=fps)
     if cv2.haveImageReader(opencv_path(path, "source")):
         if (count := picture_count(path)) > 1:
             return PictureStack(path, count, fps=fps)

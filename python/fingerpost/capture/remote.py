@@ -122,7 +122,8 @@ def _answer(url: str, timeout_s: float) -> http.client.HTTPResponse:
         answer = opener.open(bare, timeout=timeout_s)
     except urllib.error.HTTPError as error:
         error.close()
-        raise CaptureError(f"{name}: {_refusal(error.code, error.reason)}") from error
+        refusal = _refusal(error.code, error.reason, parts)
+        raise CaptureError(f"{name}: {refusal}") from error
     except urllib.error.URLError as error:
         raise CaptureError(f"{name}: {_failure(error.reason, timeout_s)}") from error
     except (OSError, http.client.HTTPException, ValueError) as error:
@@ -131,9 +132,11 @@ def _answer(url: str, timeout_s: float) -> http.client.HTTPResponse:
     return answer
 
 
-def _refusal(code: int, reason: str) -> str:
+def _refusal(code: int, reason: str, url: SplitResult) -> str:
     hints = {
-        401: "it needs a user and password: http://USER:PASSWORD@HOST/PATH",
+        401: "it takes another user or password than the URL's"
+        if url.username is not None
+        else f"it needs a user and a password: {url.scheme}://USER:PASSWORD@HOST/PATH",
         403: "this user may not see it",
         404: "there is nothing at this path; look for the stream's in the camera's manual",
         410: "there is nothing at this path any more",
@@ -205,8 +208,7 @@ def _knock(url: str, parts: SplitResult, port: int, timeout_s: float) -> None:
     protocol, _, answer = status.partition(" ")
     code, _, reason = answer.partition(" ")
     if protocol.startswith("RTSP/") and code.isdigit() and int(code) >= 400:
-        refusal = _refusal(int(code), reason).replace("http:", "rtsp:")
-        raise CaptureError(f"{name}: {refusal}")
+        raise CaptureError(f"{name}: {_refusal(int(code), reason, parts)}")
 
 
 class RemoteFilm(VideoFile):

@@ -198,10 +198,12 @@ class VideoFile(Source):
         import cv2
 
         codec = _codec(int(self._capture.get(cv2.CAP_PROP_FOURCC)))
-        packets = cv2.VideoCapture(
-            opencv_path(self._path, "source"), cv2.CAP_FFMPEG, [cv2.CAP_PROP_FORMAT, -1]
-        )
-        if not codec or not packets.grab():
+        with self._listener:
+            packets = cv2.VideoCapture(
+                opencv_path(self._path, "source"), cv2.CAP_FFMPEG, [cv2.CAP_PROP_FORMAT, -1]
+            )
+            has_pictures = packets.grab()
+        if not codec or not has_pictures:
             return (
                 f"{self.name}: no frame can be read; a video or an image that OpenCV decodes is "
                 "needed"
