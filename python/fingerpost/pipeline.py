@@ -179,7 +179,7 @@ class Observation:
         if self.loss is not None:
             return (self.loss.why,)
         if self.frame is None:
-            return ("there is no frame of this time",)
+            return ("no frame of this time could be read",)
         if self.is_adrift:
             return (_moved(self), *self._reasons)
         if self.moved_px > 0.0:

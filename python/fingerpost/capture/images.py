@@ -84,7 +84,7 @@ class _Pictures(Source):
         """What else is to be said of the source in the end, for people."""
         return (self._depth.note,) if self._depth.note else ()
 
-    def _next(self) -> Frame | Loss:
+    def _next_frame(self) -> Frame | Loss:
         if self._index >= self.frame_count:
             raise StopIteration
         index, self._index = self._index, self._index + 1

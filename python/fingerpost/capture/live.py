@@ -173,7 +173,7 @@ class LiveSource(Source):
         """Wait for a frame of a source that is lost."""
         self._await(lambda: self._newest is not None, longest_s)
 
-    def _next(self) -> Frame | Loss:
+    def _next_frame(self) -> Frame | Loss:
         self.wait()
         with self._changed:
             frame, self._newest = self._newest, None

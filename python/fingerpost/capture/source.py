@@ -201,7 +201,7 @@ class Source(ABC):
             ended without a single picture that is sound.
         """
         try:
-            seen = self._next()
+            seen = self._next_frame()
         except StopIteration:
             self.refuse_unsound()
             raise
@@ -260,7 +260,7 @@ class Source(ABC):
         """Wait so long at most for a live source that is lost."""
 
     @abstractmethod
-    def _next(self) -> Frame | Loss:
+    def _next_frame(self) -> Frame | Loss:
         """Deliver a frame, whatever its size, or a loss; raise StopIteration at the end."""
 
     def _place(self, index: int) -> str:

@@ -221,7 +221,7 @@ class VideoFile(Source):
             f"convert it: ffmpeg -i {source} {to_h264}"
         )
 
-    def _next(self) -> Frame | Loss:
+    def _next_frame(self) -> Frame | Loss:
         seen, self._first = self._first or self._read(), None
         if seen is None:
             if self._capture.isOpened():
