@@ -44,7 +44,7 @@ def test_a_picture_that_cannot_be_decoded_is_lost_for_its_view_and_told(damaged,
     tables = tmp_path / "points.csv", tmp_path / "tracks.csv"
     done = invoked("run", rig_file, "--points", tables[0], "--tracks", tables[1])
     assert done.exit_code == 0
-    points, tracks = (list(csv.DictReader(table.open())) for table in tables)
+    points, tracks = (list(csv.DictReader(table.read_text().splitlines())) for table in tables)
     assert [int(row["frame"]) for row in points] == list(range(FRAMES))
     assert [row["status"] for row in points[BROKEN - 1 : BROKEN + 2]] == ["ok", "lost", "ok"]
     assert points[BROKEN]["reason"] == f'view "{view}": its picture cannot be decoded'

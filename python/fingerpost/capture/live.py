@@ -14,6 +14,8 @@ from __future__ import annotations
 import atexit
 import logging
 import math
+import os
+import select
 import threading
 import time
 from collections.abc import Callable
@@ -58,19 +60,72 @@ def connect(source: str | int, timeout_s: float) -> Device:
     if isinstance(source, int) or "://" not in source:
         device = source if isinstance(source, int) else opencv_path(Path(source), "device")
         if not isinstance(source, int) and Path(source).is_fifo():
-            return cv2.VideoCapture(device, cv2.CAP_FFMPEG)
+            return _Pipe(source, timeout_s)
         camera = cv2.VideoCapture(device)
         # Two cameras that send raw pixels exceed one USB bus; most can send JPEG instead.
         camera.set(cv2.CAP_PROP_FOURCC, cv2.VideoWriter.fourcc(*"MJPG"))
         return camera
+    return cv2.VideoCapture(source, cv2.CAP_FFMPEG, _limits(timeout_s))
+
+
+def _limits(timeout_s: float) -> list[int]:
+    import cv2
+
     timeout_ms = max(1, round(1000 * timeout_s))
-    limits = [
+    return [
         cv2.CAP_PROP_OPEN_TIMEOUT_MSEC,
         timeout_ms,
         cv2.CAP_PROP_READ_TIMEOUT_MSEC,
         timeout_ms,
     ]
-    return cv2.VideoCapture(source, cv2.CAP_FFMPEG, limits)
+
+
+class _Pipe:
+    """A named pipe as a device.
+
+    To open one waits for whoever writes to it, and OpenCV opens nothing else meanwhile. So it is
+    opened here, without waiting, and FFmpeg is given what is open, which keeps its time limits.
+    """
+
+    def __init__(self, path: str, timeout_s: float) -> None:
+        import cv2
+
+        self._descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
+        if not self._is_written_to(timeout_s):
+            os.close(self._descriptor)
+            raise CaptureError(f"nothing was written to it within {timeout_s:g} s")
+        name = f"pipe:{self._descriptor}"
+        self._capture = cv2.VideoCapture(name, cv2.CAP_FFMPEG, _limits(timeout_s))
+
+    def _is_written_to(self, longest_s: float) -> bool:
+        end_s = time.monotonic() + longest_s
+        while time.monotonic() < end_s:
+            if select.select([self._descriptor], [], [], _RETRY_S)[0] and self._has_writer():
+                return True
+            time.sleep(_RETRY_S)
+        return False
+
+    def _has_writer(self) -> bool:
+        """Tell data from the end of a pipe that nobody has open, which can be read as well."""
+        import fcntl
+        import termios
+
+        waiting = bytearray(4)
+        fcntl.ioctl(self._descriptor, termios.FIONREAD, waiting)
+        return any(waiting)
+
+    def isOpened(self) -> bool:  # noqa: N802 - OpenCV's name
+        return self._capture.isOpened()
+
+    def grab(self) -> bool:
+        return self._capture.grab()
+
+    def retrieve(self) -> tuple[bool, Any]:
+        return self._capture.retrieve()
+
+    def release(self) -> None:
+        self._capture.release()
+        os.close(self._descriptor)
 
 
 class LiveSource(Source):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
+from pathlib import Path
 
 import click
 
@@ -35,5 +36,6 @@ def hush_streams(sources: Mapping[str, str | int]) -> None:
     """
     from fingerpost.capture import is_url
 
-    if any(isinstance(source, str) and is_url(source) for source in sources.values()):
+    names = [source for source in sources.values() if isinstance(source, str)]
+    if any(is_url(name) or Path(name).is_fifo() for name in names):
         os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
