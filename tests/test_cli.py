@@ -247,7 +247,7 @@ def test_a_table_that_cannot_be_written_is_one_line(rig_file, tmp_path):
 def test_a_missing_recording_fails_with_one_line(rig_file, tmp_path):
     (tmp_path / "rig.toml").write_text(rig_file.read_text())
     done = fingerpost("run", tmp_path / "rig.toml")
-    assert done.returncode == 1
+    assert done.returncode == 2
     assert len(done.stderr.splitlines()) == 1
     assert "left" in done.stderr
 

@@ -501,5 +501,5 @@ def test_a_missing_source_is_one_line(tmp_path, clean):
     assert rig.views[0].reference == FixedReference()
     rig.save(tmp_path / "rig.toml")
     done = CliRunner().invoke(main, ["doctor", str(tmp_path / "rig.toml")])
-    assert done.exit_code == 1
+    assert done.exit_code == 2
     assert "no such file" in done.output

@@ -12,8 +12,8 @@ import fingerpost
 from fingerpost.capture import Frame, open_source, open_views, read_views
 from fingerpost.capture.numbering import taken
 from fingerpost.config import Rig
-from fingerpost.consistency import Freshness, Tips, lag_between
-from fingerpost.pipeline import FROZEN, Pointer, steps
+from fingerpost.consistency import FROZEN, Freshness, Tips, lag_between
+from fingerpost.pipeline import Pointer, steps
 from fingerpost.pointing import Status
 from fingerpost.simulate import Placement, Workspace
 

@@ -16,7 +16,7 @@ from msgspec import structs
 from numpy.typing import NDArray
 
 from fingerpost._core import ContourTracker, StartPose, Template
-from fingerpost.capture import Frame
+from fingerpost.capture import Frame, Loss
 from fingerpost.config import LensParameters, Pair, Rig, View
 from fingerpost.consistency import Contradiction
 from fingerpost.errors import InvalidInputError
@@ -146,8 +146,8 @@ class Admission:
         self._views = views
         self._sizes_px: list[tuple[int, int] | None] = [None] * len(views)
 
-    def admit(self, frames: Sequence[Frame | None]) -> None:
-        """Refuse frames that are none, or not this rig's.
+    def admit(self, frames: Sequence[Frame | Loss | None]) -> None:
+        """Refuse frames that are none, or not this rig's; losses are let in.
 
         Raises
         ------
@@ -159,7 +159,7 @@ class Admission:
         self._refuse_unusable(frames)
         self._refuse_other_sizes(frames)
 
-    def _refuse_unusable(self, frames: Sequence[Frame | None]) -> None:
+    def _refuse_unusable(self, frames: Sequence[Frame | Loss | None]) -> None:
         """Refuse what no camera gives, before any part of it is used."""
         views = self._views
         if not isinstance(frames, Sequence) or len(frames) != len(views):
@@ -170,13 +170,13 @@ class Admission:
                 "view has none"
             )
         for view, frame in zip(views, frames, strict=True):
-            if frame is not None and (complaint := _unusable(frame)):
+            if not isinstance(frame, Loss | None) and (complaint := _unusable(frame)):
                 raise InvalidInputError(f'view "{view.name}": {complaint}')
 
-    def _refuse_other_sizes(self, frames: Sequence[Frame | None]) -> None:
+    def _refuse_other_sizes(self, frames: Sequence[Frame | Loss | None]) -> None:
         """Refuse frames of another size than the rig's pixels are told for, as far as they tell."""
         for k, (view, frame) in enumerate(zip(self._views, frames, strict=True)):
-            if frame is None:
+            if not isinstance(frame, Frame):
                 continue
             height, width = frame.image.shape[:2]
             size_px, first_px = (width, height), self._sizes_px[k]

@@ -19,7 +19,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from fingerpost.capture import Frame, open_views, read_views
+from fingerpost.capture import Frame, Loss, open_views, read_views
 from fingerpost.config import Rig
 from fingerpost.errors import InvalidInputError
 from fingerpost.pipeline import DEFAULT_REFERENCE_SIGMA_PX, Pointer, Step, steps
@@ -40,7 +40,7 @@ from fingerpost.simulate import (
 )
 
 T = TypeVar("T")
-Frames = tuple[Frame | None, ...]
+Frames = tuple[Frame | Loss | None, ...]
 Watch = Callable[[Iterable[Frames], int], Iterable[Frames]]
 
 _CLIP = Path(__file__).with_name("data") / "desk"

@@ -26,6 +26,10 @@ class CaptureError(FingerpostError, OSError):
     """A view's source cannot be opened or read."""
 
 
+class SourceError(CaptureError, InvalidInputError):
+    """A view's source that is missing, cannot be opened, or is of a kind that cannot be read."""
+
+
 class RecordingError(FingerpostError, OSError):
     """A table, a picture or a video cannot be written any further: a full disk, a lost drive."""
 

@@ -32,7 +32,7 @@ from fingerpost.admission import (
     different_sides,
     reduced_view,
 )
-from fingerpost.capture import Frame, open_views, read_views
+from fingerpost.capture import Frame, Loss, open_views, read_views
 from fingerpost.checks import in_range
 from fingerpost.config import Rig, View
 from fingerpost.consistency import Monitor, Scenery
@@ -75,9 +75,6 @@ DEFAULT_REFERENCE_SIGMA_PX = 0.5
 ANOTHER_FINGER = "its fingertip is not that of the other views"
 """What is said of a view that follows another finger than all others."""
 
-FROZEN = "its picture stands still"
-"""What is said of a view that hands out an old picture."""
-
 TOLD_OFF = 0.05
 """From so many half-widths on, people are told that the axis may be off."""
 
@@ -104,11 +101,11 @@ class Observation:
         The view's name.
     frame
         The frame as it was followed, reduced if it is large (`LARGEST_PX`); None where there is
-        none of that time, or it could not be read. All pixels here are this frame's.
+        none of that time. All pixels here are this frame's.
+    loss
+        What is there in place of a frame: a damaged picture, or a camera that sends nothing.
     reduction
         How it was reduced.
-    is_frozen
-        Whether the view hands out an old picture again and again; it counts as no frame.
     track
         What the tracker made of it; None without a frame, and while no hand has been found.
     contour_px
@@ -141,21 +138,21 @@ class Observation:
     aside: Aside = BETWEEN_EDGES
     is_body: bool = False
     reduction: Reduction = WHOLE
-    is_frozen: bool = False
+    loss: Loss | None = None
 
     @classmethod
     def of(
         cls,
         view: HandView,
         frame: Frame | None,
+        loss: Loss | None,
         watch: ReferenceWatch,
         reduction: Reduction,
-        is_frozen: bool,
     ) -> Observation:
         """Return what a view saw in the frame that it and the watch have had last."""
         tracker = view.tracker
         moved = watch.moved_px, watch.is_adrift
-        camera = *moved, view.plane_view, view.aside, view.shows_body, reduction, is_frozen
+        camera = *moved, view.plane_view, view.aside, view.shows_body, reduction, loss
         if frame is None or tracker is None:
             return cls(view.name, frame, None, np.empty((0, 2)), None, view.missing, *camera)
         contour_px, searched = tracker.contour(), tracker.search_lines()
@@ -183,8 +180,8 @@ class Observation:
     @property
     def reasons(self) -> tuple[str, ...]:
         """Why the frame went the way it did, for people: the verdict, then details."""
-        if self.is_frozen:
-            return (FROZEN,)
+        if self.loss is not None:
+            return (self.loss.why,)
         if self.frame is None:
             return ("no frame of this time could be read",)
         if self.is_adrift:
@@ -206,11 +203,12 @@ class Observation:
         return _verdict(self.track), _details(self.track, self.search, self.aside)
 
     def track_row(self) -> TrackRow | None:
-        """Return the row of `tracks.csv`; None without a frame."""
-        if self.frame is None:
+        """Return the row of `tracks.csv`; None where there is neither a frame nor a loss."""
+        seen = self.frame or self.loss
+        if seen is None:
             return None
         cells: dict[str, float] = {}
-        line = measured_line(self.track, self.frame.time_s, self.aside)
+        line = None if self.loss else measured_line(self.track, seen.time_s, self.aside)
         status = "tracking" if line is not None else str(self.finger)
         if line is not None:
             sigma_offset_px, sigma_angle_rad = np.sqrt(np.diag(line.covariance)).tolist()
@@ -224,8 +222,8 @@ class Observation:
                 "sigma_offset_px": sigma_offset_px,
             }
         return TrackRow(
-            frame=self.frame.index,
-            time_s=self.frame.time_s,
+            frame=seen.index,
+            time_s=seen.time_s,
             view=self.view,
             status=status,
             **cells,
@@ -355,12 +353,16 @@ class _NoLine:
 
 @dataclass(slots=True)
 class _History:
-    """The latest entries of one view, oldest first: time, finger line or status, plane view."""
+    """The latest entries of one view, oldest first: time, finger line or why not, plane view."""
 
-    entries: list[tuple[float, FingerLine | Status, PlaneView]] = field(default_factory=list)
+    entries: list[tuple[float, FingerLine | _NoLine, PlaneView]] = field(default_factory=list)
 
-    def add(self, time_s: float, observation: Observation, plane_view: PlaneView) -> None:
-        self.entries.append((time_s, observation.finger, plane_view))
+    def add(self, observation: Observation, plane_view: PlaneView) -> None:
+        seen, finger = observation.frame or observation.loss, observation.finger
+        if seen is not None:
+            why = observation.loss.why if observation.loss else ""
+            entry = _NoLine(finger, why) if isinstance(finger, Status) else finger
+            self.entries.append((seen.time_s, entry, plane_view))
 
     def forget(self, time_s: float) -> None:
         """Forget what is not needed to tell what the view has at a time, or later."""
@@ -369,10 +371,10 @@ class _History:
 
     def at(self, time_s: float, options: PointingOptions) -> FingerLine | _NoLine | None:
         """Tell what the view has at a time; None if its next frame is needed for that."""
-        before: FingerLine | Status = Status.ACQUIRING
+        before: FingerLine | _NoLine = _NoLine(Status.ACQUIRING)
         for entry_time_s, entry, _ in self.entries:
             if entry_time_s == time_s:
-                return _NoLine(entry) if isinstance(entry, Status) else entry
+                return entry
             if entry_time_s > time_s:
                 return _between(before, entry, time_s, options)
             before = entry
@@ -392,16 +394,16 @@ class _History:
 
 
 def _between(
-    before: FingerLine | Status,
-    after: FingerLine | Status,
+    before: FingerLine | _NoLine,
+    after: FingerLine | _NoLine,
     time_s: float,
     options: PointingOptions,
 ) -> FingerLine | _NoLine:
-    """Finger line between two neighbours in time; the status of the one that has none."""
-    if isinstance(before, Status):
-        return _NoLine(before)
-    if isinstance(after, Status):
-        return _NoLine(after)
+    """Finger line between two neighbours in time; why not, of the one that has none."""
+    if isinstance(before, _NoLine):
+        return before
+    if isinstance(after, _NoLine):
+        return after
     aligned = align([before, after], time_s, options)
     return aligned.line or _NoLine(Status.LOST, aligned.reason)
 
@@ -477,7 +479,7 @@ class Pointer:
         """How each view sees the plane, as of its last frame."""
         return tuple(view.plane_view for view in self.views)
 
-    def update(self, frames: Sequence[Frame | None]) -> Iterator[Step]:
+    def update(self, seen: Sequence[Frame | Loss | None]) -> Iterator[Step]:
         """Take one frame of every view; yield the steps that can be told from them.
 
         Views that are captured at one time give their step at once. Where a view lags behind, the
@@ -486,8 +488,9 @@ class Pointer:
 
         Parameters
         ----------
-        frames
-            One per view, in the rig's order; None where a view has none of that time.
+        seen
+            One per view, in the rig's order; None where a view has none of that time, a `Loss`
+            where that has been lost: nothing is followed or learned then.
 
         Raises
         ------
@@ -496,17 +499,11 @@ class Pointer:
             time cannot be used; a view's first frame that does not show half of its reference
             points; or a later one of another size.
         """
-        self._admission.admit(frames)
-        self._compare_scenery(frames)
-        frames = [self._reduced(k, frame) for k, frame in enumerate(frames)]
-        old, frozen = self._monitor.look(frames)
-        # An old picture is no new measurement; that a view has none any more is.
-        times_s = [
-            frame.time_s if frame is not None and (is_frozen or not is_old) else None
-            for frame, is_old, is_frozen in zip(frames, old, frozen, strict=True)
-        ]
-        first = frames[0]
-        frames = [None if is_old else frame for frame, is_old in zip(frames, old, strict=True)]
+        self._admission.admit(seen)
+        self._compare_scenery(seen)
+        entries = self._monitor.look([self._reduced(k, entry) for k, entry in enumerate(seen)])
+        losses = [entry if isinstance(entry, Loss) else None for entry in entries]
+        frames = [entry if isinstance(entry, Frame) else None for entry in entries]
         self._watch(frames)
         bodies = self._moving()
         for view, frame in zip(self.views, frames, strict=True):
@@ -528,20 +525,23 @@ class Pointer:
         for view in self.views:
             view.doubt([other for other in self.views if other is not view], shared)
         observations = tuple(
-            Observation.of(view, frame, watch, reduction or WHOLE, is_frozen)
-            for view, frame, watch, reduction, is_frozen in zip(
-                self.views, frames, self._watches, self._reductions, frozen, strict=True
+            Observation.of(view, frame, loss, watch, reduction or WHOLE)
+            for view, frame, loss, watch, reduction in zip(
+                self.views, frames, losses, self._watches, self._reductions, strict=True
             )
         )
-        for history, time_s, observation, view in zip(
-            self._histories, times_s, observations, self.views, strict=True
+        for history, observation, view in zip(
+            self._histories, observations, self.views, strict=True
         ):
-            if time_s is not None:
-                history.add(time_s, observation, view.plane_view)
+            history.add(observation, view.plane_view)
         # Of a camera that moves, tips of different times have no line in common.
-        steady = [seen.finger if seen.moved_px == 0.0 else None for seen in observations]
-        self._monitor.take(times_s, steady, self.plane_views)
-        if first is not None and times_s[0] is not None:
+        self._monitor.take(
+            [None if frame is None else frame.time_s for frame in frames],
+            [one.finger if one.moved_px == 0.0 else None for one in observations],
+            self.plane_views,
+        )
+        first = frames[0] or losses[0]
+        if first is not None:
             self._identity.update(self.views, first.time_s)
             hand = self._identity.hand
             self._pending.append(_Pending(first.index, first.time_s, observations, hand))
@@ -550,7 +550,7 @@ class Pointer:
         for history in self._histories:
             history.forget(needed_s)
 
-    def _compare_scenery(self, frames: Sequence[Frame | None]) -> None:
+    def _compare_scenery(self, seen: Sequence[Frame | Loss | None]) -> None:
         """Refuse reference points that the first frames of all views belie, and warn of others.
 
         Raises
@@ -560,8 +560,8 @@ class Pointer:
         """
         if self._first is None:
             return
-        for k, frame in enumerate(frames):
-            if frame is not None:
+        for k, frame in enumerate(seen):
+            if isinstance(frame, Frame):
                 self._first.setdefault(k, frame)
         if len(self._first) < len(self._rig.views):
             return
@@ -585,10 +585,10 @@ class Pointer:
         sigma_px = self._reference_sigma_px / reduction.factor
         return HandView(view, self._rig.plane.points, self._tracker_options, sigma_px)
 
-    def _reduced(self, k: int, frame: Frame | None) -> Frame | None:
+    def _reduced(self, k: int, frame: Frame | Loss | None) -> Frame | Loss | None:
         """Reduce a large frame; its view begins anew in reduced pixels with its first frame."""
-        if frame is None:
-            return None
+        if not isinstance(frame, Frame):
+            return frame
         reduction = self._reductions[k]
         if reduction is None:
             reduction = self._reductions[k] = Reduction.of(frame.image.shape, LARGEST_PX)
@@ -718,8 +718,6 @@ def _absences(
             continue
         if finger.reason:
             absences[k] = finger.reason
-        elif seen.is_frozen:
-            absences[k] = FROZEN
         elif seen.is_adrift and finger.status is Status.ILL_CONDITIONED:
             absences[k] = _moved(seen)
         elif seen.is_body:
@@ -742,14 +740,20 @@ def at_most(frames: Iterator[Frames], count: int | None) -> Iterator[Frames]:
     return islice(frames, min(int(count), sys.maxsize))  # more cannot be counted
 
 
-def steps(pointer: Pointer, frames: Iterable[Sequence[Frame | None]]) -> Iterator[Step]:
+def steps(pointer: Pointer, frames: Iterable[Sequence[Frame | Loss | None]]) -> Iterator[Step]:
     """Feed a pointer with frames and yield its steps to the last."""
     for together in frames:
         yield from pointer.update(together)
     yield from pointer.finish()
 
 
-def track(rig: Rig, *, max_frames: int | None = None, **options: Any) -> Iterator[Fix]:
+def track(
+    rig: Rig,
+    *,
+    max_frames: int | None = None,
+    give_up_after_s: float | None = None,
+    **options: Any,
+) -> Iterator[Fix]:
     """Yield the fixes of a rig, live or recorded, in the order of the first view's frames.
 
     Parameters
@@ -758,6 +762,9 @@ def track(rig: Rig, *, max_frames: int | None = None, **options: Any) -> Iterato
         At least two views.
     max_frames
         Stop after as many frames of each view; None reads on to the end.
+    give_up_after_s
+        How long a live view may send nothing before that is an error; None waits for ever for it
+        to come back.
     **options
         Those of `Pointer`.
 
@@ -771,10 +778,11 @@ def track(rig: Rig, *, max_frames: int | None = None, **options: Any) -> Iterato
     InvalidInputError
         A rig that cannot point, an option out of range, or frames that `Pointer.update` refuses.
     CaptureError
-        A source that cannot be opened or read.
+        A source that cannot be opened or read, or is given up.
     """
     pointer = Pointer(rig, **options)
     with ExitStack() as stack:
         sources = stack.enter_context(open_views(rig.sources, rig.offsets_s))
-        for step in steps(pointer, at_most(read_views(sources), max_frames)):
+        frames = read_views(sources, give_up_after_s=give_up_after_s)
+        for step in steps(pointer, at_most(frames, max_frames)):
             yield step.fix

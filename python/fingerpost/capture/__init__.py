@@ -5,7 +5,8 @@ that is iterated for `Frame`s. `read_views` steps through several of them togeth
 
 There are two kinds. A *recorded* source delivers every frame in order, with the times stored in
 the file. A *live* source delivers the newest frame at the moment it is asked, with the time at
-which that frame was grabbed, and drops what the consumer was too slow for.
+which that frame was grabbed, and drops what the consumer was too slow for. Where a picture cannot
+be believed, or a live source sends none, a `Loss` stands in place of the frame.
 """
 
 from fingerpost.capture.opening import (
@@ -15,13 +16,16 @@ from fingerpost.capture.opening import (
     source_files,
     source_relative_to,
 )
-from fingerpost.capture.source import Frame, Source, SourceKind
+from fingerpost.capture.remote import is_url
+from fingerpost.capture.source import Frame, Loss, Source, SourceKind
 from fingerpost.capture.views import read_views
 
 __all__ = [
     "Frame",
+    "Loss",
     "Source",
     "SourceKind",
+    "is_url",
     "open_source",
     "open_views",
     "read_views",

@@ -1,27 +1,44 @@
-"""Still images as a recorded source: one file per frame.
+"""Still images as a recorded source: one file per frame, or many pictures in one file.
 
-Images carry no times, so their names tell them (`fingerpost.capture.numbering`). Every pixel
-format becomes 8-bit grey or 8-bit blue-green-red (`decode_image`); an image stored rotated is
-turned as its EXIF tag says, as every viewer shows it.
+Names tell when images of a sequence were taken (`fingerpost.capture.numbering`); pages of a TIFF
+carry no times, so page k was taken at k / fps; animations (GIF, APNG, WebP, AVIF) say how long each
+picture is shown. Every pixel format becomes 8-bit grey or 8-bit blue-green-red; an image stored
+rotated is turned as its EXIF tag says, as every viewer shows it. A picture that cannot be decoded,
+or that its decoder has mended, is a `Loss`.
 """
 
 from __future__ import annotations
 
+import contextlib
+import mmap
 import re
-from collections.abc import Sequence
+from abc import abstractmethod
+from collections.abc import Iterator, Sequence
+from itertools import chain
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fingerpost.capture.depth import Depth, sampled
+from fingerpost.capture.messages import Listener
 from fingerpost.capture.numbering import taken
-from fingerpost.capture.source import Frame, Source, SourceKind
+from fingerpost.capture.source import DAMAGED, UNDECODABLE, Frame, Loss, Source, SourceKind
+from fingerpost.checks import opencv_path
 from fingerpost.errors import CaptureError
 
 _DIGITS = re.compile(r"(\d+)")
 _JPEG_START = b"\xff\xd8"
 _JPEG_END = b"\xff\xd9"
 _JPEG_SCAN = b"\xff\xda"
+_NEXT_JPEG = _JPEG_START + b"\xff"
+_MULTI_PICTURE = b"MPF\0"
+_TIFF_STARTS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+# So many pictures are decoded at a time: OpenCV skips to the first of them through all before it.
+_CHUNK, _CHUNK_BYTES = 32, 64 << 20
+# Players show pictures for which a file gives less than the first of these for the second.
+_SHORTEST_SHOWN_S, _SHOWN_S = 0.02, 0.1
 
 
 def natural_order(path: Path) -> list[str | int]:
@@ -29,24 +46,96 @@ def natural_order(path: Path) -> list[str | int]:
     return [int(part) if part.isdecimal() else part for part in _DIGITS.split(str(path))]
 
 
-class ImageSequence(Source):
-    """Images read in the given order; sizes must agree."""
+class UndecodableError(Exception):
+    """A picture of a sequence cannot be decoded, or is damaged; the message says which and why."""
+
+
+class _Pictures(Source):
+    """Pictures by their place; subclasses say how to load one, and when it was taken."""
 
     kind = SourceKind.RECORDED
 
-    def __init__(self, paths: Sequence[Path], *, fps: float, name: str) -> None:
+    def __init__(self, name: str, count: int) -> None:
         super().__init__(name)
+        self._index = 0
+        self.frame_count: int = count
+        self._listener = Listener()
+        self._depth = Depth([])
+
+    @abstractmethod
+    def _load(self, index: int) -> NDArray[np.generic]:
+        """Decode a picture; raises `UndecodableError`."""
+
+    @abstractmethod
+    def _time_s(self, index: int) -> float: ...
+
+    def _number(self, index: int) -> int:
+        """Return the position of a picture in the stream that it is of."""
+        return index
+
+    def _decide_depth(self) -> None:
+        """Look at a sample of pictures, if the first that can be read has 16 bits."""
+        pictures = self._sample()
+        first = next(pictures, None)
+        if first is not None and first.dtype == np.uint16:
+            self._depth = Depth(chain([first], pictures))
+
+    def _sample(self) -> Iterator[NDArray[np.generic]]:
+        for index in sampled(self.frame_count):
+            with contextlib.suppress(UndecodableError):
+                yield self._load(index)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What else is to be said of the source in the end, for people."""
+        return (self._depth.note,) if self._depth.note else ()
+
+    def _next_frame(self) -> Frame | Loss:
+        if self._index >= self.frame_count:
+            raise StopIteration
+        index, self._index = self._index, self._index + 1
+        number, time_s = self._number(index), self._time_s(index)
+        try:
+            image = self._depth.eight_bits(self._load(index))
+        except UndecodableError as error:
+            self._detail = self._detail or str(error)
+            return Loss(number, time_s, UNDECODABLE)
+        if image is None:
+            more = f"{self._place(number)}: holds more than {self._depth.bits} bits"
+            self._detail = self._detail or more
+            return Loss(number, time_s, DAMAGED)
+        return Frame(number, time_s, image)
+
+    def close(self) -> None:
+        """Stop: no more frames will come."""
+        self._index = self.frame_count
+
+
+class ImageSequence(_Pictures):
+    """Images read in the given order, taken when their names say; sizes must agree."""
+
+    def __init__(self, paths: Sequence[Path], *, fps: float, name: str) -> None:
+        super().__init__(name, len(paths))
         self._paths = paths
         self._taken = taken(paths, fps, name)
-        self._index = 0
-        self.frame_count = len(paths)
+        if len(set(paths)) == 1:
+            self._need_first()
+        self._decide_depth()
 
-    def _next_frame(self) -> Frame:
-        if self._index == len(self._paths):
-            raise StopIteration
-        place, self._index = self._index, self._index + 1
-        index, time_s = self._taken[place]
-        return Frame(index, time_s, decode_image(self._paths[place]))
+    def _need_first(self) -> None:
+        try:
+            self._load(0)
+        except UndecodableError as error:
+            raise CaptureError(str(error)) from error
+
+    def _load(self, index: int) -> NDArray[np.generic]:
+        return decode_image(self._paths[index], self._listener)
+
+    def _time_s(self, index: int) -> float:
+        return self._taken[index].time_s
+
+    def _number(self, index: int) -> int:
+        return self._taken[index].place
 
     def _place(self, index: int) -> str:
         return next(
@@ -55,47 +144,177 @@ class ImageSequence(Source):
             if one.place == index
         )
 
+
+class JpegFilm(_Pictures):
+    """The pictures of a file that is JPEG after JPEG, `fps` a second."""
+
+    def __init__(self, path: Path, *, fps: float) -> None:
+        with path.open("rb") as file:
+            self._data = _mapped(file)
+        self._places = list(_jpegs(self._data))
+        super().__init__(str(path), len(self._places))
+        self._fps = fps
+
+    def _load(self, index: int) -> NDArray[np.generic]:
+        start, end = self._places[index]
+        return _decoded(self._data[start:end], self._place(index), self._listener)
+
+    def _time_s(self, index: int) -> float:
+        return index / self._fps
+
     def close(self) -> None:
-        """Stop: no more frames will come."""
-        self._index = len(self._paths)
+        """Close the file: no more frames will come."""
+        super().close()
+        self._data.close()
 
 
-def decode_image(path: Path) -> NDArray[np.uint8]:
-    """Read an image file as 8-bit grey (h, w) or blue-green-red (h, w, 3).
+class PictureStack(_Pictures):
+    """The pictures of one animation (GIF, APNG, WebP, AVIF), or the pages of one TIFF.
 
-    16-bit images are scaled by 255 / 65535 and rounded: their full range is taken to be used.
+    They are decoded in chunks: memory does not grow with the length of the file.
+    """
+
+    def __init__(self, path: Path, count: int, *, fps: float) -> None:
+        super().__init__(str(path), count)
+        self._file = opencv_path(path, "source")
+        self._is_animation = path_is_animation(path)
+        self._fps = fps
+        self._chunk: Sequence[NDArray[np.generic]] = ()
+        self._chunk_start, self._chunk_size = 0, 1
+        self._starts_s = [0.0]
+        if not self._is_animation:  # those have 8 bits
+            self._decide_depth()
+
+    def _load(self, index: int) -> NDArray[np.generic]:
+        if not self._chunk_start <= index < self._chunk_start + len(self._chunk):
+            self._read_chunk(index)
+        if not self._chunk and self._chunk_size > 1:  # one damaged picture hides all of a chunk
+            self._chunk_size = 1
+            self._read_chunk(index)
+        if index >= self._chunk_start + len(self._chunk):
+            raise UndecodableError(f"{self._place(index)} cannot be decoded: damaged or cut off")
+        picture = self._chunk[index - self._chunk_start]
+        self._chunk_size = max(1, min(_CHUNK, _CHUNK_BYTES // picture.nbytes))
+        return picture[..., :3] if picture.ndim == 3 else picture
+
+    def _read_chunk(self, start: int) -> None:
+        import cv2
+
+        self._chunk, self._chunk_start = (), start
+        with contextlib.suppress(cv2.error), self._listener:
+            if self._is_animation:
+                _, animation = cv2.imreadanimation(self._file, start, self._chunk_size)
+                self._chunk = animation.frames
+                self._add_durations(start, animation.durations)
+            else:
+                flags = cv2.IMREAD_ANYCOLOR | cv2.IMREAD_ANYDEPTH
+                _, self._chunk = cv2.imreadmulti(self._file, start, self._chunk_size, flags=flags)
+        if self._listener.complaint:
+            self._chunk = self._chunk[:-1]  # what was decoded last is what it complained of
+
+    def _add_durations(self, start: int, durations_ms: Sequence[int]) -> None:
+        """Note when pictures are shown, as far as they follow on what is known."""
+        if start + 1 == len(self._starts_s):
+            shown_s = np.asarray(durations_ms, np.float64) / 1000
+            shown_s[shown_s < _SHORTEST_SHOWN_S] = _SHOWN_S
+            self._starts_s += (self._starts_s[-1] + np.cumsum(shown_s)).tolist()
+
+    def _time_s(self, index: int) -> float:
+        if not self._is_animation:
+            return index / self._fps
+        with contextlib.suppress(UndecodableError):
+            self._load(index)
+        known = len(self._starts_s) - 1
+        return self._starts_s[min(index, known)] + max(0, index - known) / self._fps
+
+
+def picture_count(path: Path) -> int:
+    """Count the pictures of an image file; 1 where it is not one of many, or cannot be read."""
+    import cv2
+
+    with Listener():
+        try:
+            return max(1, cv2.imcount(opencv_path(path, "source")))
+        except cv2.error:
+            return 1
+
+
+def is_motion_jpeg(path: Path) -> bool:
+    """Tell whether a file is JPEG after JPEG: a film without a container.
+
+    Phones append a second picture as well, and list it in a segment of the first.
+    """
+    with path.open("rb") as file, contextlib.closing(_mapped(file)) as data:
+        scan = _jpeg_scan(data)
+        if scan < 0 or data.find(_MULTI_PICTURE, 0, scan) >= 0:
+            return False
+        end = data.find(_JPEG_END, scan) + len(_JPEG_END)
+        return end >= len(_JPEG_END) and data[end : end + len(_JPEG_START)] == _JPEG_START
+
+
+def _mapped(file: BinaryIO) -> mmap.mmap:
+    return mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+
+
+def _jpegs(data: mmap.mmap) -> Iterator[tuple[int, int]]:
+    """Start and end of each JPEG, of one that has lost its own end that before the next."""
+    start = data.find(_NEXT_JPEG)
+    while start >= 0:
+        # Neither a start nor an end can stand in the data of a picture.
+        scan = max(_jpeg_scan(data, start), start + len(_JPEG_START))
+        following = data.find(_NEXT_JPEG, scan)
+        end = data.find(_JPEG_END, scan, following if following >= 0 else len(data))
+        yield (
+            start,
+            end + len(_JPEG_END) if end >= 0 else following if following >= 0 else len(data),
+        )
+        start = following
+
+
+def path_is_animation(path: Path) -> bool:
+    """Tell whether a file of many pictures says how long each is shown: all but TIFF do."""
+    with path.open("rb") as file:
+        return file.read(4) not in _TIFF_STARTS
+
+
+def decode_image(path: Path, listener: Listener) -> NDArray[np.generic]:
+    """Read an image file as grey (h, w) or blue-green-red (h, w, 3) of 8 or 16 bits.
+
     An alpha channel is dropped and the colour kept as stored. Palettes become colour.
 
     Raises
     ------
+    UndecodableError
+        The file cannot be read, is cut off or damaged, or is no image.
     CaptureError
-        The file cannot be read, is cut off, is no image, or holds floating-point pixels.
+        It holds floating-point pixels.
     """
-    import cv2
-
     try:
         data = path.read_bytes()
     except OSError as error:
-        raise CaptureError(f"{path}: {error.strerror}") from error
+        raise UndecodableError(f"{path}: {error.strerror}") from error
     if not data:
-        raise CaptureError(f"{path}: the file is empty; an image is needed")
-    try:
+        raise UndecodableError(f"{path}: the file is empty; an image is needed")
+    return _decoded(data, str(path), listener)
+
+
+def _decoded(data: bytes, place: str, listener: Listener) -> NDArray[np.generic]:
+    import cv2
+
+    image = None
+    with contextlib.suppress(cv2.error), listener:
         image = cv2.imdecode(
             np.frombuffer(data, np.uint8), cv2.IMREAD_ANYCOLOR | cv2.IMREAD_ANYDEPTH
         )
-    except cv2.error:
-        image = None
-    if image is None or _is_cut_off_jpeg(data):
-        raise CaptureError(
-            f"{path}: cannot be decoded: damaged, cut off, or not an image that OpenCV reads"
+    if image is None or _is_cut_off_jpeg(data) or listener.complaint:
+        raise UndecodableError(
+            f"{place}: cannot be decoded: damaged, cut off, or not an image that OpenCV reads"
         )
-    if image.dtype == np.uint16:
-        return ((image.astype(np.uint32) + 128) // 257).astype(np.uint8)
-    if image.dtype != np.uint8:
+    if image.dtype not in (np.uint8, np.uint16):
         raise CaptureError(
-            f"{path}: pixels are stored as {image.dtype}; 8 or 16 bits per channel are read"
+            f"{place}: pixels are stored as {image.dtype}; 8 or 16 bits per channel are read"
         )
-    return np.ascontiguousarray(image, dtype=np.uint8)
+    return image
 
 
 def _is_cut_off_jpeg(data: bytes) -> bool:
@@ -104,14 +323,20 @@ def _is_cut_off_jpeg(data: bytes) -> bool:
     The end is looked for behind the start of the picture's data, because the thumbnail in the
     header has an end of its own.
     """
-    if not data.startswith(_JPEG_START):
-        return False
-    position = len(_JPEG_START)
+    scan = _jpeg_scan(data)
+    return scan >= 0 and data.find(_JPEG_END, scan) < 0
+
+
+def _jpeg_scan(data: bytes | mmap.mmap, start: int = 0) -> int:
+    """Place where the data of a JPEG's picture begin; −1 where the decoder has to judge it."""
+    if data[start : start + len(_JPEG_START)] != _JPEG_START:
+        return -1
+    position = start + len(_JPEG_START)
     while data[position : position + 2] != _JPEG_SCAN:
         if data[position : position + 1] != b"\xff" or position + 4 > len(data):
-            return False  # not the plain sequence of segments; the decoder has judged it
+            return -1  # not the plain sequence of segments
         if data[position + 1] == 0xFF:  # fill byte before a marker
             position += 1
             continue
         position += 2 + int.from_bytes(data[position + 2 : position + 4], "big")
-    return _JPEG_END not in data[position:]
+    return position

@@ -4,12 +4,18 @@ One thread per source grabs every frame as it comes and keeps the newest alone. 
 frames would wait in the driver's or the decoder's queue, and a consumer slower than the camera
 would see an image whose age grows without bound. The thread owns the device from opening to
 release, so a device that blocks can be left behind but is never torn down under its reader.
+
+A source that sends nothing for its time limit is lost: a `Loss` stands in place of a frame as long
+as that lasts. Its thread opens it anew, after pauses that double, until it is back.
 """
 
 from __future__ import annotations
 
+import atexit
 import logging
-import re
+import math
+import os
+import select
 import threading
 import time
 from collections.abc import Callable
@@ -18,7 +24,8 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from fingerpost.capture.source import Frame, Source, SourceKind
+from fingerpost.capture.remote import is_url, masked
+from fingerpost.capture.source import Frame, Loss, Source, SourceKind
 from fingerpost.checks import opencv_path
 from fingerpost.errors import CaptureError
 
@@ -26,12 +33,8 @@ _log = logging.getLogger(__name__)
 
 _RETRY_S = 0.01
 _JOIN_S = 2.0
-_PASSWORD = re.compile(r"(?<=://)[^/@]*@")
-
-
-def masked(source: str | int) -> str:
-    """Return the name of a live source for messages, without its user and password."""
-    return f"camera {source}" if isinstance(source, int) else _PASSWORD.sub("***@", source)
+_FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.5, 8.0
+"""Pauses between attempts to open a source that is lost: the first, and the longest."""
 
 
 class Device(Protocol):
@@ -56,18 +59,73 @@ def connect(source: str | int, timeout_s: float) -> Device:
 
     if isinstance(source, int) or "://" not in source:
         device = source if isinstance(source, int) else opencv_path(Path(source), "device")
+        if not isinstance(source, int) and Path(source).is_fifo():
+            return _Pipe(source, timeout_s)
         camera = cv2.VideoCapture(device)
         # Two cameras that send raw pixels exceed one USB bus; most can send JPEG instead.
         camera.set(cv2.CAP_PROP_FOURCC, cv2.VideoWriter.fourcc(*"MJPG"))
         return camera
+    return cv2.VideoCapture(source, cv2.CAP_FFMPEG, _limits(timeout_s))
+
+
+def _limits(timeout_s: float) -> list[int]:
+    import cv2
+
     timeout_ms = max(1, round(1000 * timeout_s))
-    limits = [
+    return [
         cv2.CAP_PROP_OPEN_TIMEOUT_MSEC,
         timeout_ms,
         cv2.CAP_PROP_READ_TIMEOUT_MSEC,
         timeout_ms,
     ]
-    return cv2.VideoCapture(source, cv2.CAP_FFMPEG, limits)
+
+
+class _Pipe:
+    """A named pipe as a device.
+
+    To open one waits for whoever writes to it, and OpenCV opens nothing else meanwhile. So it is
+    opened here, without waiting, and FFmpeg is given what is open, which keeps its time limits.
+    """
+
+    def __init__(self, path: str, timeout_s: float) -> None:
+        import cv2
+
+        self._descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
+        if not self._is_written_to(timeout_s):
+            os.close(self._descriptor)
+            raise CaptureError(f"nothing was written to it within {timeout_s:g} s")
+        name = f"pipe:{self._descriptor}"
+        self._capture = cv2.VideoCapture(name, cv2.CAP_FFMPEG, _limits(timeout_s))
+
+    def _is_written_to(self, longest_s: float) -> bool:
+        end_s = time.monotonic() + longest_s
+        while time.monotonic() < end_s:
+            if select.select([self._descriptor], [], [], _RETRY_S)[0] and self._has_writer():
+                return True
+            time.sleep(_RETRY_S)
+        return False
+
+    def _has_writer(self) -> bool:
+        """Tell data from the end of a pipe that nobody has open, which can be read as well."""
+        import fcntl
+        import termios
+
+        waiting = bytearray(4)
+        fcntl.ioctl(self._descriptor, termios.FIONREAD, waiting)
+        return any(waiting)
+
+    def isOpened(self) -> bool:  # noqa: N802 - OpenCV's name
+        return self._capture.isOpened()
+
+    def grab(self) -> bool:
+        return self._capture.grab()
+
+    def retrieve(self) -> tuple[bool, Any]:
+        return self._capture.retrieve()
+
+    def release(self) -> None:
+        self._capture.release()
+        os.close(self._descriptor)
 
 
 class LiveSource(Source):
@@ -76,7 +134,7 @@ class LiveSource(Source):
     Parameters
     ----------
     source
-        A camera number, a camera device, or a URL.
+        A camera number, a camera device, a named pipe, or a URL.
     timeout_s
         How long opening may take, and how long the wait for a new frame, before the source
         counts as lost.
@@ -104,19 +162,24 @@ class LiveSource(Source):
         super().__init__(masked(source))
         self._timeout_s = timeout_s
         self._clock = clock
+        self._connect = connect
         self._changed = threading.Condition()
         self._closed = False
         self._opened: bool | None = None
         self._newest: Frame | None = None
         self._frames_grabbed = 0
         self._failure: BaseException | None = None
+        self._silent_since = time.monotonic()
+        self._stalls = 0
+        self._is_lost = False
         self._reader = threading.Thread(
-            target=self._run, args=(connect, source), name=f"capture {self.name}", daemon=True
+            target=self._run, args=(source,), name=f"capture {self.name}", daemon=True
         )
         self._reader.start()
         try:
             self._await_opening()
-            self.wait()
+            if not self._await(lambda: self._newest is not None, self._timeout_s):
+                raise self._error(f"no new frame within {self._timeout_s:g} s")
         except BaseException:
             self.close()
             raise
@@ -126,24 +189,61 @@ class LiveSource(Source):
         """How many frames the source has sent so far, fetched or not."""
         return self._frames_grabbed
 
-    def wait(self) -> None:
-        """Return when a frame is there that was not fetched yet, or the source is closed.
+    @property
+    def silent_s(self) -> float:
+        """How long the source has sent nothing."""
+        return time.monotonic() - self._silent_since
 
-        Raises
-        ------
-        CaptureError
-            None came within the source's time limit: the camera is lost.
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What else is to be said of the source in the end, for people."""
+        times = "once" if self._stalls == 1 else f"{self._stalls} times"
+        return (
+            (f"sent nothing for {self._timeout_s:g} s and more, {times}",) if self._stalls else ()
+        )
+
+    def wait(self, at_most_s: float = math.inf) -> None:
+        """Return when a frame is there that was not fetched yet, or the source is closed or lost.
+
+        Parameters
+        ----------
+        at_most_s
+            Return after so long in any case.
         """
-        if not self._await(lambda: self._newest is not None):
-            raise self._lost(f"no new frame within {self._timeout_s:g} s")
+        while not self._is_lost and at_most_s > 0.0:
+            left_s = self._timeout_s - self.silent_s
+            if self._await(lambda: self._newest is not None, min(left_s, at_most_s)):
+                return
+            at_most_s -= max(left_s, 0.0)
+            if self.silent_s >= self._timeout_s:
+                self._is_lost = True
+                self._stalls += 1
+                _log.warning(
+                    "%s: no new frame within %g s: lost until it sends again",
+                    self.name,
+                    self._timeout_s,
+                )
 
-    def _next_frame(self) -> Frame:
+    def linger(self, longest_s: float) -> None:
+        """Wait for a frame of a source that is lost."""
+        self._await(lambda: self._newest is not None, longest_s)
+
+    def _next_frame(self) -> Frame | Loss:
         self.wait()
         with self._changed:
             frame, self._newest = self._newest, None
-        if frame is None:
+        if frame is not None:
+            if self._is_lost:
+                self._is_lost = False
+                _log.warning("%s: sends again", self.name)
+            return frame
+        if self._closed:
             raise StopIteration
-        return frame
+        why = f"no picture has come for {self.silent_s:.0f} s"
+        return Loss(self._frames_grabbed, self._clock() / 1e9, why)
+
+    def _count(self) -> None:
+        """Count nothing: a source that sends nothing loses no pictures."""
 
     def close(self) -> None:
         """Stop the reader; one that is stuck in its device is left behind after 2 s."""
@@ -154,55 +254,83 @@ class LiveSource(Source):
         self._reader.join(_JOIN_S)
         if self._reader.is_alive():
             _log.warning("%s: the device does not answer; its reader is left behind", self.name)
+            # A decoder that comes back while the interpreter ends takes the process down with it;
+            # one of a stream comes back by its own time limit, one of a device may never.
+            if is_url(self.name):
+                atexit.register(self._reader.join, self._timeout_s)
 
     def _await_opening(self) -> None:
-        if not self._await(lambda: self._opened is not None):
-            raise self._lost(f"did not open within {self._timeout_s:g} s")
+        if not self._await(lambda: self._opened is not None, self._timeout_s):
+            raise self._error(f"did not open within {self._timeout_s:g} s")
         if not self._opened:
-            raise self._lost(
+            raise self._error(
                 "cannot be opened; is it plugged in, switched on, allowed and not in use elsewhere?"
             )
 
-    def _await(self, arrived: Callable[[], bool]) -> bool:
+    def _await(self, arrived: Callable[[], bool], longest_s: float) -> bool:
         """Wait until `arrived` or closed; False when the time is up or the reader has failed."""
         with self._changed:
             self._changed.wait_for(
-                lambda: arrived() or self._closed or self._failure is not None, self._timeout_s
+                lambda: arrived() or self._closed or self._failure is not None, max(longest_s, 0.0)
             )
             return arrived() or self._closed
 
-    def _lost(self, what: str) -> CaptureError:
+    def _error(self, what: str) -> CaptureError:
         if self._failure is not None:
             what = " ".join(str(self._failure).split()) or repr(self._failure)
         error = CaptureError(f"{self.name}: {what}")
         error.__cause__ = self._failure
         return error
 
-    def _run(self, connect: Callable[[str | int, float], Device], source: str | int) -> None:
-        """Open, read until told to stop, release: the whole life of the reader's thread."""
-        try:
-            device = connect(source, self._timeout_s)
+    def _run(self, source: str | int) -> None:
+        """Open and read, again and again until told to stop: the life of the reader's thread."""
+        pause_s = 0.0
+        while not self._pause(pause_s):
+            grabbed = self._frames_grabbed
             try:
-                opened = device.isOpened()
-                with self._changed:
-                    self._opened = opened
-                    self._changed.notify_all()
-                if opened:
-                    self._read(device)
-            finally:
-                device.release()
-        except Exception as error:
-            # A driver may raise anything; it belongs to whoever waits for the frame.
+                self._open_and_read(source)
+            except Exception as error:
+                # A driver may raise anything; at the start it belongs to whoever waits for a frame.
+                if not self._frames_grabbed:
+                    self._fail(error)
+            if not self._frames_grabbed:
+                return
+            has_sent = self._frames_grabbed > grabbed
+            pause_s = _FIRST_PAUSE_S if has_sent else min(2 * pause_s, _LONGEST_PAUSE_S)
+
+    def _pause(self, longest_s: float) -> bool:
+        """Wait, and tell whether the source has been closed."""
+        with self._changed:
+            return self._changed.wait_for(lambda: self._closed, longest_s)
+
+    def _fail(self, error: Exception) -> None:
+        with self._changed:
+            self._failure = error
+            self._changed.notify_all()
+
+    def _open_and_read(self, source: str | int) -> None:
+        device = self._connect(source, self._timeout_s)
+        try:
+            opened = device.isOpened()
             with self._changed:
-                self._failure = error
+                self._opened = opened
                 self._changed.notify_all()
+            if opened:
+                self._read(device)
+        finally:
+            device.release()
 
     def _read(self, device: Device) -> None:
+        """Grab frames until closed, or until none has come for as long as makes a source lost."""
+        started_s = time.monotonic()
         while not self._closed:
             grabbed = device.grab()
             time_ns = self._clock()
             ok, image = device.retrieve() if grabbed else (False, None)
             if not ok:
+                silent_s = min(self.silent_s, time.monotonic() - started_s)
+                if self._frames_grabbed and silent_s > self._timeout_s:
+                    return
                 time.sleep(_RETRY_S)
                 continue
             image = np.ascontiguousarray(image, dtype=np.uint8)
@@ -211,4 +339,5 @@ class LiveSource(Source):
                 if not self._closed:
                     self._newest = frame
                 self._frames_grabbed += 1
+                self._silent_since = time.monotonic()
                 self._changed.notify_all()

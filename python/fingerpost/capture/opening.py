@@ -11,12 +11,20 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
-from fingerpost.capture.images import ImageSequence, natural_order
-from fingerpost.capture.live import LiveSource, masked
+from fingerpost.capture.images import (
+    ImageSequence,
+    JpegFilm,
+    PictureStack,
+    is_motion_jpeg,
+    natural_order,
+    picture_count,
+)
+from fingerpost.capture.live import LiveSource
+from fingerpost.capture.remote import Remote, RemoteFilm, is_url, look_up, masked
 from fingerpost.capture.source import Source
 from fingerpost.capture.video import VideoFile
 from fingerpost.checks import opencv_path
-from fingerpost.errors import CaptureError, InvalidInputError
+from fingerpost.errors import CaptureError, InvalidInputError, SourceError
 
 DEFAULT_FPS = 25.0
 """Frame rate of recordings that state none: still images, and videos without times."""
@@ -40,10 +48,10 @@ def open_source(
     Parameters
     ----------
     source
-        A video file, one still image (shown `STILL_FRAMES` times), a glob of still images
-        (`left/*.png`, taken in natural order: 2 before 10), a camera number, a camera device
-        (`/dev/video0`), or a URL (`http://`, `https://`, `rtsp://`, ...), which is always taken as
-        live.
+        A video file, an animation or a TIFF of many pages, one still image (shown `STILL_FRAMES`
+        times), a glob of still images (`left/*.png`, taken in natural order: 2 before 10), a
+        camera number, a camera device (`/dev/video0`) or a named pipe, or a URL (`http://`,
+        `https://`, `rtsp://`, ...): live, unless a web server says that it is a film.
     fps
         Frames per second of still images and of videos whose file states no rate, > 0.
     timeout_s
@@ -58,12 +66,19 @@ def open_source(
 
     Raises
     ------
-    CaptureError
+    SourceError
         The source does not exist, cannot be opened, or holds no frame.
     InvalidInputError
         An argument is not of the kind described above, or a file that OpenCV has to open by its
         name has one that is not UTF-8, or that this locale cannot write.
     """
+    try:
+        return _opened(source, fps, timeout_s, clock)
+    except CaptureError as error:
+        raise SourceError(str(error)) from error
+
+
+def _opened(source: str | int, fps: float, timeout_s: float, clock: Callable[[], int]) -> Source:
     for name, value in (("fps", fps), ("timeout_s", timeout_s)):
         if not (math.isfinite(value) and value > 0):
             raise InvalidInputError(f"{name} = {value}: must be a finite number above 0")
@@ -75,9 +90,11 @@ def open_source(
         raise InvalidInputError(
             f"source {source!r}: must name a file, a glob, a camera number or a URL"
         )
-    if _is_url(source):
+    if is_url(source):
         if source.startswith("file:"):
             raise InvalidInputError(f"{source}: give the file's path instead of a file: URL")
+        if look_up(source, timeout_s) is Remote.FILM:
+            return RemoteFilm(source, fps=fps, timeout_s=timeout_s)
         return LiveSource(source, timeout_s=timeout_s, clock=clock)
 
     try:
@@ -89,13 +106,15 @@ def open_source(
         ) from error
     path = Path(source)
     try:
-        if path.is_char_device():
+        if path.is_char_device() or path.is_fifo():
             return LiveSource(source, timeout_s=timeout_s, clock=clock)
         if path.is_dir():
             example = path / "*.png"
             raise CaptureError(f"{path}: is a folder; name the images in it, as in {example}")
-        if path.exists():
+        if path.is_file():
             return _open_file(path, fps)
+        if path.exists():
+            raise CaptureError(f"{path}: is no film, image, camera or pipe that can be read")
     except CaptureError:
         raise
     except OSError as error:
@@ -115,7 +134,11 @@ def _open_file(path: Path, fps: float) -> Source:
     with path.open("rb") as file:
         if not file.read(1):
             raise CaptureError(f"{path}: the file is empty; a video or an image is needed")
+    if is_motion_jpeg(path):
+        return JpegFilm(path, fps=fps)
     if cv2.haveImageReader(opencv_path(path, "source")):
+        if (count := picture_count(path)) > 1:
+            return PictureStack(path, count, fps=fps)
         return ImageSequence([path] * STILL_FRAMES, fps=fps, name=str(path))
     return VideoFile(path, fps=fps)
 
@@ -130,7 +153,7 @@ def source_files(source: str | int) -> list[Path]:
 
     A single name is returned whether there is such a file or not.
     """
-    if isinstance(source, int) or _is_url(source):
+    if isinstance(source, int) or is_url(source):
         return []
     # Path.exists would raise where a name is too long to exist.
     if glob.has_magic(source) and not os.path.exists(source):  # noqa: PTH110
@@ -204,7 +227,7 @@ def _what_is_read(source: str | int) -> list[str | int]:
 
     What does not exist is refused by whoever opens it.
     """
-    if isinstance(source, str) and _is_url(source):
+    if isinstance(source, str) and is_url(source):
         return [source]
     is_camera = isinstance(source, int)
     files = [Path(_CAMERA_FILE.format(source))] if is_camera else source_files(source)
@@ -213,16 +236,12 @@ def _what_is_read(source: str | int) -> list[str | int]:
     return [source] if is_camera and not existing else [*existing]
 
 
-def _is_url(source: str) -> bool:
-    return "://" in source
-
-
 def resolve_source(source: str | int, directory: Path) -> str | int:
     """Return a rig file's source as `open_source` takes it: relative to the rig's directory.
 
     Camera numbers, URLs and absolute paths stay as they are.
     """
-    if isinstance(source, int) or _is_url(source):
+    if isinstance(source, int) or is_url(source):
         return source
     path = directory / source
     # Path.exists would raise where a name is too long to exist.
@@ -236,7 +255,7 @@ def source_relative_to(source: str | int, directory: Path) -> str | int:
 
     A source elsewhere becomes an absolute path, so that it is found from anywhere.
     """
-    if isinstance(source, int) or _is_url(source):
+    if isinstance(source, int) or is_url(source):
         return source
     path = Path(os.path.abspath(source))  # noqa: PTH100 - resolve() would follow links
     for base in (str(directory), glob.escape(str(directory))):

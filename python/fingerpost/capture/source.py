@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import enum
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import TracebackType
 from typing import Self
 
@@ -63,6 +64,29 @@ class Frame:
         return self.image if self._has_colours else None
 
 
+@dataclass(frozen=True, slots=True)
+class Loss:
+    """What a view has in place of a frame: there is no picture of that time, or a damaged one.
+
+    Attributes
+    ----------
+    index, time_s
+        As a `Frame`'s.
+    why
+        What is wrong, for people: "its picture is damaged".
+    """
+
+    index: int
+    time_s: float
+    why: str
+
+
+DAMAGED = "its picture is damaged"
+"""What is said of a picture that its decoder has mended by guess."""
+
+UNDECODABLE = "its picture cannot be decoded"
+"""What is said of a picture that its decoder makes nothing of."""
+
 SAME_GREY = 3
 """A grey picture's channels differ by no more than this once a video has been decoded [levels]."""
 
@@ -80,6 +104,27 @@ def _is_coloured(image: NDArray[np.uint8]) -> bool:
     return False
 
 
+_FILLED_SHARE = 8
+# YCbCr of mid grey, with which JPEG decoders fill, and of all zeros, as a failed decoder leaves it.
+_FILLINGS = ((128, 128, 128), (0, 135, 0))
+_FILLING_ROUNDING = 1
+
+
+def ends_filled(image: NDArray[np.uint8]) -> bool:
+    """Tell whether the lowest eighth of a picture, or more, is what decoders fill in for pictures.
+
+    No camera shows one level over thousands of pixels, but a drawing may: what a source has shown
+    from its first frame on proves nothing.
+    """
+    corner = np.broadcast_to(image[-1, -1], 3).tolist()
+    for filling in _FILLINGS:
+        # One pixel is enough for nearly every picture.
+        if max(abs(a - b) for a, b in zip(corner, filling, strict=True)) <= _FILLING_ROUNDING:
+            lowest = image[-max(1, image.shape[0] // _FILLED_SHARE) :]
+            return int(np.ptp(lowest, axis=(0, 1)).max()) <= _FILLING_ROUNDING
+    return False
+
+
 class SourceKind(enum.Enum):
     """Who sets the pace: the consumer, or the world."""
 
@@ -90,12 +135,13 @@ class SourceKind(enum.Enum):
 class Source(ABC):
     """A stream of frames of one size: close it, or use it as a context manager.
 
-    Iterating goes on where the last iteration stopped; there is no way back.
+    Iterating goes on where the last iteration stopped; there is no way back. Where a picture cannot
+    be believed, a `Loss` stands in its place.
 
     Attributes
     ----------
     name
-        What the source is called in messages; passwords in URLs are masked.
+        What the source is called in messages; passwords and tokens in URLs are masked.
     kind
         Recorded or live.
     frame_count
@@ -103,6 +149,8 @@ class Source(ABC):
         for a video it is the claim of the file's header, fit for a progress bar and no more.
     offset_s
         Added to the times of all frames [s].
+    losses
+        How many pictures so far were lost.
     """
 
     kind: SourceKind
@@ -112,7 +160,25 @@ class Source(ABC):
 
     def __init__(self, name: str) -> None:
         self.name = name
+        self.losses = 0
+        self._sound = 0
+        self._detail = ""  # of the first loss: what its decoder says, or which file it is
         self._shape: tuple[int, ...] | None = None
+        self._filled = False
+
+    @property
+    def damage(self) -> str:
+        """How many pictures are damaged, for people; empty if none is."""
+        if not self.losses:
+            return ""
+        of = self.losses + self._sound
+        detail = f" ({self._detail})" if self._detail else ""
+        return f"{self.losses} of {of} pictures are damaged{detail}"
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What else is to be said of the source in the end, for people."""
+        return ()
 
     def __enter__(self) -> Self:
         return self
@@ -125,18 +191,45 @@ class Source(ABC):
     ) -> None:
         self.close()
 
-    def __iter__(self) -> Iterator[Frame]:
+    def __iter__(self) -> Iterator[Frame | Loss]:
         return self
 
-    def __next__(self) -> Frame:
-        """Return the next (recorded) or the newest (live) frame.
+    def __next__(self) -> Frame | Loss:
+        """Return the next (recorded) or the newest (live) frame, or what is there in its place.
 
         Raises
         ------
         CaptureError
-            The frame cannot be read, or its size differs from the first one's.
+            The size of a frame differs from the first one's, the source fails, or a recording has
+            ended without a single picture that is sound.
         """
-        frame = self._next_frame()
+        try:
+            seen = self._next_frame()
+        except StopIteration:
+            self.refuse_unsound()
+            raise
+        if isinstance(seen, Frame):
+            self._refuse_other_size(seen)
+            if self._has_been_filled(seen.image):
+                seen = Loss(seen.index, seen.time_s, DAMAGED)
+        if isinstance(seen, Frame):
+            self._sound += 1
+        else:
+            self._count()
+        return replace(seen, time_s=seen.time_s + self.offset_s) if self.offset_s else seen
+
+    def refuse_unsound(self) -> None:
+        """Refuse a source of which every picture so far was lost.
+
+        Raises
+        ------
+        CaptureError
+            There were pictures, and none of them was sound.
+        """
+        if self.losses and not self._sound:
+            raise CaptureError(f"{self.name}: no picture is sound: {self.damage}")
+
+    def _refuse_other_size(self, frame: Frame) -> None:
         shape = frame.image.shape[:2]
         if self._shape is None:
             self._shape = shape
@@ -146,22 +239,32 @@ class Source(ABC):
                 f"the first frame has {self._shape[1]} x {self._shape[0]}; "
                 "all frames of a view must have one size"
             )
-        if self.offset_s:
-            return Frame(frame.index, frame.time_s + self.offset_s, frame.image)
-        return frame
 
-    def wait(self) -> None:  # noqa: B027 - nothing to wait for is the usual case
-        """Return when the next frame can be had at once; a recorded source is always ready.
+    def _has_been_filled(self, image: NDArray[np.uint8]) -> bool:
+        """Tell whether a picture ends in what decoders fill in, where sound ones do not."""
+        filled = ends_filled(image)
+        if filled and self._sound and not self._filled:
+            return True
+        self._filled = filled
+        return False
 
-        Raises
-        ------
-        CaptureError
-            A live source sent nothing new within its time limit: the camera is lost.
-        """
+    def _count(self) -> None:
+        self.losses += 1
+
+    @property
+    def silent_s(self) -> float:
+        """How long a live source has sent nothing; a recorded one is never silent."""
+        return 0.0
+
+    def wait(self, at_most_s: float = math.inf) -> None:  # noqa: B027 - nothing to wait for is usual
+        """Return when the next frame, or a loss, can be had at once; recorded ones always can."""
+
+    def linger(self, longest_s: float) -> None:  # noqa: B027 - as above
+        """Wait so long at most for a live source that is lost."""
 
     @abstractmethod
-    def _next_frame(self) -> Frame:
-        """Deliver a frame, whatever its size; raise StopIteration at the end."""
+    def _next_frame(self) -> Frame | Loss:
+        """Deliver a frame, whatever its size, or a loss; raise StopIteration at the end."""
 
     def _place(self, index: int) -> str:
         """Say where a frame was found."""

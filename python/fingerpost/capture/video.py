@@ -1,14 +1,18 @@
 """A video file as a recorded source.
 
-Every frame comes in order with the presentation time stored in the file (`CAP_PROP_POS_MSEC`,
+Every picture comes in order with the presentation time stored in the file (`CAP_PROP_POS_MSEC`,
 which OpenCV's FFmpeg backend fills per frame, also at a variable rate). A stretch that cannot be
 decoded is stepped over and reported through `logging`; OpenCV alone would end the video there.
 A video stored rotated is turned as its header says, as every player shows it.
 
+A decoder mends what is damaged by guess, and every picture that is predicted from a mended one is
+wrong as well. So after a complaint of the decoder (`messages`) all pictures are lost until the next
+that is coded by itself and came without one (`Chain`). The decoder works in one thread, so that it
+complains before it hands over what it complains of.
+
 What OpenCV does not tell, nobody behind it can know:
 
-- Where single bytes are wrong, the decoder mends the picture by guess from what is around it or
-  before it, and says nothing. Such frames are believed.
+- Where single bytes are wrong and what they make is a picture all the same, no decoder says so.
 - AVI stores no times: a frame's time is its place in the count. Where damage hides frames from the
   reader, all later ones are dated too early by as many intervals, and no frame shows it. That some
   are missing is seen at the end alone, and reported there. MP4 and Matroska date every frame.
@@ -19,11 +23,14 @@ from __future__ import annotations
 
 import logging
 import math
+import shlex
 from pathlib import Path
 
 import numpy as np
 
-from fingerpost.capture.source import Frame, Source, SourceKind
+from fingerpost.capture.container import is_avi, is_cut_off, states_frame_count
+from fingerpost.capture.messages import Listener
+from fingerpost.capture.source import DAMAGED, UNDECODABLE, Frame, Loss, Source, SourceKind
 from fingerpost.checks import opencv_path
 from fingerpost.errors import CaptureError
 
@@ -41,6 +48,7 @@ _TIME_ROUNDING_S = 2e-3
 # run on a little longer. Frames that are dated by their count are counted.
 _SHORT_INTERVALS = 2.0
 _SHORT_INTERVALS_IF_COUNTED = 0.5
+_INTERLACED = "interlaced"
 
 
 class FrameTimes:
@@ -108,16 +116,66 @@ class FrameTimes:
         return self._last
 
 
+class Chain:
+    """Which pictures of a video are sound: those that no damaged one had a part in.
+
+    Pictures come out of a decoder later than they went in where some are predicted from later ones
+    (B): as many steps as such pictures follow each other, and one more. A complaint is of any that
+    went in up to then.
+    """
+
+    def __init__(self) -> None:
+        self._is_broken = False
+        self._step = 0
+        self._complained = 0
+        self._run = self._longest_run = 0
+
+    def take(self, kind: str, *, complained: bool) -> bool:
+        """Tell whether a picture is sound.
+
+        Parameters
+        ----------
+        kind
+            "I" for one that is coded by itself; "P", "B" and others are predicted.
+        complained
+            Whether the decoder has complained since the last picture.
+        """
+        self._step += 1
+        self._run = self._run + 1 if kind == "B" else 0
+        self._longest_run = max(self._longest_run, self._run)
+        if complained:
+            self._is_broken, self._complained = True, self._step
+        delay = self._longest_run + 1 if self._longest_run else 0
+        if self._is_broken and kind == "I" and self._step - self._complained > delay:
+            self._is_broken = False
+        return not self._is_broken
+
+
 class VideoFile(Source):
-    """The frames of a video file; `fps` serves where the file states no believable rate."""
+    """The frames of a video file.
+
+    Parameters
+    ----------
+    path
+        The file.
+    fps
+        Serves where the file states no believable rate.
+    name
+        What messages call it; by default the path.
+    """
 
     kind = SourceKind.RECORDED
 
-    def __init__(self, path: Path, *, fps: float) -> None:
-        super().__init__(str(path))
+    def __init__(self, path: Path, *, fps: float, name: str = "") -> None:
+        super().__init__(name or str(path))
         import cv2
 
-        self._capture = cv2.VideoCapture(opencv_path(path, "source"))
+        self._path = path
+        self._listener = Listener()
+        with self._listener:
+            self._capture = cv2.VideoCapture(
+                opencv_path(path, "source"), cv2.CAP_FFMPEG, [cv2.CAP_PROP_N_THREADS, 1]
+            )
         self._capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, 1)
         stated_fps = self._capture.get(cv2.CAP_PROP_FPS)
         if _PLAUSIBLE_FPS[0] <= stated_fps <= _PLAUSIBLE_FPS[1]:
@@ -126,45 +184,96 @@ class VideoFile(Source):
         self.frame_count = int(count) if 0 < count < _MAX_BELIEVED_COUNT else None
         self._interval_s = 1 / fps
         self._times = FrameTimes(self._interval_s, self.name)
+        self._chain = Chain()
         self._end_s = 0.0
         self._end_index = 0
-        self._dates_by_count = _is_avi(path)
         self._first = self._read()
-        if self._first is None:
+        if self._first is None or self._conversion:
+            wrong = self._why_nothing()
             self.close()
-            raise CaptureError(
-                f"{path}: no frame can be read; a video or an image that OpenCV decodes is needed"
-            )
+            raise CaptureError(wrong)
 
-    def _next_frame(self) -> Frame:
-        frame, self._first = self._first or self._read(), None
-        if frame is None:
+    def _why_nothing(self) -> str:
+        """Say why no picture can be read, and what would help."""
+        import cv2
+
+        codec = _codec(int(self._capture.get(cv2.CAP_PROP_FOURCC)))
+        with self._listener:
+            packets = cv2.VideoCapture(
+                opencv_path(self._path, "source"), cv2.CAP_FFMPEG, [cv2.CAP_PROP_FORMAT, -1]
+            )
+            has_pictures = packets.grab()
+        if not codec or not has_pictures:
+            return (
+                f"{self.name}: no frame can be read; a video or an image that OpenCV decodes is "
+                "needed"
+            )
+        source = shlex.quote(self.name)
+        target = shlex.quote(f"{Path(self.name).stem}-h264.mp4")
+        to_h264 = f"-c:v libx264 -crf 14 {target}"
+        if _INTERLACED in self._conversion:
+            return (
+                f"{self.name}: {codec} video that is interlaced, which this OpenCV cannot read; "
+                f"deinterlace it: ffmpeg -i {source} -vf yadif {to_h264}"
+            )
+        return (
+            f"{self.name}: {codec} video, which this OpenCV cannot decode; "
+            f"convert it: ffmpeg -i {source} {to_h264}"
+        )
+
+    def _next_frame(self) -> Frame | Loss:
+        seen, self._first = self._first or self._read(), None
+        if seen is None:
             if self._capture.isOpened():
                 self._report_early_end()
             self.close()
             raise StopIteration
-        return frame
+        return seen
 
-    def _read(self) -> Frame | None:
-        """Decode the next readable frame, stepping over damage; None at the end."""
+    def _read(self) -> Frame | Loss | None:
+        """Decode the next picture, stepping over damage; None at the end."""
         import cv2
 
+        complaint = self._conversion = ""
         promised = (self.frame_count or 0) - self._end_index
         for failed in range(min(max(promised, 0), _MAX_FAILED_GRABS) + 1):
-            if not self._capture.grab():
+            with self._listener:
+                grabbed = self._capture.grab()
+            complaint = complaint or self._listener.complaint
+            if not grabbed:
                 continue
-            ok, image = self._capture.retrieve()
+            with self._listener:
+                ok, image = self._capture.retrieve()
+            self._conversion = self._listener.complaint
             if ok:
                 container_s = self._capture.get(cv2.CAP_PROP_POS_MSEC) / 1000
                 index, time_s = self._times.place(container_s, failed)
                 self._end_index, self._end_s = index + 1, time_s + self._interval_s
+                kind = chr(int(self._capture.get(cv2.CAP_PROP_FRAME_TYPE)))
+                is_sound = self._chain.take(kind, complained=bool(complaint) or failed > 0)
+                self._detail = self._detail or complaint or self._conversion
+                if self._conversion:
+                    return Loss(index, time_s, UNDECODABLE)
+                if not is_sound:
+                    return Loss(index, time_s, DAMAGED)
                 return Frame(index, time_s, np.ascontiguousarray(image, dtype=np.uint8))
         return None
 
     def _report_early_end(self) -> None:
-        """Warn if the recording is shorter than its header says; a variable rate proves nothing."""
+        """Warn of a file that has lost its end, as far as its container tells."""
+        if is_cut_off(self._path):
+            _log.warning(
+                "%s: ends at %.3f s: the file is shorter than it says: cut off",
+                self.name,
+                self._end_s,
+            )
+            return
+        if not states_frame_count(self._path):
+            return
+        dates_by_count = is_avi(self._path)
         short_s = (self.frame_count or 0) * self._interval_s - self._end_s
-        slack = _SHORT_INTERVALS_IF_COUNTED if self._dates_by_count else _SHORT_INTERVALS
+        slack = _SHORT_INTERVALS_IF_COUNTED if dates_by_count else _SHORT_INTERVALS
+        # A variable rate proves nothing.
         if not self._times.constant_rate or short_s <= slack * self._interval_s:
             return
         _log.warning(
@@ -173,7 +282,7 @@ class VideoFile(Source):
             self._end_s,
             self._end_s + short_s,
             f"; as AVI stores no times, frames behind damage are dated up to {short_s:.3f} s early"
-            if self._dates_by_count
+            if dates_by_count
             else "",
         )
 
@@ -183,7 +292,29 @@ class VideoFile(Source):
         self._capture.release()
 
 
-def _is_avi(path: Path) -> bool:
-    with path.open("rb") as file:
-        head = file.read(12)
-    return head[:4] == b"RIFF" and head[8:] == b"AVI "
+# How files name codecs for which people know another name.
+_CODEC_NAMES = {
+    "av01": "AV1",
+    "avc1": "H.264",
+    "h264": "H.264",
+    "hev1": "H.265",
+    "hvc1": "H.265",
+    "hevc": "H.265",
+    "vp09": "VP9",
+    "vp90": "VP9",
+    "apch": "ProRes",
+    "apcn": "ProRes",
+    "apcs": "ProRes",
+    "apco": "ProRes",
+    "ap4h": "ProRes",
+    "aprn": "ProRes RAW",
+    "aprh": "ProRes RAW",
+}
+
+
+def _codec(fourcc: int) -> str:
+    """Return the name of a codec; empty if there is none."""
+    if fourcc in (-1, 0):
+        return ""
+    name = fourcc.to_bytes(4, "little", signed=fourcc < 0).decode("latin-1").strip("\0 ")
+    return _CODEC_NAMES.get(name.lower(), name if name.isprintable() else hex(fourcc))

@@ -5,13 +5,21 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterator, Sequence
 
-from fingerpost.capture.source import Frame, Source, SourceKind
-from fingerpost.errors import InvalidInputError
+from fingerpost.capture.source import Frame, Loss, Source, SourceKind
+from fingerpost.checks import in_range
+from fingerpost.errors import CaptureError, InvalidInputError
 
 _log = logging.getLogger(__name__)
 
+_GIVE_UP_AFTER_S = (1e-3, 1e9)
 
-def read_views(sources: Sequence[Source]) -> Iterator[tuple[Frame | None, ...]]:
+_ALL_LOST_STEP_S = 0.5
+"""Time between steps while no view sends anything: what waits for steps goes on to be called."""
+
+
+def read_views(
+    sources: Sequence[Source], *, give_up_after_s: float | None = None
+) -> Iterator[tuple[Frame | Loss | None, ...]]:
     """Step through several views together.
 
     Each frame keeps its own capture time: frames of one step belong together but were not taken
@@ -21,22 +29,25 @@ def read_views(sources: Sequence[Source]) -> Iterator[tuple[Frame | None, ...]]:
     ----------
     sources
         One open source per view, all recorded or all live. They stay the caller's to close.
+    give_up_after_s
+        How long a live view may send nothing before that is an error, above 0; None waits for
+        ever for it to come back.
 
     Yields
     ------
-    tuple of Frame or None
+    tuple of Frame, Loss or None
         One entry per source, in their order. Recorded views advance by their times and end with
         the shortest; an entry is None where a view has no frame of about that time, as it was
-        recorded at a lower rate or its frame cannot be read. Live views wait until every view has
-        a new frame and then give the newest of each.
+        recorded at a lower rate. Live views wait until every view has a new frame, or is lost, and
+        then give the newest of each.
 
     Raises
     ------
     CaptureError
-        A source fails while it is read.
+        A source fails while it is read, or is given up.
     InvalidInputError
-        There is no source, or recorded and live ones are mixed: their times have nothing in
-        common.
+        `give_up_after_s` is out of range, there is no source, or recorded and live ones are mixed:
+        their times have nothing in common.
     """
     if not sources:
         raise InvalidInputError("no source: at least one view is needed")
@@ -44,10 +55,14 @@ def read_views(sources: Sequence[Source]) -> Iterator[tuple[Frame | None, ...]]:
     if len(kinds) > 1:
         names = ", ".join(f"{source.name} ({source.kind.value})" for source in sources)
         raise InvalidInputError(f"views must be all recorded or all live, not {names}")
-    return _newest_together(sources) if kinds == {SourceKind.LIVE} else _in_step(sources)
+    if give_up_after_s is not None:
+        in_range(give_up_after_s, "give_up_after_s", *_GIVE_UP_AFTER_S)
+    if kinds == {SourceKind.LIVE}:
+        return _newest_together(sources, give_up_after_s)
+    return _in_step(sources)
 
 
-def _in_step(sources: Sequence[Source]) -> Iterator[tuple[Frame | None, ...]]:
+def _in_step(sources: Sequence[Source]) -> Iterator[tuple[Frame | Loss | None, ...]]:
     frames = [next(source, None) for source in sources]
     # Before any second frame only equal times are known to belong together.
     steps_s = [0.0] * len(sources)
@@ -66,11 +81,28 @@ def _in_step(sources: Sequence[Source]) -> Iterator[tuple[Frame | None, ...]]:
         _log.warning("%s ended before the other views; their rest is not read", ended.name)
 
 
-def _newest_together(sources: Sequence[Source]) -> Iterator[tuple[Frame | None, ...]]:
+def _newest_together(
+    sources: Sequence[Source], give_up_after_s: float | None
+) -> Iterator[tuple[Frame | Loss | None, ...]]:
     while True:
         for source in sources:
-            source.wait()
-        frames = tuple(next(source, None) for source in sources)
-        if None in frames:
+            _wait(source, give_up_after_s)
+        seen = tuple(next(source, None) for source in sources)
+        if None in seen:
             return
-        yield frames
+        yield seen
+        if all(isinstance(entry, Loss) for entry in seen):
+            sources[0].linger(_ALL_LOST_STEP_S)
+
+
+def _wait(source: Source, give_up_after_s: float | None) -> None:
+    """Wait for a view's frame, or that it is lost, as long as it may be waited for."""
+    if give_up_after_s is None:
+        source.wait()
+        return
+    source.wait(give_up_after_s - source.silent_s)
+    if source.silent_s >= give_up_after_s:
+        raise CaptureError(
+            f"{source.name}: no picture for {source.silent_s:.0f} s: given up after "
+            f"{give_up_after_s:g} s, as was wished"
+        )

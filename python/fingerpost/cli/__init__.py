@@ -80,8 +80,7 @@ def _stop(message: str, code: int) -> NoReturn:
 @click.option("-v", "--verbose", is_flag=True, help="Say more on stderr.")
 def main(verbose: bool) -> None:
     """Point at a table and a program knows where, and how sure that is."""
-    # A damaged file is reported in one line of ours; what its decoders say of it helps nobody.
-    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
+    # A damaged file is reported in one line of ours; what OpenCV says of it helps nobody.
     os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
     logging.basicConfig(
         level=logging.DEBUG if verbose else logging.WARNING, format="%(levelname)s: %(message)s"

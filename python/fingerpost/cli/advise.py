@@ -99,13 +99,13 @@ def _options(device: str, settings: dict[str, Any]) -> AdviceOptions:
 
 def _sizes(rig: Rig) -> list[tuple[int, int]]:
     """Sizes of the views' images, from the first frame of each."""
-    from fingerpost.capture import open_source
+    from fingerpost.capture import Frame, open_source
     from fingerpost.errors import InvalidInputError
 
     sizes = []
     for view in rig.views:
         with open_source(view.source) as source:
-            frame = next(source, None)
+            frame = next((seen for seen in source if isinstance(seen, Frame)), None)
         if frame is None:
             raise InvalidInputError(
                 f'view "{view.name}": {view.source} holds no frame; name one, or give --size'

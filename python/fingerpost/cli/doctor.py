@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from fingerpost.cli.live_views import hush_streams
 from fingerpost.cli.progress import watched
 from fingerpost.installation import Installation, examine_installation, need_opencv
 from fingerpost.signals import ending_at_once
@@ -62,11 +63,20 @@ def _examined(rig_file: Path, frames: int | None) -> Diagnosis:
     count = DEFAULT_FRAMES if frames is None else frames
     seen: list[list[Frame]] = [[] for _ in rig.views]
     sizes_px = [(0, 0) for _ in rig.views]
+    hush_streams(rig.sources)
     with ExitStack() as stack:
         sources = stack.enter_context(open_views(rig.sources, rig.offsets_s))
         for together in watched(look(sources, count), count, "looking"):
             for k, frame in enumerate(together):
-                if frame is not None:
+                if isinstance(frame, Frame):
                     sizes_px[k] = (frame.image.shape[1], frame.image.shape[0])
                     seen[k].append(reduced(frame))
-    return examine(rig, seen, sizes_px)
+        for source in sources:
+            source.refuse_unsound()
+        damage = [source.damage for source in sources]
+        notes = [
+            f"{view}: {note}"
+            for view, source in zip(rig.sources, sources, strict=True)
+            for note in source.notes
+        ]
+    return examine(rig, seen, sizes_px, damage=damage, notes=notes)

@@ -26,11 +26,12 @@ from fingerpost.cli.arming import (
     tell,
 )
 from fingerpost.cli.endings import ending_orderly
+from fingerpost.cli.live_views import give_up_option, hush_streams
 from fingerpost.cli.outputs import keep_apart, rig_files
 from fingerpost.errors import CaptureError
 
 if TYPE_CHECKING:
-    from fingerpost.capture import Frame
+    from fingerpost.capture import Frame, Loss
     from fingerpost.guidance import Attendance, Session
     from fingerpost.pointing import Fix
     from fingerpost.robot import (
@@ -84,6 +85,7 @@ def _guiding_options(command: Command) -> Command:
                 help="What shows the operator is there: a key held down, or his tracked hand.",
             ),
             click.option("--max-frames", metavar="N", type=click.IntRange(1, MOST_FRAMES)),
+            give_up_option,
             click.option("--json", "as_json", is_flag=True, help="Print JSON lines."),
             arming_options,
         ]
@@ -190,8 +192,11 @@ def _guide(given: Mapping[str, Any], carry: PickPlaceOptions | None) -> None:
     with ExitStack() as stack:
         on_record = open_log(stack, given["log"])
         stack.enter_context(ending_orderly())
+        hush_streams(rig.sources)
         sources = stack.enter_context(open_views(rig.sources, rig.offsets_s))
-        frames: Iterator[Sequence[Frame | None]] = read_views(sources)
+        give_up_after_s = given["give_up_after_s"]
+        frames: Iterator[Sequence[Frame | Loss | None]]
+        frames = read_views(sources, give_up_after_s=give_up_after_s)
         stack.enter_context(robot)
         guard.check_limits()
         if carry is not None:

@@ -22,6 +22,7 @@ from fingerpost.cli.arming import (
     tell,
 )
 from fingerpost.cli.endings import ending_orderly
+from fingerpost.cli.live_views import give_up_option, hush_streams
 from fingerpost.cli.outputs import keep_apart, rig_files
 from fingerpost.errors import CaptureError, InvalidInputError
 
@@ -111,6 +112,7 @@ def _corners(
 @click.option("--lift", "lift_m", type=float, help="Height of the way between places, m.")
 @click.option("--speed", "speed_m_s", type=float, help="Of the gripper, m/s.")
 @click.option("--max-sigma", "max_sigma_m", type=float, help="Uncertainty that will do, m.")
+@give_up_option
 @click.option("--keep-pose", is_flag=True, help="Hold the gripper as after homing, not down.")
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 @arming_options
@@ -121,6 +123,7 @@ def plane(
     z_m: tuple[float, float],
     height_m: float,
     output: Path,
+    give_up_after_s: float | None,
     keep_pose: bool,
     as_json: bool,
     arm: bool,
@@ -135,7 +138,7 @@ def plane(
     in every view of RIG.TOML, which needs no [plane]. The new rig has the robot's own X and Y in
     metres as its plane. Run it again with another height for another plane.
     """
-    from fingerpost.capture import SourceKind, open_views, read_views
+    from fingerpost.capture import Loss, SourceKind, open_views, read_views
     from fingerpost.config import Rig, RobotTable
     from fingerpost.guidance import (
         PlaneOptions,
@@ -166,17 +169,18 @@ def plane(
         need_consent(arm, "robot plane")
         on_record = open_log(stack, log)
         stack.enter_context(ending_orderly())
+        hush_streams(cameras.sources)
         sources = stack.enter_context(open_views(cameras.sources, cameras.offsets_s))
         for source in sources:
             if source.kind is not SourceKind.LIVE:
                 raise InvalidInputError(f"{source.name} is a recording; live views are needed")
-        stream = read_views(sources)
+        stream = read_views(sources, give_up_after_s=give_up_after_s)
 
         def frames() -> Sequence[Frame | None]:
             together = next(stream, None)
             if together is None:
                 raise CaptureError("the views ended")
-            return together
+            return [None if isinstance(seen, Loss) else seen for seen in together]
 
         stack.enter_context(robot)
         guard.check_limits(speed_m_s=options.speed_m_s)

@@ -16,9 +16,10 @@ import click
 
 from fingerpost.cli.endings import ending_as_interrupted
 from fingerpost.cli.live_status import LiveStatus
+from fingerpost.cli.live_views import give_up_option, hush_streams
 from fingerpost.cli.outputs import keep_apart, rig_files
 from fingerpost.cli.progress import StatusLine, status_line, watched
-from fingerpost.cli.run_summary import RunSummary
+from fingerpost.cli.run_summary import RunSummary, source_notes
 from fingerpost.installation import need_opencv
 from fingerpost.signals import ending_at_once
 
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from fingerpost.capture import Source
     from fingerpost.config import Rig
     from fingerpost.pipeline import Pointer, Step
     from fingerpost.recording import TableWriter, TrackRow
@@ -42,6 +44,7 @@ _OUT = click.Path(path_type=Path)
 @click.option("--tracks", metavar="T.CSV", type=_OUT, help="Write the finger lines of every view.")
 @click.option("--overlay", metavar="O.MP4", type=_OUT, help="Write a video that shows both.")
 @click.option("--max-frames", metavar="N", type=click.IntRange(min=1), help="Stop after N frames.")
+@give_up_option
 @click.option(
     "--model",
     type=click.Choice(["ribbon", "paper"]),
@@ -57,13 +60,19 @@ _OUT = click.Path(path_type=Path)
     help="Sigma of reference points for which the rig file gives no covariance, px.  "
     "[default: 0.5]",
 )
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object a frame, no summary.")
+@click.option(
+    "--json",
+    "as_json",
+    is_flag=True,
+    help="Print one JSON object a frame, no summary; one with notes at the end if there are any.",
+)
 def run(
     rig_file: Path,
     points: Path | None,
     tracks: Path | None,
     overlay: Path | None,
     max_frames: int | None,
+    give_up_after_s: float | None,
     model: str,
     reference_sigma_px: float | None,
     as_json: bool,
@@ -71,8 +80,9 @@ def run(
     """Track a hand in every view of a rig and tell where on the plane it points.
 
     RIG.TOML names the views (video files, globs of images, camera numbers or URLs), the plane and
-    where the hand is first seen. Ctrl-C ends a run; what was written stays, and the summary tells
-    of the frames until then.
+    where the hand is first seen. A live view that sends nothing is lost until it comes back; a
+    damaged picture is lost for its view. Ctrl-C ends a run; what was written stays, and the summary
+    tells of the frames until then.
     """
     with ending_at_once():
         need_opencv()
@@ -85,7 +95,9 @@ def run(
     keep_apart(written, rig_files(rig_file, rig))
     known = _reference_noise(rig, reference_sigma_px)
     pointer = Pointer(rig, tracker_options={"model": model}, **known)
+    hush_streams(rig.sources)
     summary = RunSummary()
+    sources: list[Source] = []
     started_s = time.monotonic()
     try:
         with ending_as_interrupted(), ExitStack() as stack:
@@ -94,7 +106,7 @@ def run(
                 line.show(f"opening {', '.join(rig.sources)}")
             sources = stack.enter_context(open_views(rig.sources, rig.offsets_s))
             takers = _takers(stack, pointer, rig.plane.unit, points, tracks, overlay, as_json)
-            frames = at_most(read_views(sources), max_frames)
+            frames = at_most(read_views(sources, give_up_after_s=give_up_after_s), max_frames)
             if line is not None:
                 line.clear()
                 counts = [n for n in (max_frames, *(source.frame_count for source in sources)) if n]
@@ -109,8 +121,11 @@ def run(
                 for take in takers:
                     take(step)
     finally:
+        notes = [*source_notes(rig.sources, sources), *pointer.notes()]
         if summary.frames and not as_json:
-            click.echo("\n".join(summary.lines(time.monotonic() - started_s) + pointer.notes()))
+            click.echo("\n".join(summary.lines(time.monotonic() - started_s, notes)))
+        if notes and as_json:
+            click.echo(json.dumps({"notes": notes}))
 
 
 def _reference_noise(rig: Rig, sigma_px: float | None) -> dict[str, Any]:

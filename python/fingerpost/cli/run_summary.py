@@ -4,13 +4,32 @@ from __future__ import annotations
 
 import re
 from collections import Counter
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from fingerpost.capture import Source
     from fingerpost.pointing import Fix
 
 _REASONS = 5  # as many as people read
 _NAME_OR_NUMBER = re.compile(r'"[^"]*"|[+-]?\d+(?:\.\d+)?(?:e[+-]?\d+)?')
+
+
+def source_notes(views: Iterable[str], sources: Iterable[Source]) -> list[str]:
+    """Return what sources have to say in the end, each with its view's name.
+
+    Parameters
+    ----------
+    views
+        Names, in the order of the sources.
+    sources
+        As they were opened; none where that failed.
+    """
+    return [
+        f"{view}: {note}"
+        for view, own in zip(views, sources, strict=False)
+        for note in filter(None, (own.damage, *own.notes))
+    ]
 
 
 class RunSummary:
@@ -31,13 +50,15 @@ class RunSummary:
         """How many fixes were counted."""
         return self._statuses.total()
 
-    def lines(self, elapsed_s: float) -> list[str]:
+    def lines(self, elapsed_s: float, notes: Sequence[str] = ()) -> list[str]:
         """Return the summary as lines of text for a person.
 
         Parameters
         ----------
         elapsed_s
             How long the run took.
+        notes
+            What the sources have to say.
         """
         frames = self.frames
         lines = [f"frames   {frames} in {elapsed_s:.1f} s"]
@@ -50,7 +71,7 @@ class RunSummary:
         others = self._reasons.total() - sum(count for _, count in frequent)
         if others:
             lines.append(f"{others:5d}   others")
-        return lines
+        return lines + (["notes", *(f"        {note}" for note in notes)] if notes else [])
 
 
 def _kind(reason: str) -> str:

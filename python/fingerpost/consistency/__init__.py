@@ -6,12 +6,13 @@ them comes out. `Monitor` watches while a rig runs; the doctor asks the same que
 
 from fingerpost.consistency.contradiction import Contradiction
 from fingerpost.consistency.freshness import Freshness
-from fingerpost.consistency.monitor import Monitor
+from fingerpost.consistency.monitor import FROZEN, Monitor
 from fingerpost.consistency.scenery import Mistake, Scenery
 from fingerpost.consistency.straightness import Bend
 from fingerpost.consistency.synchrony import Lag, Tips, lag_between
 
 __all__ = [
+    "FROZEN",
     "Bend",
     "Contradiction",
     "Freshness",

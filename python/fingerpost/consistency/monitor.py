@@ -7,12 +7,15 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from fingerpost.capture import Frame
+from fingerpost.capture import Frame, Loss
 from fingerpost.consistency.freshness import Freshness
 from fingerpost.consistency.synchrony import Lag, Tips, lag_between
 from fingerpost.pointing import FingerLine, PlaneView
 
 _log = logging.getLogger(__name__)
+
+FROZEN = "its picture stands still"
+"""What is said of a view that hands out an old picture."""
 
 LOOK_EVERY_S = 0.5
 """The clocks are compared so often; it takes some ms."""
@@ -44,23 +47,23 @@ class Monitor:
         self._worst: dict[str, Lag] = {}
         self.lags: list[Lag | None] = [None] * len(names)
 
-    def look(self, frames: Sequence[Frame | None]) -> tuple[tuple[bool, ...], tuple[bool, ...]]:
-        """Take the next frames of all views.
+    def look(self, seen: Sequence[Frame | Loss | None]) -> list[Frame | Loss | None]:
+        """Take what is there of the next frame of every view; give what counts of it.
 
-        Returns
-        -------
-        tuple, tuple
-            Which of them are old pictures, and which of those have stood still for long.
+        An old picture is no new measurement, so it counts as none; a view that has shown one for
+        long is lost.
         """
-        old = self._freshness.look(frames)
-        frozen = tuple(
-            is_old and frame is not None and self._freshness.is_frozen(k, frame.time_s)
-            for k, (frame, is_old) in enumerate(zip(frames, old, strict=True))
-        )
-        for name, is_frozen in zip(self._names, frozen, strict=True):
-            if is_frozen:
-                self._say_once("frozen", name, f'view "{name}": its picture stands still')
-        return old, frozen
+        old = self._freshness.look([one if isinstance(one, Frame) else None for one in seen])
+        return [
+            self._old(k, one) if is_old and isinstance(one, Frame) else one
+            for k, (one, is_old) in enumerate(zip(seen, old, strict=True))
+        ]
+
+    def _old(self, k: int, frame: Frame) -> Loss | None:
+        if not self._freshness.is_frozen(k, frame.time_s):
+            return None
+        self._say_once("frozen", self._names[k], f'view "{self._names[k]}": {FROZEN}')
+        return Loss(frame.index, frame.time_s, FROZEN)
 
     def take(
         self,

@@ -11,7 +11,7 @@ from msgspec import structs
 from numpy.typing import NDArray
 
 from fingerpost.admission import reduced_view
-from fingerpost.capture import Frame, Source, SourceKind, read_views
+from fingerpost.capture import Frame, Loss, Source, SourceKind, read_views
 from fingerpost.config import Rig, View
 from fingerpost.doctor.findings import Check, Diagnosis, Finding, Severity, ViewReadings
 from fingerpost.doctor.hand import HandReadings, judge_hand, read_hand
@@ -25,6 +25,9 @@ from fingerpost.references import Reduction
 
 DEFAULT_FRAMES = 120
 """Frames of each view that are looked at: a hand that moves in them tells of the clocks."""
+
+PATIENCE_S = 5.0
+"""How long a live view may send nothing while it is looked at."""
 
 SLOW_FPS = 15.0
 """Below this rate a hand moves further between two frames than the tracker looks."""
@@ -48,7 +51,7 @@ _ORDER = {Severity.ERROR: 0, Severity.WARNING: 1}
 _STILL_FRAMES = 9
 
 
-def look(sources: Sequence[Source], count: int) -> Iterator[tuple[Frame | None, ...]]:
+def look(sources: Sequence[Source], count: int) -> Iterator[tuple[Frame | Loss | None, ...]]:
     """Read what `examine` looks at.
 
     Live views are read together, as the main loop reads them, for their times to be compared.
@@ -63,19 +66,19 @@ def look(sources: Sequence[Source], count: int) -> Iterator[tuple[Frame | None, 
 
     Yields
     ------
-    tuple of Frame or None
+    tuple of Frame, Loss or None
         One entry per source; None where a recording has ended.
 
     Raises
     ------
     CaptureError
-        A source fails while it is read.
+        A source fails while it is read, or a live one sends nothing for `PATIENCE_S`.
     InvalidInputError
         Recorded and live sources are mixed.
     """
     if all(source.kind is SourceKind.RECORDED for source in sources):
         return zip_longest(*(at_most(source, count) for source in sources))
-    return at_most(read_views(sources), count)
+    return at_most(read_views(sources, give_up_after_s=PATIENCE_S), count)
 
 
 def reduced(frame: Frame) -> Frame:
@@ -90,6 +93,9 @@ def examine(
     rig: Rig,
     frames: Sequence[Sequence[Frame]],
     sizes_px: Sequence[tuple[int, int]] | None = None,
+    *,
+    damage: Sequence[str] = (),
+    notes: Sequence[str] = (),
 ) -> Diagnosis:
     """Look at some frames of every view and say what is wrong.
 
@@ -103,6 +109,10 @@ def examine(
     sizes_px
         Width and height of each view's pictures, where frames were `reduced`; all lengths in
         pixels but sizes are then of what was kept.
+    damage
+        How many pictures of each view are damaged, as `Source.damage` says it.
+    notes
+        What else there is to say.
 
     Returns
     -------
@@ -133,7 +143,7 @@ def examine(
         for view in rig.views
     ]
     stills = [_still(own) for own in frames]
-    readings, findings = [], []
+    readings, findings = [], list(_judge_damage(rig.views, damage))
     for view, own, size_px in zip(rig.views, frames, sizes_px, strict=True):
         reading, wrong = _examine_view(view, own)
         readings.append(replace(reading, size_px=size_px))
@@ -145,7 +155,21 @@ def examine(
     findings += _judge_skew(rig, frames)
     if not any(finding.severity is Severity.ERROR for finding in findings):
         findings += judge_times_by_motion(rig, frames)
-    return Diagnosis(tuple(readings), tuple(sorted(findings, key=lambda f: _ORDER[f.severity])))
+    ordered = tuple(sorted(findings, key=lambda f: _ORDER[f.severity]))
+    return Diagnosis(tuple(readings), ordered, tuple(notes))
+
+
+def _judge_damage(views: Sequence[View], damage: Sequence[str]) -> Iterator[Finding]:
+    for view, words in zip(views, damage, strict=False):  # nothing is known without a source
+        if words:
+            yield Finding(
+                Severity.WARNING,
+                Check.PICTURES,
+                view.name,
+                words,
+                "they are lost for this view: record over a line that loses nothing, or copy the "
+                "files again",
+            )
 
 
 def _in_pixels_of(

@@ -19,6 +19,7 @@ class Severity(StrEnum):
 class Check(StrEnum):
     """What was looked at."""
 
+    PICTURES = "pictures"
     EXPOSURE = "exposure"
     NOISE = "noise"
     FOCUS = "focus"
@@ -111,10 +112,13 @@ class Diagnosis:
         What was measured, one per view.
     findings
         What is wrong, the gravest first; empty if nothing is.
+    notes
+        What else there is to say of the pictures: how they are scaled.
     """
 
     readings: tuple[ViewReadings, ...]
     findings: tuple[Finding, ...]
+    notes: tuple[str, ...] = ()
 
     @property
     def serious(self) -> bool:
@@ -127,7 +131,7 @@ class Diagnosis:
             f"{'view':<12}{'size':>12}{'frames/s':>10}{'grey 1/50/95 %':>16}{'clipped':>9}"
             f"{'noise':>7}{'blur px':>9}{'hand':>6}{'contrast':>10}{'finger px':>11}"
         )
-        rows = [head, *(_row(reading) for reading in self.readings), ""]
+        rows = [head, *(_row(reading) for reading in self.readings), "", *self.notes]
         if not self.findings:
             return [*rows, "nothing is wrong"]
         return [*rows, *(str(finding) for finding in self.findings)]
@@ -138,6 +142,7 @@ class Diagnosis:
             "serious": self.serious,
             "readings": [asdict(reading) for reading in self.readings],
             "findings": [asdict(finding) for finding in self.findings],
+            "notes": list(self.notes),
         }
 
 

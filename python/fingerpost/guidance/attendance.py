@@ -8,7 +8,7 @@ from dataclasses import replace
 from enum import StrEnum
 from itertools import chain, pairwise, zip_longest
 
-from fingerpost.capture import Frame
+from fingerpost.capture import Frame, Loss
 from fingerpost.pipeline import Step
 from fingerpost.robot import Guard
 
@@ -36,10 +36,10 @@ def attended_at_first(guard: Guard, steps: Iterator[Step]) -> Iterator[Step]:
 
 
 def paced(
-    frames: Iterator[Sequence[Frame | None]],
+    frames: Iterator[Sequence[Frame | Loss | None]],
     clock: Callable[[], float],
     sleep: Callable[[float], None],
-) -> Iterator[Sequence[Frame | None]]:
+) -> Iterator[Sequence[Frame | Loss | None]]:
     """Play a recording as if it were live: each frame when it is due, and stamped with that time.
 
     Whoever is slower than the recording misses frames, as with cameras: of those that are due by
@@ -56,7 +56,7 @@ def paced(
         Waits for so many seconds of it.
     """
     begin_s = math.nan  # nothing is before or after it: until there is a frame, none is due
-    newest: Sequence[Frame | None] = ()
+    newest: Sequence[Frame | Loss | None] = ()
     for together, following in pairwise(chain(frames, [()])):
         newest = [old if new is None else new for new, old in zip_longest(together, newest)]
         if math.isnan(begin_s):
@@ -72,5 +72,5 @@ def paced(
         newest = ()
 
 
-def _last_s(frames: Sequence[Frame | None]) -> float:
+def _last_s(frames: Sequence[Frame | Loss | None]) -> float:
     return max((frame.time_s for frame in frames if frame is not None), default=math.nan)
