@@ -60,8 +60,8 @@ MISTAKES = {
 MADE = [
     (words, views)
     for words, views in product(MISTAKES, [(0,), (1,), (0, 1)])
-    # In both views alike, another order means other axes of the plane.
-    if (words, views) != ("the order", (0, 1))
+    # Another order in the first view is one in the other, and in both one of the plane's axes.
+    if words != "the order" or views == (1,)
 ]
 
 

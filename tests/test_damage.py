@@ -176,13 +176,14 @@ def interlaced(data: bytes) -> bytes:
     return bytes(changed)
 
 
-def test_interlaced_video_is_refused_with_the_remedy_where_it_would_be_black(tmp_path):
-    path = write_film(tmp_path / "a film.mpg", textured(10), "mpg2")
+def test_interlaced_video_is_read_or_refused_with_the_remedy_and_never_black(tmp_path):
+    pictures = textured(10)
+    path = write_film(tmp_path / "a film.mpg", pictures, "mpg2")
     path.write_bytes(interlaced(path.read_bytes()))
-    capture = cv2.VideoCapture(str(path))
-    _, picture = capture.read()
-    if picture.any():
-        pytest.skip("this OpenCV reads interlaced video")
+    _, first = cv2.VideoCapture(str(path)).read()
+    if np.corrcoef(first.ravel(), pictures[0].ravel())[0, 1] > 0.8:  # this OpenCV reads it
+        assert len(read(path)) == 10
+        return
     with pytest.raises(SourceError) as raised:
         read(path)
     assert str(raised.value) == (

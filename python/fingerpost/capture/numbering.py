@@ -16,6 +16,9 @@ from typing import NamedTuple
 
 _log = logging.getLogger(__name__)
 
+LEAST_THERE = 0.5
+"""Numbers count frames if this part of them is there; with fewer, images have been chosen."""
+
 _NUMBER = re.compile(r"(\d+(?:\.\d+)?)(?!.*\d)")
 """The last number of a name."""
 
@@ -100,4 +103,5 @@ def _indices(numbers: Sequence[str]) -> list[int] | None:
     usual = steps[(len(steps) - 1) // 2]
     if any(step % usual for step in steps):
         return None
-    return [(value - values[0]) // usual for value in values]
+    indices = [(value - values[0]) // usual for value in values]
+    return indices if len(indices) >= LEAST_THERE * (indices[-1] + 1) else None

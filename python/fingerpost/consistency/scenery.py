@@ -51,6 +51,9 @@ TIE = 0.01
 SIMPLER = 0.05
 """A mistake in one more view must explain so much more."""
 
+BARE_LEVELS = 1.0
+"""Standard deviation of what noise leaves of a picture with nothing in it [grey levels]."""
+
 SAME = 0.97
 """Pictures whose sharp parts correlate by this are one; those of two cameras do by 0.1."""
 
@@ -184,11 +187,7 @@ class Scenery:
 
     def plain(self) -> list[int]:
         """Return the places of views whose pictures show nothing at all."""
-        return [
-            k
-            for k, still in enumerate(self._stills)
-            if float(np.std(still)) < _PLAIN_LEVELS or np.ptp(np.percentile(still, (1, 99))) < 6
-        ]
+        return [k for k, smooth in enumerate(self._smooth) if float(smooth.std()) < BARE_LEVELS]
 
     def _is_same(self, j: int, k: int) -> bool:
         """Whether what is sharp in two pictures is the same in both."""
@@ -253,7 +252,8 @@ class Scenery:
             each = {k: right(self._given[k], self._sizes[k]) for k in views}
             if "order" not in what:  # another order in all views is another pair of axes
                 yield f"{what} in all views", each
-            for k in views:
+            # Between views an order is relative: the first view's is taken for right.
+            for k in views[1:] if "order" in what else views:
                 yield f'{what} in view "{self._rig.views[k].name}"', {k: each[k]}
         moved = [self._shifts(k) for k in views]
         for k in views:
