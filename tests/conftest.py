@@ -8,7 +8,8 @@ from hypothesis import settings
 settings.register_profile("untimed", deadline=None)
 settings.load_profile("untimed")
 
-# A shell has its background jobs ignore Ctrl-C, and nohup the end of a terminal; what tests start
-# and interrupt would inherit that.
+# A shell has its background jobs ignore Ctrl-C and Ctrl-\, and nohup the end of a terminal; what
+# tests start and interrupt would inherit that.
 signal.signal(signal.SIGINT, signal.default_int_handler)
-signal.signal(signal.SIGHUP, signal.SIG_DFL)
+for number in (signal.SIGHUP, signal.SIGQUIT):
+    signal.signal(number, signal.SIG_DFL)

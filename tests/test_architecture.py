@@ -33,6 +33,7 @@ PYTHON_GROUPS = {
     "robot": "robot",
     "config": "config",
     "admission": "pipeline",
+    "consistency": "pipeline",
     "finding": "pipeline",
     "pipeline": "pipeline",
     "experiment": "application",

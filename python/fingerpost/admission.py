@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import numbers
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from msgspec import structs
@@ -18,25 +18,11 @@ from numpy.typing import NDArray
 from fingerpost._core import ContourTracker, StartPose, Template
 from fingerpost.capture import Frame, Loss
 from fingerpost.config import LensParameters, Pair, Rig, View
+from fingerpost.consistency import Contradiction
 from fingerpost.errors import InvalidInputError
 from fingerpost.homography import transfer_jacobian_by_point
 from fingerpost.pointing import PlaneView
 from fingerpost.references import Reduction
-
-
-class Contradiction(NamedTuple):
-    """What a rig says and its pictures or its other views belie.
-
-    Attributes
-    ----------
-    what
-        What is wrong, with the values found.
-    right
-        What would be right.
-    """
-
-    what: str
-    right: str
 
 
 def different_sides(rig: Rig, plane_views: Sequence[PlaneView]) -> Contradiction | None:
@@ -71,6 +57,18 @@ def _turn(plane_view: PlaneView) -> float:
     return float(np.sign(np.linalg.det(jacobian)))
 
 
+def other_size(view: View, size_px: tuple[int, int]) -> Contradiction | None:
+    """Tell whether a rig's pixels were measured in images of another size than a view's."""
+    if view.size_px is None or view.size_px == size_px:
+        return None
+    width, height = size_px
+    return Contradiction(
+        f"its images have {width} × {height} px, and size_px = [{view.size_px[0]}, "
+        f"{view.size_px[1]}] says in which its points were measured",
+        "set the camera to that size, or measure reference_points_px and [view.start] anew",
+    )
+
+
 def points_outside(view: View, size_px: tuple[int, int]) -> Contradiction | None:
     """Tell whether most reference points lie outside an image (width, height) of their view.
 
@@ -94,6 +92,7 @@ def reduced_view(view: View, reduction: Reduction) -> View:
     covariances_px2 = view.reference_covariances_px2
     return structs.replace(
         view,
+        size_px=None,
         reference_points_px=_pairs(reduction.points(view.reference_points_px)),
         reference_covariances_px2=None
         if covariances_px2 is None
@@ -101,9 +100,7 @@ def reduced_view(view: View, reduction: Reduction) -> View:
             (uu / reduction.factor**2, uv / reduction.factor**2, vv / reduction.factor**2)
             for uu, uv, vv in covariances_px2
         ),
-        lens_parameters=None
-        if lens is None
-        else LensParameters(fx=lens.fx, fy=lens.fy, cx=lens.cx, cy=lens.cy, k1=lens.k1, k2=lens.k2),
+        lens_parameters=None if lens is None else LensParameters.of(lens),
         start=None
         if start is None
         else structs.replace(
@@ -190,7 +187,8 @@ class Admission:
                     f'view "{view.name}": frame {frame.index} has {width} × {height} px, the first '
                     f"one has {first_px[0]} × {first_px[1]}; all must have one size"
                 )
-            if (wrong := points_outside(view, size_px)) is not None:
+            wrong = other_size(view, size_px) or points_outside(view, size_px)
+            if wrong is not None:
                 raise InvalidInputError(f'view "{view.name}": {wrong.what}; {wrong.right}')
             self._sizes_px[k] = size_px
 

@@ -41,6 +41,8 @@ _RIGHT = {
     "view.name": 'a short name in quotes, such as "left"',
     "view.source": "a file, a glob of images or a URL in quotes, or a camera number from 0",
     "view.reference_points_px": "one pixel [u, v] per point of the plane, in its order",
+    "view.size_px": "width and height of the images in which the points were measured, [w, h]",
+    "view.offset_s": "seconds to add to this view's times, such as -0.2",
     "view.reference": '{ kind = "fixed" }, the only kind there is so far',
     "view.lens": "{ fx = ..., fy = ..., cx = ..., cy = ..., k1 = ... }, and k2 where it is known",
     "view.reference_covariances_px2": "one covariance [uu, uv, vv] in px² per reference point",
@@ -64,6 +66,7 @@ _MAX_SHOWN = 60
 _LARGEST_CAMERA = 2**31 - 1
 _LENGTHS_PX = (0.1, 1e5)
 _FOCAL_LENGTHS_PX = (1.0, 1e9)
+_LARGEST_OFFSET_S = 3600.0
 _VARIANCES_PX2 = (1e-12, 1e12)
 
 
@@ -130,6 +133,11 @@ class LensParameters(_Table, kw_only=True, frozen=True):
             in_range(getattr(self, name), f"lens {name}", -longest, longest)
         self.lens()
 
+    @classmethod
+    def of(cls, lens: Lens) -> LensParameters:
+        """Return the parameters of a model."""
+        return cls(fx=lens.fx, fy=lens.fy, cx=lens.cx, cy=lens.cy, k1=lens.k1, k2=lens.k2)
+
     def lens(self) -> Lens:
         """Return the model with these parameters."""
         return Lens(**msgspec.structs.asdict(self))
@@ -173,6 +181,12 @@ class View(_Table, kw_only=True, frozen=True):
     reference_points_px
         The reference points (u, v) in this view's image, in px: one per point of the plane, in
         its order. They may lie outside the image.
+    size_px
+        Width and height of the images in which pixels of this table were measured: images of
+        another size are refused. None where nobody has told.
+    offset_s
+        What is added to this view's capture times, in s, at most an hour either way: for clocks
+        that do not agree, and recordings that were not begun at once.
     reference_covariances_px2
         Covariance (uu, uv, vv) of each reference point in px², uu and vv from 1e-12 to 1e12; None
         where nobody has told, and whoever uses the rig has to assume one.
@@ -187,6 +201,8 @@ class View(_Table, kw_only=True, frozen=True):
     name: str
     source: str | int
     reference_points_px: tuple[Pair, ...]
+    size_px: tuple[int, int] | None = None
+    offset_s: float = 0.0
     reference_covariances_px2: tuple[Triple, ...] | None = None
     reference: FixedReference = FixedReference()
     lens_parameters: LensParameters | None = msgspec.field(default=None, name="lens")
@@ -201,6 +217,11 @@ class View(_Table, kw_only=True, frozen=True):
                 f"source is {_shown(self.source)}; needed: {_RIGHT['view.source']}"
             )
         finite_array(self.reference_points_px, "reference_points_px", ("N", 2))
+        in_range(self.offset_s, "offset_s", -_LARGEST_OFFSET_S, _LARGEST_OFFSET_S)
+        if self.size_px is not None and not 1 <= min(self.size_px) <= max(self.size_px) < 2**31:
+            raise InvalidInputError(
+                f"size_px is {_shown(self.size_px)}; needed: {_RIGHT['view.size_px']}"
+            )
         if self.reference_covariances_px2 is not None:
             self._refuse_no_covariances(self.reference_covariances_px2)
 
@@ -327,6 +348,11 @@ class Rig(_Table, kw_only=True, frozen=True):
     def sources(self) -> dict[str, str | int]:
         """What `fingerpost.capture.open_views` opens, by the view's name, in the views' order."""
         return {view.name: view.source for view in self.views}
+
+    @property
+    def offsets_s(self) -> tuple[float, ...]:
+        """What is added to the times of each view, in the views' order."""
+        return tuple(view.offset_s for view in self.views)
 
     def _refuse_undetermined(self, view: View) -> None:
         points_px = finite_array(view.reference_points_px, "reference_points_px", ("N", 2))

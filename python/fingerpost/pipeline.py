@@ -11,6 +11,7 @@ loop exists once; whatever plays, draws, records or drives stands around it.
 
 from __future__ import annotations
 
+import logging
 import numbers
 import sys
 from collections import deque
@@ -34,6 +35,7 @@ from fingerpost.admission import (
 from fingerpost.capture import Frame, Loss, open_views, read_views
 from fingerpost.checks import in_range
 from fingerpost.config import Rig, View
+from fingerpost.consistency import Monitor, Scenery
 from fingerpost.errors import FingerpostError, InvalidInputError
 from fingerpost.finding import (
     BETWEEN_EDGES,
@@ -64,6 +66,8 @@ from fingerpost.recording import PointRow, TrackRow
 from fingerpost.recording.picture import SearchMarks
 from fingerpost.references import Reduction, ReferenceWatch
 from fingerpost.silhouette import Capsule
+
+_log = logging.getLogger(__name__)
 
 DEFAULT_REFERENCE_SIGMA_PX = 0.5
 """Standard deviation of a reference point that a person clicked or a line fit gave [px]."""
@@ -455,10 +459,13 @@ class Pointer:
         self._rig = rig
         self._tracker_options, self._reference_sigma_px = tracker_options, reference_sigma_px
         self._reductions: list[Reduction | None] = [None] * len(rig.views)
+        self._rig_views = list(rig.views)
         self.views = tuple(self._hand_view(view, WHOLE) for view in rig.views)
         if (wrong := different_sides(rig, self.plane_views)) is not None:
             raise InvalidInputError(f"{wrong.what}; {wrong.right}")
         self._admission = Admission(rig.views)
+        self._first: dict[int, Frame] | None = {}
+        self._monitor = Monitor([view.name for view in rig.views])
         self._moving = moving
         self._options = pointing_options
         self._still = self.plane_views
@@ -493,11 +500,10 @@ class Pointer:
             points; or a later one of another size.
         """
         self._admission.admit(seen)
-        losses = [entry if isinstance(entry, Loss) else None for entry in seen]
-        frames = [
-            None if isinstance(entry, Loss) else self._reduced(k, entry)
-            for k, entry in enumerate(seen)
-        ]
+        self._compare_scenery(seen)
+        entries = self._monitor.look([self._reduced(k, entry) for k, entry in enumerate(seen)])
+        losses = [entry if isinstance(entry, Loss) else None for entry in entries]
+        frames = [entry if isinstance(entry, Frame) else None for entry in entries]
         self._watch(frames)
         bodies = self._moving()
         for view, frame in zip(self.views, frames, strict=True):
@@ -528,6 +534,12 @@ class Pointer:
             self._histories, observations, self.views, strict=True
         ):
             history.add(observation, view.plane_view)
+        # Of a camera that moves, tips of different times have no line in common.
+        self._monitor.take(
+            [None if frame is None else frame.time_s for frame in frames],
+            [one.finger if one.moved_px == 0.0 else None for one in observations],
+            self.plane_views,
+        )
         first = frames[0] or losses[0]
         if first is not None:
             self._identity.update(self.views, first.time_s)
@@ -538,25 +550,58 @@ class Pointer:
         for history in self._histories:
             history.forget(needed_s)
 
+    def _compare_scenery(self, seen: Sequence[Frame | Loss | None]) -> None:
+        """Refuse reference points that the first frames of all views belie, and warn of others.
+
+        Raises
+        ------
+        InvalidInputError
+            The views show the plane as one only when a mistake is undone that people make.
+        """
+        if self._first is None:
+            return
+        for k, frame in enumerate(seen):
+            if isinstance(frame, Frame):
+                self._first.setdefault(k, frame)
+        if len(self._first) < len(self._rig.views):
+            return
+        pictures = [self._first[k].image for k in range(len(self._rig.views))]
+        self._first = None
+        scenery = Scenery(self._rig, pictures)
+        if (same := scenery.same_pictures()) is not None:
+            raise InvalidInputError(f"{same.what}; {same.right}")
+        if (mistake := scenery.mistake()) is not None:
+            words = f"{mistake.what}; {mistake.lines(self._rig)} would be right"
+            if mistake.is_certain:
+                raise InvalidInputError(words)
+            _log.warning("%s", words)
+        for k, bend in scenery.bends().items():
+            view = self._rig_views[k]
+            _log.warning('view "%s": %s; %s', view.name, bend.what, bend.right)
+            self._rig_views[k] = bend.allowed_for(view, self._reference_sigma_px)
+            self._begin(k)
+
     def _hand_view(self, view: View, reduction: Reduction) -> HandView:
         sigma_px = self._reference_sigma_px / reduction.factor
         return HandView(view, self._rig.plane.points, self._tracker_options, sigma_px)
 
-    def _reduced(self, k: int, frame: Frame | None) -> Frame | None:
+    def _reduced(self, k: int, frame: Frame | Loss | None) -> Frame | Loss | None:
         """Reduce a large frame; its view begins anew in reduced pixels with its first frame."""
-        if frame is None:
-            return None
+        if not isinstance(frame, Frame):
+            return frame
         reduction = self._reductions[k]
         if reduction is None:
             reduction = self._reductions[k] = Reduction.of(frame.image.shape, LARGEST_PX)
             if reduction.factor > 1:
-                self._begin(k, reduction)
+                self._begin(k)
         if reduction.factor == 1:
             return frame
         return Frame(frame.index, frame.time_s, reduction.picture(frame.image))
 
-    def _begin(self, k: int, reduction: Reduction) -> None:
-        view = reduced_view(self._rig.views[k], reduction)
+    def _begin(self, k: int) -> None:
+        """Begin a view anew, as it is known by now."""
+        reduction = self._reductions[k] or WHOLE
+        view = reduced_view(self._rig_views[k], reduction)
         hand_view = self._hand_view(view, reduction)
         self.views = _with(self.views, k, hand_view)
         self._still = _with(self._still, k, hand_view.plane_view)
@@ -607,6 +652,10 @@ class Pointer:
             if flat is not None:
                 view.look_flat(flat)
 
+    def notes(self) -> list[str]:
+        """Return what was noticed of the views so far, a line each: old pictures, other clocks."""
+        return self._monitor.notes()
+
     def finish(self) -> Iterator[Step]:
         """Yield the last steps, whose time not every view has reached."""
         while self._pending:
@@ -636,6 +685,9 @@ class Pointer:
         ]
         for k in other_fingers([view.viewpoint for view in self.views], told):
             told[k] = _NoLine(Status.ILL_CONDITIONED, ANOTHER_FINGER)
+        for k, lag in enumerate(self._monitor.lags):
+            if lag is not None and isinstance(told[k], FingerLine):
+                told[k] = _NoLine(Status.ILL_CONDITIONED, f"it lags by {lag.lag_s:.2f} s")
         fingers = [finger.status if isinstance(finger, _NoLine) else finger for finger in told]
         fix = indicated_point(
             fingers,
@@ -730,7 +782,7 @@ def track(
     """
     pointer = Pointer(rig, **options)
     with ExitStack() as stack:
-        sources = stack.enter_context(open_views(rig.sources))
+        sources = stack.enter_context(open_views(rig.sources, rig.offsets_s))
         frames = read_views(sources, give_up_after_s=give_up_after_s)
         for step in steps(pointer, at_most(frames, max_frames)):
             yield step.fix

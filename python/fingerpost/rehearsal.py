@@ -65,6 +65,7 @@ def described(
                 name=camera.name,
                 source=source,
                 reference_points_px=_pairs(points_px, "reference_points_px"),
+                size_px=(camera.width_px, camera.height_px),
                 lens_parameters=lens,
                 start=None if start is None else Start(**dataclasses.asdict(start)),
             )

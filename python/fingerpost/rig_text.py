@@ -33,6 +33,7 @@ _COORDINATES = {
     "points": 2,
     "reference_points_px": 2,
     "tip_px": 2,
+    "size_px": 2,
     "region_m": 2,
     "z_m": 2,
     "reference_covariances_px2": 3,

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from robot_rig import TIME_SCALE, RunningTime, Tape
 
+from fingerpost.robot.arm import ArrivalRule
 from fingerpost.robot.emulator.gcode import (
     GcodeController,
     MarlinController,
@@ -72,6 +73,12 @@ class Rig:
     def true_m(self) -> np.ndarray:
         """Where the hand really is."""
         return self.controller.position_mm(self.clock()) / 1000
+
+    def assert_at(self, goal: Pose) -> None:
+        """It is where it was sent, as near as a standstill can be told, and stands there."""
+        assert np.linalg.norm(self.true_m() - goal.position_m) <= ArrivalRule().still_m
+        wait_until(lambda: not self.is_moving())
+        np.testing.assert_allclose(self.true_m(), goal.position_m, atol=1e-5)
 
     def is_moving(self) -> bool:
         """Whether the arm really moves."""

@@ -43,8 +43,7 @@ def test_it_goes_where_it_is_sent_and_says_where_it_is(name):
         assert rig.controller.homed
         for goal in (GOAL, FAR, GOAL):
             rig.robot.move_to(goal)
-            assert not rig.is_moving()
-            np.testing.assert_allclose(rig.true_m(), goal.position_m, atol=1e-5)
+            rig.assert_at(goal)
             assert rig.robot.pose().distance_m(goal) < 1e-5
 
 
@@ -71,7 +70,7 @@ def test_moves_can_be_queued(name):
             rig.robot.move_to(goal, wait=False)
         assert rig.robot.status().state is RobotState.MOVING
         rig.robot.wait()
-        np.testing.assert_allclose(rig.true_m(), GOAL.position_m, atol=1e-5)
+        rig.assert_at(GOAL)
 
 
 def test_a_pose_is_never_the_goal_of_a_move_that_still_runs(name):
@@ -112,7 +111,7 @@ def test_a_stop_passes_every_queue(name):
         if name == "marlin":  # its motors may have slipped
             rig.robot.home()
         rig.robot.move_to(GOAL)
-        np.testing.assert_allclose(rig.true_m(), GOAL.position_m, atol=1e-5)
+        rig.assert_at(GOAL)
 
 
 def test_nothing_moves_before_homing(name):
@@ -160,7 +159,7 @@ def test_a_slow_answer_is_waited_for(name):
     with gcode_rig(name) as rig:
         rig.emulator.inject(Fault.SLOW, count=3)
         rig.robot.move_to(GOAL)
-        np.testing.assert_allclose(rig.true_m(), GOAL.position_m, atol=1e-5)
+        rig.assert_at(GOAL)
 
 
 def test_the_cable_is_pulled_and_put_back(name):
@@ -229,7 +228,7 @@ def test_a_goal_that_the_arm_refuses_leaves_it_where_it_knows_itself(name):
         with pytest.raises(OutOfReachError):
             rig.robot.move_to(FAR)
         rig.robot.move_to(FAR)
-        np.testing.assert_allclose(rig.true_m(), FAR.position_m, atol=1e-5)
+        rig.assert_at(FAR)
 
 
 @pytest.mark.parametrize("url", ["dobot:///dev/ttyUSB0", "dobot", "magician://COM3"])

@@ -334,10 +334,10 @@ def test_after_m410_a_marlins_positions_are_not_believed():
             rig.robot.move_to(GOAL)
         # The board believes that it knows; it is wrong by what its motors have slipped.
         believed = rig.controller._arm.position(rig.clock()) / 1000
-        assert np.linalg.norm(believed - rig.true_m()) > 1e-4
+        assert np.linalg.norm(believed - rig.true_m()) > 1e-6
         rig.robot.home()
         rig.robot.move_to(GOAL)
-        np.testing.assert_allclose(rig.true_m(), GOAL.position_m, atol=1e-5)
+        rig.assert_at(GOAL)
 
 
 @pytest.mark.parametrize(("dialect", "make"), [(MARLIN, MarlinController), (UARM, UarmController)])
@@ -362,7 +362,7 @@ def test_arms_that_keep_in_step_know_where_they_are_after_a_stop(name):
         pose = rig.robot.pose()
         np.testing.assert_allclose(pose.position_m, rig.true_m(), atol=1e-5)
         rig.robot.move_to(FAR)
-        np.testing.assert_allclose(rig.true_m(), FAR.position_m, atol=1e-5)
+        rig.assert_at(FAR)
 
 
 # Marlin's numbered lines.

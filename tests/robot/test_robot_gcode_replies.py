@@ -76,7 +76,7 @@ def go_about(rig):
     """Go and come back; at the arm's pace, waiting for silence takes long."""
     for goal in (GOAL, FAR, GOAL):
         rig.robot.move_to(goal, timeout_s=100.0)
-        np.testing.assert_allclose(rig.true_m(), goal.position_m, atol=1e-5)
+        rig.assert_at(goal)
         assert rig.robot.pose().distance_m(goal) < 1e-5
 
 
@@ -228,7 +228,7 @@ def test_busy_extends_the_wait(busy):
         begin_s = time.monotonic()
         rig.robot.move_to(FAR, speed_m_s=0.004)  # 55 s, four time-outs
         assert time.monotonic() - begin_s > 3 * REPLY_S
-        np.testing.assert_allclose(rig.true_m(), FAR.position_m, atol=1e-5)
+        rig.assert_at(FAR)
 
 
 # What a board says instead of doing it.
@@ -285,14 +285,14 @@ def test_the_boards_own_reason_is_passed_on(words, error, ok):
             rig.robot.move_to(FAR)
         assert words in str(refused.value)
         assert "\n" not in str(refused.value)
-        np.testing.assert_allclose(rig.true_m(), GOAL.position_m, atol=1e-5)
+        rig.assert_at(GOAL)
         needs_homing = error in (NotHomedError, RobotFaultError)
         assert rig.robot.status().homed is not needs_homing
         controller.refusing = False
         if needs_homing:
             rig.robot.home()
         rig.robot.move_to(FAR)
-        np.testing.assert_allclose(rig.true_m(), FAR.position_m, atol=1e-5)
+        rig.assert_at(FAR)
 
 
 @pytest.mark.parametrize(

@@ -233,8 +233,9 @@ class _Lines(socketserver.ThreadingTCPServer):
         return self.server_address[1]
 
     def finish_request(self, request, client_address):
+        request.settimeout(None)  # some libraries set one for the whole process
         answer = self.answering()
-        with request.makefile("rwb") as text, contextlib.suppress(OSError):
+        with request.makefile("rwb") as text, contextlib.suppress(ConnectionError):
             for line in itertools.chain([answer(None)], map(answer, text)):
                 if line:
                     text.write(line + b"\n")

@@ -1,9 +1,10 @@
 """Still images as a recorded source: one file per frame, or many pictures in one file.
 
-Images of a sequence and pages of a TIFF carry no times, so frame k was taken at k / fps; animations
-(GIF, APNG, WebP, AVIF) say how long each picture is shown. Every pixel format becomes 8-bit grey
-or 8-bit blue-green-red; an image stored rotated is turned as its EXIF tag says, as every viewer
-shows it. A picture that cannot be decoded, or that its decoder has mended, is a `Loss`.
+Names tell when images of a sequence were taken (`fingerpost.capture.numbering`); pages of a TIFF
+carry no times, so page k was taken at k / fps; animations (GIF, APNG, WebP, AVIF) say how long each
+picture is shown. Every pixel format becomes 8-bit grey or 8-bit blue-green-red; an image stored
+rotated is turned as its EXIF tag says, as every viewer shows it. A picture that cannot be decoded,
+or that its decoder has mended, is a `Loss`.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from numpy.typing import NDArray
 
 from fingerpost.capture.depth import Depth, sampled
 from fingerpost.capture.messages import Listener
+from fingerpost.capture.numbering import taken
 from fingerpost.capture.source import DAMAGED, UNDECODABLE, Frame, Loss, Source, SourceKind
 from fingerpost.checks import opencv_path
 from fingerpost.errors import CaptureError
@@ -67,6 +69,10 @@ class _Pictures(Source):
     @abstractmethod
     def _time_s(self, index: int) -> float: ...
 
+    def _number(self, index: int) -> int:
+        """Return the position of a picture in the stream that it is of."""
+        return index
+
     def _decide_depth(self) -> None:
         """Look at a sample of pictures, if the first that can be read has 16 bits."""
         pictures = self._sample()
@@ -88,17 +94,17 @@ class _Pictures(Source):
         if self._index >= self.frame_count:
             raise StopIteration
         index, self._index = self._index, self._index + 1
-        time_s = self._time_s(index)
+        number, time_s = self._number(index), self._time_s(index)
         try:
             image = self._depth.eight_bits(self._load(index))
         except UndecodableError as error:
             self._detail = self._detail or str(error)
-            return Loss(index, time_s, UNDECODABLE)
+            return Loss(number, time_s, UNDECODABLE)
         if image is None:
-            more = f"{self._place(index)}: holds more than {self._depth.bits} bits"
+            more = f"{self._place(number)}: holds more than {self._depth.bits} bits"
             self._detail = self._detail or more
-            return Loss(index, time_s, DAMAGED)
-        return Frame(index, time_s, image)
+            return Loss(number, time_s, DAMAGED)
+        return Frame(number, time_s, image)
 
     def close(self) -> None:
         """Stop: no more frames will come."""
@@ -106,12 +112,12 @@ class _Pictures(Source):
 
 
 class ImageSequence(_Pictures):
-    """Images read in the given order, `fps` frames a second; sizes must agree."""
+    """Images read in the given order, taken when their names say; sizes must agree."""
 
     def __init__(self, paths: Sequence[Path], *, fps: float, name: str) -> None:
         super().__init__(name, len(paths))
         self._paths = paths
-        self._fps = fps
+        self._taken = taken(paths, fps, name)
         if len(set(paths)) == 1:
             self._need_first()
         self._decide_depth()
@@ -126,10 +132,17 @@ class ImageSequence(_Pictures):
         return decode_image(self._paths[index], self._listener)
 
     def _time_s(self, index: int) -> float:
-        return index / self._fps
+        return self._taken[index].time_s
+
+    def _number(self, index: int) -> int:
+        return self._taken[index].place
 
     def _place(self, index: int) -> str:
-        return str(self._paths[index])
+        return next(
+            str(path)
+            for path, one in zip(self._paths, self._taken, strict=True)
+            if one.place == index
+        )
 
 
 class JpegFilm(_Pictures):

@@ -7,7 +7,7 @@ import math
 import os
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
@@ -162,13 +162,17 @@ def source_files(source: str | int) -> list[Path]:
 
 
 @contextmanager
-def open_views(sources: Mapping[str, str | int]) -> Iterator[list[Source]]:
+def open_views(
+    sources: Mapping[str, str | int], offsets_s: Sequence[float] = ()
+) -> Iterator[list[Source]]:
     """Open the source of every view, and close them all in the end.
 
     Parameters
     ----------
     sources
         What `open_source` opens, by the view's name.
+    offsets_s
+        What is added to the times of each view's frames [s], in their order; nothing by default.
 
     Yields
     ------
@@ -184,7 +188,10 @@ def open_views(sources: Mapping[str, str | int]) -> Iterator[list[Source]]:
     """
     refuse_repeated(sources)
     with ExitStack() as stack:
-        yield [stack.enter_context(open_source(source)) for source in sources.values()]
+        opened = [stack.enter_context(open_source(source)) for source in sources.values()]
+        for source, offset_s in zip(opened, offsets_s, strict=False):
+            source.offset_s = offset_s
+        yield opened
 
 
 def refuse_repeated(sources: Mapping[str, str | int]) -> None:

@@ -6,7 +6,7 @@ import enum
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import TracebackType
 from typing import Self
 
@@ -147,6 +147,8 @@ class Source(ABC):
     frame_count
         How many frames a recorded source should have; None if unknown. Exact for still images;
         for a video it is the claim of the file's header, fit for a progress bar and no more.
+    offset_s
+        Added to the times of all frames [s].
     losses
         How many pictures so far were lost.
     """
@@ -154,6 +156,7 @@ class Source(ABC):
     kind: SourceKind
     name: str
     frame_count: int | None = None
+    offset_s: float = 0.0
 
     def __init__(self, name: str) -> None:
         self.name = name
@@ -213,7 +216,7 @@ class Source(ABC):
             self._sound += 1
         else:
             self._count()
-        return seen
+        return replace(seen, time_s=seen.time_s + self.offset_s) if self.offset_s else seen
 
     def refuse_unsound(self) -> None:
         """Refuse a source of which every picture so far was lost.

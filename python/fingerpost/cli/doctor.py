@@ -27,7 +27,7 @@ SERIOUS = 1
     "--frames",
     metavar="N",
     type=click.IntRange(min=1),
-    help="Frames of each view to look at.  [default: 40]",
+    help="Frames of each view to look at.  [default: 120]",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print readings and findings as JSON.")
 def doctor(rig_file: Path | None, frames: int | None, as_json: bool) -> None:
@@ -57,18 +57,20 @@ def _examined(rig_file: Path, frames: int | None) -> Diagnosis:
         need_opencv()
         from fingerpost.capture import Frame, open_views
         from fingerpost.config import Rig
-        from fingerpost.doctor import DEFAULT_FRAMES, examine, look
+        from fingerpost.doctor import DEFAULT_FRAMES, examine, look, reduced
 
     rig = Rig.load(rig_file)
     count = DEFAULT_FRAMES if frames is None else frames
     seen: list[list[Frame]] = [[] for _ in rig.views]
+    sizes_px = [(0, 0) for _ in rig.views]
     hush_streams(rig.sources)
     with ExitStack() as stack:
-        sources = stack.enter_context(open_views(rig.sources))
+        sources = stack.enter_context(open_views(rig.sources, rig.offsets_s))
         for together in watched(look(sources, count), count, "looking"):
-            for own, frame in zip(seen, together, strict=True):
+            for k, frame in enumerate(together):
                 if isinstance(frame, Frame):
-                    own.append(frame)
+                    sizes_px[k] = (frame.image.shape[1], frame.image.shape[0])
+                    seen[k].append(reduced(frame))
         for source in sources:
             source.refuse_unsound()
         damage = [source.damage for source in sources]
@@ -77,4 +79,4 @@ def _examined(rig_file: Path, frames: int | None) -> Diagnosis:
             for view, source in zip(rig.sources, sources, strict=True)
             for note in source.notes
         ]
-    return examine(rig, seen, damage=damage, notes=notes)
+    return examine(rig, seen, sizes_px, damage=damage, notes=notes)

@@ -6,10 +6,11 @@ r"""What is wrong with a set-up, from a look at some frames of every view.
 
 Each finding says what, where and what would be right. Limits stand as constants, with where they
 come from, beside what they limit: `pictures` (exposure, noise, focus), `hand` (contrast, size),
-`references`, and `examine` (lens, rates, times).
+`references` and `together` (points, lens, clocks: `fingerpost.consistency`), and `examine`
+(sizes, rates, times).
 """
 
-from fingerpost.doctor.examine import DEFAULT_FRAMES, examine, look
+from fingerpost.doctor.examine import DEFAULT_FRAMES, examine, look, reduced
 from fingerpost.doctor.findings import Check, Diagnosis, Finding, Severity, ViewReadings
 
 __all__ = [
@@ -21,4 +22,5 @@ __all__ = [
     "ViewReadings",
     "examine",
     "look",
+    "reduced",
 ]

@@ -3,23 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from itertools import zip_longest
 
 import numpy as np
+from msgspec import structs
 from numpy.typing import NDArray
 
+from fingerpost.admission import reduced_view
 from fingerpost.capture import Frame, Loss, Source, SourceKind, read_views
 from fingerpost.config import Rig, View
 from fingerpost.doctor.findings import Check, Diagnosis, Finding, Severity, ViewReadings
 from fingerpost.doctor.hand import HandReadings, judge_hand, read_hand
 from fingerpost.doctor.pictures import judge_pictures, read_pictures, region_between
-from fingerpost.doctor.references import judge_together, judge_views
+from fingerpost.doctor.references import judge_sizes, judge_together, judge_views
+from fingerpost.doctor.together import judge_times_by_motion
 from fingerpost.errors import InvalidInputError
-from fingerpost.pipeline import DEFAULT_REFERENCE_SIGMA_PX, at_most
+from fingerpost.pipeline import DEFAULT_REFERENCE_SIGMA_PX, LARGEST_PX, at_most
 from fingerpost.pointing import DEFAULT_OPTIONS, PlaneView
+from fingerpost.references import Reduction
 
-DEFAULT_FRAMES = 40
-"""Frames of each view that are looked at: a tracker needs a few to settle."""
+DEFAULT_FRAMES = 120
+"""Frames of each view that are looked at: a hand that moves in them tells of the clocks."""
 
 PATIENCE_S = 5.0
 """How long a live view may send nothing while it is looked at."""
@@ -38,6 +43,9 @@ OFF_CENTRE_SHARE = 0.15
 
 FOCAL_SHARES = (0.3, 8.0)
 """Focal lengths of real lenses over the longer side of the image."""
+
+LARGEST_KEPT_PX = 800
+"""Large frames are kept so small, for all of them to fit into memory."""
 
 _ORDER = {Severity.ERROR: 0, Severity.WARNING: 1}
 _STILL_FRAMES = 9
@@ -73,9 +81,18 @@ def look(sources: Sequence[Source], count: int) -> Iterator[tuple[Frame | Loss |
     return at_most(read_views(sources, give_up_after_s=PATIENCE_S), count)
 
 
+def reduced(frame: Frame) -> Frame:
+    """Return what is kept of a frame: a large one (`fingerpost.pipeline.LARGEST_PX`) is reduced."""
+    if max(frame.image.shape) <= LARGEST_PX:
+        return frame
+    picture = Reduction.of(frame.image.shape, LARGEST_KEPT_PX).picture(frame.image)
+    return Frame(frame.index, frame.time_s, picture)
+
+
 def examine(
     rig: Rig,
     frames: Sequence[Sequence[Frame]],
+    sizes_px: Sequence[tuple[int, int]] | None = None,
     *,
     damage: Sequence[str] = (),
     notes: Sequence[str] = (),
@@ -89,6 +106,9 @@ def examine(
     frames
         Frames of each view, in time, at least one; `DEFAULT_FRAMES` from the start of a
         recording are usual.
+    sizes_px
+        Width and height of each view's pictures, where frames were `reduced`; all lengths in
+        pixels but sizes are then of what was kept.
     damage
         How many pictures of each view are damaged, as `Source.damage` says it.
     notes
@@ -110,6 +130,9 @@ def examine(
     for view, own in zip(rig.views, frames, strict=True):
         if not own:
             raise InvalidInputError(f'view "{view.name}": no frame; at least one is needed')
+    sizes_px = sizes_px or [(own[0].image.shape[1], own[0].image.shape[0]) for own in frames]
+    told = rig
+    rig = _in_pixels_of(rig, frames, sizes_px)
     plane_views = [
         PlaneView.from_reference_points(
             rig.plane.points,
@@ -122,14 +145,17 @@ def examine(
     stills = [_still(own) for own in frames]
     readings, findings = [], list(_judge_damage(rig.views, damage))
     damaged = {finding.view for finding in findings}
-    for view, own in zip(rig.views, frames, strict=True):
+    for view, own, size_px in zip(rig.views, frames, sizes_px, strict=True):
         reading, wrong = _examine_view(view, own, has_gaps=view.name in damaged)
-        readings.append(reading)
+        readings.append(replace(reading, size_px=size_px))
         findings += wrong
     findings += judge_views(rig, plane_views, stills)
     findings += judge_together(rig, plane_views, stills)
+    findings += judge_sizes(told, sizes_px)
     findings += _judge_rates(readings)
     findings += _judge_skew(rig, frames)
+    if not any(finding.severity is Severity.ERROR for finding in findings):
+        findings += judge_times_by_motion(rig, frames)
     ordered = tuple(sorted(findings, key=lambda f: _ORDER[f.severity]))
     return Diagnosis(tuple(readings), ordered, tuple(notes))
 
@@ -145,6 +171,17 @@ def _judge_damage(views: Sequence[View], damage: Sequence[str]) -> Iterator[Find
                 "they are lost for this view: record over a line that loses nothing, or copy the "
                 "files again",
             )
+
+
+def _in_pixels_of(
+    rig: Rig, frames: Sequence[Sequence[Frame]], sizes_px: Sequence[tuple[int, int]]
+) -> Rig:
+    """Return the rig as it would be told of the frames that were kept."""
+    views = tuple(
+        reduced_view(view, Reduction(size_px[0] // own[0].image.shape[1]))
+        for view, own, size_px in zip(rig.views, frames, sizes_px, strict=True)
+    )
+    return structs.replace(rig, views=views)
 
 
 def _examine_view(

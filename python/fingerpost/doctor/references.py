@@ -3,9 +3,8 @@
 - *outside*: most of them lie outside the image (`fingerpost.admission.points_outside`);
 - *mirrored*: the homographies of all views keep or reverse the sense of rotation alike, for all
   cameras stand on one side of the plane (`fingerpost.admission.different_sides`);
-- *order*: carried onto the plane, the views show one and the same table. Where another order of
-  one view's four points makes them agree much better, it is that one's order. A table that looks
-  alike from four sides does not tell;
+- *elsewhere*: carried onto the plane, the views show one and the same table; where they do not,
+  and would if a mistake were undone that people make, it is named (`fingerpost.consistency`);
 - *weak*: errors of the points grow inside the workspace (`fingerpost.advise.reference_weakness`);
 - *inconsistent*: with more than four points, one is off by more than it can be;
 - *off their corner*: a sharp corner stands beside the point rather than under it. Points without
@@ -21,9 +20,10 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from fingerpost.admission import different_sides, points_outside
+from fingerpost.admission import different_sides, other_size, points_outside
 from fingerpost.advise import reference_weakness
 from fingerpost.config import Rig, View
+from fingerpost.consistency import Scenery
 from fingerpost.doctor.findings import Check, Finding, Severity
 from fingerpost.pipeline import DEFAULT_REFERENCE_SIGMA_PX
 from fingerpost.pointing import PlaneView
@@ -46,15 +46,6 @@ SHARP_CORNER = 0.02
 """Smaller eigenvalue of the structure tensor over the squared local contrast: 0.03 to 0.12 at
 sheet corners, below 0.01 at round ones."""
 
-BETTER_ORDER = 0.25
-"""By how much the views' correlation on the plane must grow with another order of the points, and
-how high it must be."""
-
-_PATCH = 96
-# So much of the plane is looked at around the reference points, as a share of their extent.
-_AROUND = 0.25
-# Pictures that vary by less [grey levels] say nothing.
-_PLAIN = 2.0
 # How far around the waiting fingertip points may be covered by the hand, in finger lengths.
 _HAND_LENGTHS = 1.5
 _LEAST_CONTRAST = 12.0
@@ -92,8 +83,47 @@ def judge_together(
     if (wrong := different_sides(rig, plane_views)) is not None:
         yield Finding(Severity.ERROR, Check.REFERENCES, "", *wrong)
         return
-    if len(rig.plane.points) == 4:
-        yield from _judge_order(rig, plane_views, stills)
+    if len(rig.views) < 2:
+        yield Finding(
+            Severity.ERROR,
+            Check.REFERENCES,
+            "",
+            f"the rig has {len(rig.views)} view",
+            "two or more are right: one alone shows no point",
+        )
+        return
+    yield from _judge_scenery(rig, stills)
+
+
+def judge_sizes(rig: Rig, sizes_px: Sequence[tuple[int, int]]) -> Iterator[Finding]:
+    """Say which views have pictures of another size than their points were measured in."""
+    for view, size_px in zip(rig.views, sizes_px, strict=True):
+        if (wrong := other_size(view, size_px)) is not None:
+            yield Finding(Severity.ERROR, Check.REFERENCES, view.name, *wrong)
+
+
+def _judge_scenery(rig: Rig, stills: Sequence[Grey]) -> Iterator[Finding]:
+    """Say what the views of the plane belie."""
+    scenery = Scenery(rig, stills)
+    for k in scenery.plain():
+        yield Finding(
+            Severity.ERROR,
+            Check.EXPOSURE,
+            rig.views[k].name,
+            "there is nothing in its pictures",
+            "the plane and a hand must be in view: look at the lens cap, the light and the source",
+        )
+    if (same := scenery.same_pictures()) is not None:
+        yield Finding(Severity.ERROR, Check.REFERENCES, "", *same)
+    elif (mistake := scenery.mistake()) is not None:
+        severity = Severity.ERROR if mistake.is_certain else Severity.WARNING
+        what = f"{mistake.what} (the views agree by {mistake.as_given:.2f} on what the plane shows)"
+        right = f"{mistake.lines(rig)} would be right"
+        places = list(mistake.points_px)
+        name = rig.views[places[0]].name if len(places) == 1 else ""
+        yield Finding(severity, Check.REFERENCES, name, what, right)
+    for k, bend in scenery.bends().items():
+        yield Finding(Severity.WARNING, Check.LENS, rig.views[k].name, bend.what, bend.right)
 
 
 def _judge_strength(name: str, plane_view: PlaneView) -> Iterator[Finding]:
@@ -174,80 +204,3 @@ def _corner_beside(still: Grey, point: Array) -> Array | None:
     if not CORNER_PX[0] < distances[nearest] <= CORNER_PX[1]:
         return None
     return np.asarray(corners[nearest])
-
-
-def _judge_order(
-    rig: Rig, plane_views: Sequence[PlaneView], stills: Sequence[Grey]
-) -> Iterator[Finding]:
-    """Compare the views on the plane, with the first one's order taken for right."""
-    first, *others = (
-        _asymmetries(rig, view, plane_view, still)
-        for view, plane_view, still in zip(rig.views, plane_views, stills, strict=True)
-    )
-    for view, turned in zip(rig.views[1:], others, strict=True):
-        agreements = [_agreement(first[0], picture) for picture in turned]
-        shift = int(np.argmax(agreements))
-        as_given, best = agreements[0], agreements[shift]
-        if best > max(as_given + BETTER_ORDER, 2.0 * BETTER_ORDER):
-            order = [(k + shift) % 4 for k in range(4)]
-            yield Finding(
-                Severity.ERROR,
-                Check.REFERENCES,
-                view.name,
-                f"the table looks as in {rig.views[0].name} when its reference points are taken "
-                f"in the order {order} (correlation {best:.2f} against {as_given:.2f})",
-                "all views must name the points in the order of plane.points",
-            )
-
-
-def _asymmetries(rig: Rig, view: View, plane_view: PlaneView, still: Grey) -> Array:
-    """(4, n, n) pictures of the plane with the points taken from the 1st, 2nd, 3rd, 4th on.
-
-    What they have in common, a plain sheet on a plain table above all, tells no order and is taken
-    out.
-    """
-    points_px = np.array(view.reference_points_px)
-    pictures = np.stack(
-        [
-            _on_plane(
-                PlaneView.from_reference_points(
-                    rig.plane.points, np.roll(points_px, -shift, axis=0), None, view.lens
-                ),
-                plane_view.plane_points,
-                still,
-            )
-            for shift in range(4)
-        ]
-    )
-    return np.asarray(pictures - pictures.mean(axis=0))
-
-
-def _on_plane(plane_view: PlaneView, plane_points: Array, still: Grey) -> Array:
-    """Picture of the plane around its reference points, as a view shows it; NaN outside."""
-    import cv2
-
-    lower, upper = plane_points.min(axis=0), plane_points.max(axis=0)
-    border = _AROUND * (upper - lower)
-    axes = [np.linspace(lower[i] - border[i], upper[i] + border[i], _PATCH) for i in (0, 1)]
-    grid = np.stack(np.meshgrid(*axes), axis=-1)
-    places = plane_view.project(grid)
-    height, width = still.shape
-    last = np.array([width, height]) - 1.0
-    with np.errstate(invalid="ignore"):  # beyond the horizon there is nothing
-        seen = np.asarray(((places >= 0.0) & (places <= last)).all(axis=-1))
-    smooth = cv2.GaussianBlur(still, (0, 0), 2.0)
-    fixed = np.where(seen[..., None], places, 0.0).astype(np.float32)
-    patch = np.asarray(cv2.remap(smooth, fixed[..., 0], fixed[..., 1], cv2.INTER_LINEAR))
-    return np.where(seen, patch.astype(np.float64), np.nan)
-
-
-def _agreement(first: Array, second: Array) -> float:
-    """Correlation of two pictures of the plane where both show it, −1 to 1; 0 if plain."""
-    both = np.isfinite(first) & np.isfinite(second)
-    if both.sum() < _PATCH:
-        return 0.0
-    a, b = first[both], second[both]
-    a, b = a - a.mean(), b - b.mean()
-    if min(a.std(), b.std()) < _PLAIN:
-        return 0.0
-    return float((a @ b) / math.sqrt((a @ a) * (b @ b)))

@@ -63,5 +63,13 @@ class Reduction:
         if lens is None:
             return None
         cx, cy = self.points((lens.cx, lens.cy)).tolist()
-        scaled = {"fx": lens.fx / self.factor, "fy": lens.fy / self.factor, "cx": cx, "cy": cy}
-        return dataclasses.replace(lens, **scaled)
+        return dataclasses.replace(
+            lens, fx=lens.fx / self.factor, fy=lens.fy / self.factor, cx=cx, cy=cy
+        )
+
+    def whole_lens(self, lens: Lens) -> Lens:
+        """Return the lens of the whole picture, of that of the reduced one."""
+        cx, cy = self.whole((lens.cx, lens.cy)).tolist()
+        return dataclasses.replace(
+            lens, fx=lens.fx * self.factor, fy=lens.fy * self.factor, cx=cx, cy=cy
+        )

@@ -48,6 +48,9 @@ from fingerpost.robot.protocol import Angle, GripperKind, Limits, Pose
 
 logger = logging.getLogger(__name__)
 
+DEFAULT_TIMEOUT_S = socket.getdefaulttimeout()
+"""The process's own default for sockets [s]."""
+
 MM_PER_M = 1000.0
 GRIPPER_PULSES = 850
 """The gripper's position when open; 0 is closed."""
@@ -195,14 +198,14 @@ class Xarm(Arm):
         wanted = threading.Semaphore()  # for whoever comes first: the connection, or patience's end
 
         def connect() -> None:
-            default_s = socket.getdefaulttimeout()
             try:
                 api = self._library.XArmAPI(self._host, is_radian=True)
             except Exception as error:  # the library raises plain Exception
                 result.put(error)
                 return
             finally:
-                socket.setdefaulttimeout(default_s)  # the library sets it for the whole process
+                # The library sets one for the whole process, from several threads at a time.
+                socket.setdefaulttimeout(DEFAULT_TIMEOUT_S)
             if wanted.acquire(blocking=False):
                 result.put(api)
             else:

@@ -198,6 +198,7 @@ def _view_toml(
         f'name = "{camera.name}"',
         f'source = "{source}"',
         f"reference_points_px = [{references}]",
+        f"size_px = [{camera.width_px}, {camera.height_px}]",
     ]
     if with_lens and camera.k1 != 0:
         cx, cy = camera.principal_point_px

@@ -1,0 +1,103 @@
+"""When still images were taken, by the numbers in their names.
+
+Programs that save a stream number its frames, or name them by the clock. A number that is missing
+is a frame that was lost: those after it were taken as much later, in this view alone. Numbers that
+are neither, as of chosen pictures, say nothing.
+"""
+
+from __future__ import annotations
+
+import logging
+import re
+from collections.abc import Sequence
+from itertools import pairwise
+from pathlib import Path
+from typing import NamedTuple
+
+_log = logging.getLogger(__name__)
+
+_NUMBER = re.compile(r"(\d+(?:\.\d+)?)(?!.*\d)")
+"""The last number of a name."""
+
+# How many digits seconds, milli-, micro- and nanoseconds since 1970 have, from 2001 to 2286.
+_CLOCKS = {13: 1e-3, 16: 1e-6, 19: 1e-9}
+_SECONDS_DIGITS = 10
+
+
+class Taken(NamedTuple):
+    """When one image was taken.
+
+    Attributes
+    ----------
+    place
+        Its position in the stream, from 0; images that are missing leave a gap.
+    time_s
+        Its time [s]: from the first image on, or by the clock that its name was written by.
+    """
+
+    place: int
+    time_s: float
+
+
+def taken(paths: Sequence[Path], fps: float, name: str) -> list[Taken]:
+    """Tell when images were taken.
+
+    Parameters
+    ----------
+    paths
+        In their order.
+    fps
+        Frames per second of images whose names are no times.
+    name
+        What the source is called in messages.
+    """
+    numbers = _numbers(paths)
+    clock_s = _clock_s(numbers)
+    if clock_s is not None:
+        return [Taken(k, time_s) for k, time_s in enumerate(clock_s)]
+    indices = _indices(numbers) or list(range(len(paths)))
+    missing = indices[-1] + 1 - len(indices)
+    if missing:
+        k = next(k for k in range(1, len(indices)) if indices[k] > indices[k - 1] + 1)
+        _log.warning(
+            "%s: %d numbers are missing, the first of them after %s: taken for frames that were "
+            "lost",
+            name,
+            missing,
+            paths[k - 1].name,
+        )
+    return [Taken(index, index / fps) for index in indices]
+
+
+def _numbers(paths: Sequence[Path]) -> list[str]:
+    """Return the last number of each name, if all have one and increase; else nothing."""
+    found = [_NUMBER.search(path.stem) for path in paths]
+    numbers = [match[1] for match in found if match is not None]
+    values = [float(number) for number in numbers]
+    increase = all(a < b for a, b in pairwise(values))
+    return numbers if len(numbers) == len(paths) > 1 and increase else []
+
+
+def _clock_s(numbers: Sequence[str]) -> list[float] | None:
+    """Return the times that numbers are, if that is what they are [s]."""
+    whole = {len(number.split(".")[0]) for number in numbers}
+    if len(whole) != 1:
+        return None
+    (digits,) = whole
+    if digits == _SECONDS_DIGITS and all("." in number for number in numbers):
+        return [float(number) for number in numbers]
+    if digits in _CLOCKS and not any("." in number for number in numbers):
+        return [int(number) * _CLOCKS[digits] for number in numbers]
+    return None
+
+
+def _indices(numbers: Sequence[str]) -> list[int] | None:
+    """Return positions by numbers that count; None where they do not."""
+    if not numbers or any("." in number for number in numbers):
+        return None
+    values = [int(number) for number in numbers]
+    steps = sorted(b - a for a, b in pairwise(values))
+    usual = steps[(len(steps) - 1) // 2]
+    if any(step % usual for step in steps):
+        return None
+    return [(value - values[0]) // usual for value in values]

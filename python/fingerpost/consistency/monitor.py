@@ -1,0 +1,123 @@
+"""What is watched while a rig runs: that its pictures are new ones, and of one time."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+
+import numpy as np
+
+from fingerpost.capture import Frame, Loss
+from fingerpost.consistency.freshness import Freshness
+from fingerpost.consistency.synchrony import Lag, Tips, lag_between
+from fingerpost.pointing import FingerLine, PlaneView
+
+_log = logging.getLogger(__name__)
+
+FROZEN = "its picture stands still"
+"""What is said of a view that hands out an old picture."""
+
+LOOK_EVERY_S = 0.5
+"""The clocks are compared so often; it takes some ms."""
+
+REPEATS_SHARE = 0.1
+"""A view is said to repeat pictures from this part of them on."""
+
+
+class Monitor:
+    """Watches the pictures of several views, and the tip that they follow.
+
+    Parameters
+    ----------
+    names
+        The views'.
+
+    Attributes
+    ----------
+    lags
+        How far the clock of each view is behind the first one's, as far as that is known.
+    """
+
+    def __init__(self, names: Sequence[str]) -> None:
+        self._names = names
+        self._freshness = Freshness(len(names))
+        self._tips = [Tips() for _ in names]
+        self._compared_s = -np.inf
+        self._said: set[tuple[str, str]] = set()
+        self._worst: dict[str, Lag] = {}
+        self.lags: list[Lag | None] = [None] * len(names)
+
+    def look(self, seen: Sequence[Frame | Loss | None]) -> list[Frame | Loss | None]:
+        """Take what is there of the next frame of every view; give what counts of it.
+
+        An old picture is no new measurement, so it counts as none; a view that has shown one for
+        long is lost.
+        """
+        old = self._freshness.look([one if isinstance(one, Frame) else None for one in seen])
+        return [
+            self._old(k, one) if is_old and isinstance(one, Frame) else one
+            for k, (one, is_old) in enumerate(zip(seen, old, strict=True))
+        ]
+
+    def _old(self, k: int, frame: Frame) -> Loss | None:
+        if not self._freshness.is_frozen(k, frame.time_s):
+            return None
+        self._say_once("frozen", self._names[k], f'view "{self._names[k]}": {FROZEN}')
+        return Loss(frame.index, frame.time_s, FROZEN)
+
+    def take(
+        self,
+        times_s: Sequence[float | None],
+        fingers: Sequence[FingerLine | object],
+        plane_views: Sequence[PlaneView],
+    ) -> None:
+        """Take what every view has followed in its last frame; None without one."""
+        for tips, time_s, finger, view in zip(
+            self._tips, times_s, fingers, plane_views, strict=True
+        ):
+            if time_s is None or not isinstance(finger, FingerLine):
+                continue
+            tip_px = finger.tip_px if view.lens is None else view.lens.undistort(finger.tip_px)
+            if np.isfinite(tip_px).all():
+                first_from_view = plane_views[0].image_from_plane @ np.linalg.inv(
+                    view.image_from_plane
+                )
+                tips.add(time_s, first_from_view @ [*tip_px, 1.0])
+        if times_s[0] is not None and times_s[0] >= self._compared_s + LOOK_EVERY_S:
+            self._compared_s = times_s[0]
+            self._compare()
+
+    def _compare(self) -> None:
+        first, *others = self._tips
+        for k, other in enumerate(others, start=1):
+            lag = self.lags[k] = lag_between(first, other)
+            if lag is not None:
+                name = self._names[k]
+                self._worst[name] = lag
+                self._say_once("lag", name, self._lag_words(name, lag))
+
+    def _lag_words(self, name: str, lag: Lag) -> str:
+        way = "after" if lag.lag_s > 0.0 else "before"
+        return (
+            f'view "{name}" shows the hand {abs(lag.lag_s):.2f} s {way} view "{self._names[0]}" '
+            f"does, by how it moves in both; offset_s = {-lag.lag_s:.2f} more in its [[view]] "
+            "brings them together, if they were begun apart"
+        )
+
+    def _say_once(self, kind: str, name: str, words: str) -> None:
+        if (kind, name) not in self._said:
+            self._said.add((kind, name))
+            _log.warning("%s", words)
+
+    def notes(self) -> list[str]:
+        """Return what was noticed, a line each."""
+        notes = [self._lag_words(name, lag) for name, lag in self._worst.items()]
+        for name, repeats, frames in zip(
+            self._names, self._freshness.repeats, self._freshness.frames, strict=True
+        ):
+            if repeats > REPEATS_SHARE * frames:
+                notes.append(
+                    f'view "{name}": {repeats} of {frames} pictures were old ones, handed out '
+                    "again; they are no new measurements"
+                )
+        return notes

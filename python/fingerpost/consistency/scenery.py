@@ -1,0 +1,439 @@
+"""Whether reference points are where a rig says, told by what the views show.
+
+Two witnesses. Carried onto the plane by their own points, all views show one and the same table:
+its texture, freed of what is smooth, agrees to 0.9 where points are right and to 0.1 where they are
+not. And points that were measured at corners of something have a sharp corner under them. Neither
+says much alone of points that are wrong: plain sheets agree in nothing, and crossings of lines are
+no corners. So the mistakes that people make are undone one by one, and one is named if the views
+agree by that as those of a right rig do, or if corners stand under all points then and under hardly
+any before.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from itertools import permutations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fingerpost.config import Rig
+from fingerpost.consistency.contradiction import Contradiction
+from fingerpost.consistency.straightness import Bend, bend_of
+from fingerpost.errors import FingerpostError
+from fingerpost.homography import transfer_to_image
+from fingerpost.pointing import PlaneView
+from fingerpost.references import Reduction
+
+Array = NDArray[np.float64]
+Grey = NDArray[np.uint8]
+
+LARGEST_PX = 1280
+"""Pictures with a longer side are looked at in a reduced size."""
+
+AGREES = 0.8
+LEAST_AGREEMENT = 0.55
+BETTER = 0.2
+"""Correlation of two views' textures of the plane: from the first on nothing is wrong; a mistake
+that is undone must bring it to the second, and by the third above what it is. Right rigs on desks
+and mats have 0.87 to 0.94, and 0.06 to 0.14 before plain tables; wrong ones −0.1 to 0.1, and 0.6
+where only the outline of a sheet agrees, or points are off by a little."""
+
+LEAST_SEEN = 0.125
+"""Part of a texture that both views must show."""
+
+TIE = 0.01
+"""Of mistakes that explain as much, to this, the commonest one is named."""
+
+SIMPLER = 0.05
+"""A mistake in one more view must explain so much more."""
+
+SAME = 0.97
+"""Pictures whose sharp parts correlate by this are one; those of two cameras do by 0.1."""
+
+CORNER_PX = 3.0
+"""A sharp corner this near to a point is under it."""
+
+FURTHEST_PX = 60.0
+"""Points that were measured badly have their corners within this."""
+
+SCALES = (0.25, 1 / 3, 0.5, 2 / 3, 0.75, 4 / 3, 1.5, 2.0, 3.0, 4.0)
+"""How sizes of pictures differ that one camera gives."""
+
+_PATCH = 96
+_AROUND = 0.25
+_SMOOTH_PATCH = 6.0
+_PLAIN_LEVELS = 2.0
+_ECC_STEPS = (3, 60, 1e-4)  # iterations and a least improvement
+_ECC_BLUR = 5
+_QUALITY = 0.02
+_LEAST_CONTRAST = 12.0  # below, corners are noise [levels]
+_MOST_CORNERS = 150
+_CORNERS_APART_PX = 6
+
+
+@dataclass(frozen=True, eq=False)
+class Mistake:
+    """What somebody probably did when the points of some views were written down.
+
+    Attributes
+    ----------
+    what
+        The mistake in words.
+    points_px
+        By the view's place in the rig, the points that would be right, (N, 2) [px].
+    agreement, as_given
+        How well the views agree by them, and by the points of the rig, −1 to 1.
+    is_certain
+        Whether a mistake that people make explains it by what all views show of the plane; else
+        corners alone tell, or something is wrong and it is not known in which view.
+    """
+
+    what: str
+    points_px: dict[int, Array]
+    agreement: float
+    as_given: float
+    is_certain: bool
+
+    def lines(self, rig: Rig) -> str:
+        """Return the lines of the rig file that would be right, one after the other."""
+        return "; ".join(
+            f'view "{rig.views[k].name}": reference_points_px = ['
+            + ", ".join(f"[{u:.1f}, {v:.1f}]" for u, v in points.tolist())
+            + "]"
+            for k, points in self.points_px.items()
+        )
+
+
+class Scenery:
+    """What the views of a rig show of the plane.
+
+    Parameters
+    ----------
+    rig
+        Two views or more.
+    pictures
+        One of each, (H, W) or (H, W, 3), without what moves if that can be had. Large ones are
+        looked at in a reduced size.
+    """
+
+    def __init__(self, rig: Rig, pictures: Sequence[NDArray[np.uint8]]) -> None:
+        import cv2
+
+        self._rig = rig
+        self._plane_points = np.array(rig.plane.points, np.float64)
+        self._reductions = [Reduction.of(picture.shape, LARGEST_PX) for picture in pictures]
+        stills = [
+            _grey(reduction.picture(picture))
+            for reduction, picture in zip(self._reductions, pictures, strict=True)
+        ]
+        self._given = [
+            reduction.points(view.reference_points_px)
+            for reduction, view in zip(self._reductions, rig.views, strict=True)
+        ]
+        self._lenses = [
+            reduction.lens(view.lens)
+            for reduction, view in zip(self._reductions, rig.views, strict=True)
+        ]
+        self._stills = stills
+        self._sizes = [(still.shape[1], still.shape[0]) for still in stills]
+        self._smooth = [np.asarray(cv2.GaussianBlur(still, (0, 0), 1.5)) for still in stills]
+        self._corners = [_sharp_corners(still) for still in stills]
+        self._patches: dict[tuple[int, bytes], Array | None] = {}
+
+    def agreement(self) -> float:
+        """Return how well the views agree on what the plane looks like, −1 to 1.
+
+        The least agreement of the first view with another; 0 where one shows nothing of it.
+        """
+        return self._agreement({})
+
+    def _agreement(self, points_px: dict[int, Array]) -> float:
+        """Return the agreement with other points in some views, in reduced pixels."""
+        chosen = {**dict(enumerate(self._given)), **points_px}
+        first, *others = (self._patch(k, chosen[k]) for k in range(len(self._given)))
+        if first is None:
+            return 0.0
+        return min(0.0 if other is None else _correlation(first, other) for other in others)
+
+    def bends(self) -> dict[int, Bend]:
+        """Return how lenses bend the pictures of views that have none told, by their place."""
+        found = {}
+        for k, view in enumerate(self._rig.views):
+            if view.lens is None:
+                bend = bend_of(
+                    self._stills[k], self._plane_points, self._given[k], self._reductions[k]
+                )
+                if bend is not None:
+                    found[k] = bend
+        return found
+
+    def same_pictures(self) -> Contradiction | None:
+        """Tell whether two views show the same picture, which two cameras never do."""
+        for k, name in enumerate(view.name for view in self._rig.views):
+            for j in range(k):
+                if self._sizes[j] == self._sizes[k] and self._is_same(j, k):
+                    return Contradiction(
+                        f'views "{self._rig.views[j].name}" and "{name}" show the same picture',
+                        "each needs a camera, or the film of a camera, of its own",
+                    )
+        return None
+
+    def plain(self) -> list[int]:
+        """Return the places of views whose pictures show nothing at all."""
+        return [
+            k
+            for k, still in enumerate(self._stills)
+            if float(np.std(still)) < _PLAIN_LEVELS or np.ptp(np.percentile(still, (1, 99))) < 6
+        ]
+
+    def _is_same(self, j: int, k: int) -> bool:
+        """Whether what is sharp in two pictures is the same in both."""
+        import cv2
+
+        one, other = (
+            still.astype(np.float64) - cv2.GaussianBlur(still, (0, 0), _SMOOTH_PATCH)
+            for still in (self._smooth[j], self._smooth[k])
+        )
+        return _correlation(one, other) > SAME
+
+    def mistake(self) -> Mistake | None:
+        """Return the likeliest mistake in the points; None if there is none to be seen."""
+        as_given = self.agreement()
+        if as_given >= AGREES:
+            return None
+        found = (
+            self._best_by_agreement(as_given, self._guesses())
+            or self._best_by_corners(as_given)
+            or self._best_by_agreement(as_given, self._alignments(), is_certain=False)
+        )
+        if found is None:
+            return None
+        whole_px = {k: self._reductions[k].whole(points) for k, points in found.points_px.items()}
+        return replace(found, points_px=whole_px)
+
+    def _best_by_agreement(
+        self,
+        as_given: float,
+        guesses: Iterable[tuple[str, dict[int, Array]]],
+        *,
+        is_certain: bool = True,
+    ) -> Mistake | None:
+        best, most = None, -1.0
+        for what, points_px in guesses:
+            agreement = self._agreement(points_px)
+            score = agreement - SIMPLER * len(points_px)
+            if agreement > max(LEAST_AGREEMENT, as_given + BETTER) and score > most + TIE:
+                best, most = Mistake(what, points_px, agreement, as_given, is_certain), score
+        return best
+
+    def _best_by_corners(self, as_given: float) -> Mistake | None:
+        """Believe corners alone where the table is too plain for the views to agree on."""
+        best, most = None, 0
+        for k, given in enumerate(self._given):
+            if self._hits(k, given) > 1:
+                return None
+        for what, points_px in self._guesses():
+            if len(points_px) < len(self._given):
+                continue
+            counts = [self._hits(k, points) for k, points in points_px.items()]
+            if min(counts) >= len(self._plane_points) and sum(counts) > most:
+                best, most = Mistake(what, points_px, 0.0, as_given, False), sum(counts)
+        return best
+
+    def _guesses(self) -> Iterator[tuple[str, dict[int, Array]]]:
+        """Undo every mistake in every view alone, and in all of them."""
+        views = range(len(self._given))
+        if len(self._given) == 2:
+            yield "the views' points are swapped", {0: self._given[1], 1: self._given[0]}
+        for what, right in _slips():
+            each = {k: right(self._given[k], self._sizes[k]) for k in views}
+            if "order" not in what:  # another order in all views is another pair of axes
+                yield f"{what} in all views", each
+            for k in views:
+                yield f'{what} in view "{self._rig.views[k].name}"', {k: each[k]}
+        moved = [self._shifts(k) for k in views]
+        for k in views:
+            for points in moved[k]:
+                yield self._moved_words(k, points), {k: points}
+        if all(moved):
+            best = {k: moved[k][0] for k in views}
+            yield "; ".join(self._moved_words(k, best[k]) for k in views), best
+
+    def _alignments(self) -> Iterator[tuple[str, dict[int, Array]]]:
+        """Bring the texture of each view to lie on the first one's, whatever that undoes."""
+        if all(self._hits(k, given) >= 2 for k, given in enumerate(self._given)):
+            return  # points at corners in all views: what differs stands on the plane
+        for k in range(1, len(self._given)):
+            aligned = self._aligned(k)
+            if aligned is not None:
+                yield self._aligned_words(k, aligned), {k: aligned}
+
+    def _moved_words(self, k: int, points: Array) -> str:
+        moved_px = np.median(points - self._given[k], axis=0) * self._reductions[k].factor
+        u, v = moved_px.round().tolist()
+        return (
+            f'the points of view "{self._rig.views[k].name}" are off by ({-u:g}, {-v:g}) px, as if '
+            "measured in a picture cut out of the whole"
+        )
+
+    def _aligned_words(self, k: int, points: Array) -> str:
+        off_px = float(np.median(np.linalg.norm(points - self._given[k], axis=1)))
+        off_px *= self._reductions[k].factor
+        first, name = self._rig.views[0].name, self._rig.views[k].name
+        return (
+            f'the points of views "{first}" and "{name}" do not belong together: those of one of '
+            f'them are off, by {off_px:.0f} px if they are those of "{name}"'
+        )
+
+    def _aligned(self, k: int) -> Array | None:
+        """Return points by which a view's texture comes to lie on the first one's.
+
+        By the largest correlation over shifts, and a homography from there (Evangelidis & Psarakis
+        2008).
+        """
+        import cv2
+
+        first, other = self._patch(0, self._given[0]), self._patch(k, self._given[k])
+        if first is None or other is None:
+            return None
+        here, there = (np.nan_to_num(patch).astype(np.float32) for patch in (first, other))
+        m = _PATCH // 4
+        scores = cv2.matchTemplate(there, here[m:-m, m:-m], cv2.TM_CCOEFF_NORMED)
+        row, column = np.unravel_index(int(np.argmax(scores)), scores.shape)
+        warp = np.array([[1, 0, column - m], [0, 1, row - m], [0, 0, 1]], np.float32)
+        seen = np.isfinite(first).astype(np.uint8)
+        try:
+            _, found = cv2.findTransformECC(
+                here, there, warp, cv2.MOTION_HOMOGRAPHY, _ECC_STEPS, seen, _ECC_BLUR
+            )
+        except cv2.error:  # it does not converge
+            return None
+        lower, step = self._frame()
+        patch_from_plane = np.diag([*(1 / step), 1.0])
+        patch_from_plane[:2, 2] = -lower / step
+        shown = np.linalg.inv(patch_from_plane) @ np.asarray(found) @ patch_from_plane
+        with suppress(FingerpostError):
+            view = self._view(k, self._given[k])
+            places = view.project(transfer_to_image(shown, self._plane_points))
+            return places if np.isfinite(places).all() else None
+        return None
+
+    def _frame(self) -> tuple[Array, Array]:
+        """Where the first pixel of a texture lies on the plane, and how far apart they are."""
+        lower, upper = self._plane_points.min(axis=0), self._plane_points.max(axis=0)
+        border = _AROUND * (upper - lower)
+        return lower - border, (upper - lower + 2.0 * border) / (_PATCH - 1)
+
+    def _view(self, k: int, points_px: Array) -> PlaneView:
+        return PlaneView.from_reference_points(self._plane_points, points_px, None, self._lenses[k])
+
+    def _shifts(self, k: int) -> list[Array]:
+        """Return points with corners under them: shifted alike, or each to its own."""
+        given, corners = self._given[k], self._corners[k]
+        if not len(corners):
+            return []
+        shifts = (corners[None] - given[:, None]).reshape(-1, 2)
+        counts = np.array([self._hits(k, given + shift) for shift in shifts])
+        enough = np.flatnonzero(counts >= max(len(given) - 1, 3))
+        order = enough[np.argsort(-counts[enough], kind="stable")][:5]
+        found = [self._snapped(k, given + shifts[i]) for i in order]
+        off_px = np.linalg.norm(corners[None] - given[:, None], axis=-1)
+        if (off_px.min(axis=1) <= FURTHEST_PX).all():
+            found.append(corners[off_px.argmin(axis=1)])
+        return found
+
+    def _snapped(self, k: int, points: Array) -> Array:
+        """Move points onto the corners under them."""
+        off_px = np.linalg.norm(self._corners[k][None] - points[:, None], axis=-1)
+        nearest = self._corners[k][off_px.argmin(axis=1)]
+        return np.where(off_px.min(axis=1)[:, None] <= CORNER_PX, nearest, points)
+
+    def _hits(self, k: int, points: Array) -> int:
+        """Count the points that have a sharp corner under them."""
+        if not len(self._corners[k]):
+            return 0
+        off_px = np.linalg.norm(self._corners[k][None] - points[:, None], axis=-1)
+        return int((off_px.min(axis=1) <= CORNER_PX).sum())
+
+    def _patch(self, k: int, points_px: Array) -> Array | None:
+        """Return the plane's texture as a view shows it; None where points tie it to no plane."""
+        key = (k, points_px.tobytes())
+        if key not in self._patches:
+            self._patches[key] = self._texture(k, points_px)
+        return self._patches[key]
+
+    def _texture(self, k: int, points_px: Array) -> Array | None:
+        import cv2
+
+        try:
+            view = self._view(k, points_px)
+        except FingerpostError:
+            return None
+        lower, step = self._frame()
+        steps = np.stack(np.meshgrid(np.arange(_PATCH), np.arange(_PATCH)), axis=-1)
+        places = view.project(lower + step * steps)
+        last = np.array(self._sizes[k]) - 1.0
+        with np.errstate(invalid="ignore"):  # beyond the horizon there is nothing
+            seen = np.asarray(((places >= 0.0) & (places <= last)).all(axis=-1))
+        u, v = np.moveaxis(np.where(seen[..., None], places, 0.0).astype(np.float32), -1, 0)
+        patch = np.asarray(cv2.remap(self._smooth[k], u, v, cv2.INTER_LINEAR), np.float64)
+        weight = cv2.GaussianBlur(seen.astype(np.float64), (0, 0), _SMOOTH_PATCH)
+        around = cv2.GaussianBlur(np.where(seen, patch, 0.0), (0, 0), _SMOOTH_PATCH)
+        return np.where(seen, patch - around / np.maximum(weight, 1e-6), np.nan)
+
+
+def _slips() -> Iterator[tuple[str, Callable[[Array, tuple[int, int]], Array]]]:
+    """Give the mistakes that people make with pixels, and what undoes each."""
+    yield "rows and columns are swapped", lambda px, _: px[:, ::-1].copy()
+    yield "y is counted upwards", lambda px, size: px * [1, -1] + [0, size[1] - 1]
+    yield "the image was mirrored", lambda px, size: px * [-1, 1] + [size[0] - 1, 0]
+    yield "points are parts of the image's size", lambda px, size: px * size - 0.5
+    for scale in SCALES:
+        yield (
+            f"points were measured in images {1 / scale:.3g} times as large",
+            lambda px, _, scale=scale: (px + 0.5) * scale - 0.5,  # type: ignore[misc]
+        )
+    for order in permutations(range(4)):
+        if order != (0, 1, 2, 3):
+            yield (
+                f"points are to be taken in the order {list(order)}",
+                lambda px, _, order=order: np.vstack([px[list(order)], px[4:]]),  # type: ignore[misc]
+            )
+
+
+def _grey(picture: NDArray[np.uint8]) -> Grey:
+    import cv2
+
+    if picture.ndim == 2:
+        return picture
+    return np.asarray(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY), np.uint8)
+
+
+def _sharp_corners(still: Grey) -> Array:
+    """Return the sharpest corners of a picture, (M, 2) [px], to part of a pixel."""
+    import cv2
+
+    low, high = np.percentile(still, (1, 99)).tolist()
+    if high - low < _LEAST_CONTRAST:
+        return np.empty((0, 2))
+    found = cv2.goodFeaturesToTrack(still, _MOST_CORNERS, _QUALITY, _CORNERS_APART_PX, blockSize=5)
+    if found is None:
+        return np.empty((0, 2))
+    criteria = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 30, 0.02)
+    refined = cv2.cornerSubPix(still, np.asarray(found, np.float32), (4, 4), (-1, -1), criteria)
+    return np.asarray(refined, np.float64).reshape(-1, 2)
+
+
+def _correlation(first: Array, second: Array) -> float:
+    """Correlation of two textures where both are seen; 0 of plain ones."""
+    both = np.isfinite(first) & np.isfinite(second)
+    if both.sum() < LEAST_SEEN * both.size:
+        return 0.0
+    a, b = first[both] - first[both].mean(), second[both] - second[both].mean()
+    if min(a.std(), b.std()) < _PLAIN_LEVELS:
+        return 0.0
+    return float((a @ b) / math.sqrt((a @ a) * (b @ b)))

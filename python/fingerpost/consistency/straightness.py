@@ -1,0 +1,224 @@
+"""Whether a lens bends what is straight: the sides between reference points.
+
+A sheet, a mat or a screen has straight edges from corner to corner. Along each side the edge is
+located across the chord; the radial distortion that makes all edges straightest (plumb lines:
+Brown 1971) is that of the lens, if they are much straighter by it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from msgspec import structs
+from numpy.typing import NDArray
+
+from fingerpost.config import LensParameters, View
+from fingerpost.lens import Lens
+from fingerpost.pointing import PlaneView
+from fingerpost.references import Reduction
+
+Array = NDArray[np.float64]
+Grey = NDArray[np.uint8]
+
+BENT_PX = 0.4
+"""A lens that bends the sides by less, as a root mean square, is none [px]."""
+
+TIMES_STRAIGHTER = 2.0
+"""So many times straighter must the sides be by the lens."""
+
+LEFT_PART = 0.25
+"""What such a lens leaves of its distortion."""
+
+LEAST_SIDES = 2
+LEAST_SIDE_PX = 60.0
+LEAST_SHARE = 0.6
+"""Sides of which an edge is found at this part of the places, and that are so long, count; so many
+at least."""
+
+_K1 = np.linspace(-1.0, 1.0, 101)
+_PLACES = np.linspace(0.08, 0.92, 29)
+_REACH = 0.06  # across a side, as a part of its length
+_STEP_PX = 0.5
+_LEAST_EDGE = 3.0  # [levels a pixel]
+_OFF_PX = 1.0  # an edge that is further off a smooth curve is another one's
+
+
+@dataclass(frozen=True)
+class Bend:
+    """How a lens bends the picture.
+
+    Attributes
+    ----------
+    lens
+        The lens that makes the sides straightest, with a focal length of the image's width: what
+        is seen of straight lines tells distortion and focal length only together.
+    bent_px, left_px
+        How far edges are off straight lines, without and by it, as a root mean square [px].
+    off_px
+        By how much the plane between the reference points seems elsewhere without it, likewise.
+    """
+
+    lens: Lens
+    bent_px: float
+    left_px: float
+    off_px: float
+
+    @property
+    def what(self) -> str:
+        """What is wrong."""
+        return (
+            f"the lens bends its picture: sides that are straight are {self.bent_px:.1f} px off a "
+            f"line, and the plane between the reference points is {self.off_px:.1f} px off"
+        )
+
+    @property
+    def right(self) -> str:
+        """What would be right."""
+        lens = self.lens
+        return (
+            f"lens = {{ fx = {lens.fx:.0f}, fy = {lens.fy:.0f}, cx = {lens.cx:.1f}, "
+            f"cy = {lens.cy:.1f}, k1 = {lens.k1:.2f} }} makes them straight and is used; one that "
+            "was calibrated is better"
+        )
+
+    def allowed_for(self, view: View, sigma_px: float) -> View:
+        """Return a view with this lens, and reference points as sure as it is.
+
+        It is about the lens, not the lens: a part of what it takes out is left (`LEFT_PART`).
+
+        Parameters
+        ----------
+        view
+            The view.
+        sigma_px
+            Standard deviation of reference points that come without a covariance [px].
+        """
+        left_px2 = 0.5 * (LEFT_PART * self.off_px) ** 2
+        covariances = view.reference_covariances(sigma_px) + left_px2 * np.eye(2)
+        told = tuple((float(c[0, 0]), float(c[0, 1]), float(c[1, 1])) for c in covariances)
+        lens = LensParameters.of(self.lens)
+        return structs.replace(view, reference_covariances_px2=told, lens_parameters=lens)
+
+
+def bend_of(
+    still: Grey, plane_points: Array, points_px: Array, reduction: Reduction
+) -> Bend | None:
+    """Tell how a lens bends the sides between reference points; None if it does not.
+
+    None as well where no edges run along the sides, as between marks on a bare table.
+
+    Parameters
+    ----------
+    still
+        (H, W) Grey levels of a picture, reduced.
+    plane_points, points_px
+        (N, 2) Reference points on the plane and in it.
+    reduction
+        How it was reduced: the answer is in pixels of the whole picture.
+    """
+    import cv2
+
+    hull = cv2.convexHull(points_px.astype(np.float32)).reshape(-1, 2).astype(np.float64)
+    smooth = np.asarray(cv2.GaussianBlur(still, (0, 0), 1.0), np.float32)
+    ends = zip(hull, np.roll(hull, -1, axis=0), strict=True)
+    sides = [side for a, b in ends if (side := _edge_along(smooth, a, b)) is not None]
+    if len(sides) < LEAST_SIDES:
+        return None
+    height, width = still.shape
+    lenses = [
+        Lens(fx=width, fy=width, cx=(width - 1) / 2, cy=(height - 1) / 2, k1=float(k1))
+        for k1 in _K1
+    ]
+    off_px = np.array([_crookedness_px(sides, lens) for lens in lenses])
+    best = int(np.nanargmin(off_px))
+    bent_px, left_px = float(off_px[len(_K1) // 2]), float(off_px[best])
+    if bent_px < max(BENT_PX, TIMES_STRAIGHTER * left_px):
+        return None
+    off = bent_px, left_px, _off_by_px(lenses[best], plane_points, points_px)
+    return Bend(reduction.whole_lens(lenses[best]), *(reduction.factor * px for px in off))
+
+
+def _off_by_px(lens: Lens, plane_points: Array, points_px: Array) -> float:
+    """By how much the plane seems elsewhere without a lens, as a root mean square [px].
+
+    Over the part of the plane about the reference points, which themselves fit.
+    """
+    without = PlaneView.from_reference_points(plane_points, points_px, None)
+    within = PlaneView.from_reference_points(plane_points, points_px, None, lens)
+    lower, upper = plane_points.min(axis=0), plane_points.max(axis=0)
+    steps = np.linspace(-0.125, 1.125, 11)
+    grid = np.stack(np.meshgrid(*(lower + (upper - lower) * steps[:, None]).T), axis=-1)
+    off_px = (without.project(grid) - within.project(grid)).reshape(-1, 2)
+    known = np.isfinite(off_px).all(axis=1)
+    return float(np.sqrt((off_px[known] ** 2).sum(axis=1).mean()))
+
+
+def _edge_along(smooth: NDArray[np.float32], a: Array, b: Array) -> Array | None:
+    """Locate the edge that runs from one corner to another, (M, 2) [px]; None if there is none."""
+    import cv2
+
+    length_px = float(np.linalg.norm(b - a))
+    if length_px < LEAST_SIDE_PX:
+        return None
+    along = (b - a) / length_px
+    across = np.array([-along[1], along[0]])
+    reach_px = max(_REACH * length_px, 8.0)
+    offsets_px = np.arange(-reach_px, reach_px + _STEP_PX, _STEP_PX)
+    places = a + _PLACES[:, None] * (b - a)
+    u, v = np.moveaxis(places[:, None] + offsets_px[:, None] * across, -1, 0).astype(np.float32)
+    height, width = smooth.shape
+    inside = (u > 0) & (v > 0) & (u < width - 1) & (v < height - 1)
+    profile = np.asarray(cv2.remap(smooth, u, v, cv2.INTER_LINEAR), np.float64)
+    slope = np.gradient(profile, _STEP_PX, axis=1) * inside
+    best: Array | None = None
+    for sign in (1.0, -1.0):
+        at, found = _peaks(sign * slope, offsets_px)
+        smooth_curve = _curve(_PLACES, at, found)
+        if smooth_curve is None:
+            continue
+        fits = found & (np.abs(at - smooth_curve) < _OFF_PX)
+        if fits.mean() >= LEAST_SHARE and (best is None or fits.sum() > len(best)):
+            best = (places + at[:, None] * across)[fits]
+    return best
+
+
+def _peaks(slope: Array, offsets_px: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Return where each profile is steepest, to part of a pixel, and whether it is an edge."""
+    top = np.clip(slope.argmax(axis=1), 1, slope.shape[1] - 2)
+    rows = np.arange(len(slope))
+    before, here, after = (slope[rows, top + i] for i in (-1, 0, 1))
+    bend = before - 2.0 * here + after
+    shift = np.where(bend < 0.0, 0.5 * (before - after) / np.minimum(bend, -1e-9), 0.0)
+    return offsets_px[top] + np.clip(shift, -1, 1) * _STEP_PX, here >= _LEAST_EDGE
+
+
+def _curve(places: Array, at: Array, found: NDArray[np.bool_]) -> Array | None:
+    """Fit a parabola to most of the edges found, by the best of those through three of them."""
+    if found.sum() < 6:
+        return None
+    x, y = places[found], at[found]
+    rng = np.random.default_rng(0)  # the same picture gives the same answer
+    best, most = None, 0
+    for _ in range(60):
+        some = rng.choice(len(x), 3, replace=False)
+        parabola = np.polyfit(x[some], y[some], 2)
+        near = np.abs(np.polyval(parabola, x) - y) < _OFF_PX
+        if near.sum() > max(most, 5):
+            most, best = int(near.sum()), np.polyfit(x[near], y[near], 2)
+    return None if best is None else np.asarray(np.polyval(best, places), np.float64)
+
+
+def _crookedness_px(sides: Sequence[Array], lens: Lens) -> float:
+    """Root mean square distance of edges from straight lines once a lens is taken out [px]."""
+    squares, count = 0.0, 0
+    for side in sides:
+        ideal = lens.undistort(side)
+        if not np.isfinite(ideal).all():
+            return float("nan")
+        about = ideal - ideal.mean(axis=0)
+        size = float(np.hypot(*np.ptp(ideal, axis=0)) / np.hypot(*np.ptp(side, axis=0)))
+        squares += float(np.linalg.svd(about, compute_uv=False)[1] ** 2) / size**2
+        count += len(side)
+    return float(np.sqrt(squares / count))

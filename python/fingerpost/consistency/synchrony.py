@@ -1,0 +1,173 @@
+"""Whether the clocks of two views agree, told by one fingertip that both follow.
+
+What one camera sees of a point above the plane, carried into another one's image by the homography
+between their images of the plane, lies on a line through that one's epipole, together with what the
+other camera sees of it (plane and parallax: Hartley & Zisserman 2004, §13.3). Of a tip that moves,
+this holds only between pictures of one instant. So the tips of one view are set against those of
+the other at other times: the epipole that all pairs share best is fitted at each lag, and the lag
+with the least distances from its lines is that of the clocks.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+SPAN_S = 1.0
+"""Lags up to this are looked at: views that were begun further apart share no motion."""
+
+KEPT_S = 6.0
+"""Tips are kept for so long."""
+
+LEAST_PAIRS = 24
+"""Fewer pairs of tips fit an epipole by chance."""
+
+LEAST_SPREAD_PX = 5.0
+"""A tip that has kept this near to its middle place, as a median, has not moved: any lag fits."""
+
+LEAST_SHARE = 0.6
+"""Fewer pairs than this part of those without a lag are another motion."""
+
+SHORTEST_LAG = 0.75
+"""Part of the usual step from frame to frame below which a lag is none: capture times are no better
+known."""
+
+TIMES_BETTER = 2.0
+BETTER_PX = 0.7
+"""The distances at a lag are so many times less than those without, and less by so many pixels, or
+there is no lag: what a contour's tip is off by."""
+
+_REFITS = 3
+
+
+@dataclass(frozen=True)
+class Lag:
+    """How far the clock of one view is behind another's.
+
+    Attributes
+    ----------
+    lag_s
+        What one view shows at a time t, the other one shows at t + `lag_s` [s].
+    with_px, without_px
+        Median distance of tips from their epipolar lines at that lag, and at none [px].
+    """
+
+    lag_s: float
+    with_px: float
+    without_px: float
+
+
+class Tips:
+    """The latest places of the fingertip in one view, in the pixels of the first view's image.
+
+    Attributes
+    ----------
+    times_s, points
+        When, and where as homogeneous vectors (3,): oldest first.
+    """
+
+    def __init__(self) -> None:
+        self.times_s: deque[float] = deque()
+        self.points: deque[Array] = deque()
+
+    def add(self, time_s: float, point: Array) -> None:
+        """Add the latest one, and forget those before the time that is kept."""
+        self.times_s.append(time_s)
+        self.points.append(point)
+        while time_s - self.times_s[0] > KEPT_S:
+            self.times_s.popleft()
+            self.points.popleft()
+
+
+def lag_between(first: Tips, other: Tips) -> Lag | None:
+    """Tell by how much the clock of another view is behind the first one's; None if it is not.
+
+    None as well where it cannot be told: of a tip that is not followed by both or hardly moves.
+
+    Parameters
+    ----------
+    first, other
+        The tip in both.
+    """
+    if min(len(first.times_s), len(other.times_s)) < LEAST_PAIRS:
+        return None
+    times_s, points = np.array(first.times_s), np.array(first.points)
+    step_s = max(float(np.median(np.diff(np.array(s.times_s)))) for s in (first, other))
+    if step_s <= 0.0:
+        return None
+    none = int(SPAN_S / step_s)
+    lags_s = step_s * np.arange(-none, none + 1)
+    if _spread_px(points) < LEAST_SPREAD_PX:
+        return None
+    told = [_distance_px(times_s + lag_s, points, other, step_s) for lag_s in lags_s]
+    off_px, pairs = np.array(told).T
+    off_px[pairs < LEAST_SHARE * pairs[none]] = np.nan
+    if not np.isfinite(off_px[none]):
+        return None
+    best = int(np.nanargmin(off_px))
+    with_px, without_px = float(off_px[best]), float(off_px[none])
+    # A minimum between others that are known, or the lag may be longer still.
+    about_px = off_px[max(best - 2, 0) : best + 3]
+    if len(about_px) < 5 or not np.isfinite(about_px).all():
+        return None
+    is_better = without_px > max(TIMES_BETTER * with_px, with_px + BETTER_PX)
+    lag_s = float(lags_s[best]) + step_s * _vertex(about_px[1:4])
+    if not is_better or abs(lag_s) < SHORTEST_LAG * step_s:
+        return None
+    return Lag(lag_s, with_px, without_px)
+
+
+def _spread_px(points: Array) -> float:
+    """Median distance of a tip from the middle of its places [px]."""
+    return float(np.median(np.hypot(*(points[:, :2] - np.median(points[:, :2], axis=0)).T)))
+
+
+def _distance_px(times_s: Array, points: Array, other: Tips, step_s: float) -> tuple[float, int]:
+    """Median distance of tips from their epipolar lines [px], the others' taken at other times.
+
+    And the number of pairs; NaN of too few.
+    """
+    other_s, there = np.array(other.times_s), np.array(other.points)
+    after = np.clip(np.searchsorted(other_s, times_s), 1, len(other_s) - 1)
+    gap_s = other_s[after] - other_s[after - 1]
+    part = (times_s - other_s[after - 1]) / np.maximum(gap_s, np.finfo(float).tiny)
+    known = (part >= 0.0) & (part <= 1.0) & (gap_s < 2.5 * step_s)
+    if known.sum() < LEAST_PAIRS:
+        return np.nan, 0
+    part = part[known, None]
+    between = (1.0 - part) * there[after - 1][known] + part * there[after][known]
+    return _misfit_px(points[known], between), int(known.sum())
+
+
+def _misfit_px(here: Array, there: Array) -> float:
+    """Fit the epipole of lines through pairs of points (N, 3); return their median distance."""
+    middle = here[:, :2].mean(axis=0)
+    scale = max(float(np.abs(here[:, :2] - middle).mean()), 1.0)
+    to_unit = np.array(
+        [[1 / scale, 0, -middle[0] / scale], [0, 1 / scale, -middle[1] / scale], [0, 0, 1]]
+    )
+    here, there = here @ to_unit.T, there @ to_unit.T
+    there = there / np.linalg.norm(there, axis=1, keepdims=True)
+    lines = np.cross(here, there)
+    weights = np.ones(len(lines))
+    for _ in range(_REFITS):
+        weighted = lines * weights[:, None]
+        epipole = np.linalg.eigh(weighted.T @ weighted)[1][:, 0]
+        # The distance of a point from the line through the epipole and its partner.
+        normals = np.cross(epipole, there)[:, :2]
+        off = np.abs(lines @ epipole) / np.maximum(np.hypot(*normals.T), 1e-9)
+        weights = 1.0 / np.maximum(np.hypot(*normals.T), 1e-9)
+        weights /= np.hypot(1.0, off / max(1.5 * float(np.median(off)), 1e-9))  # Cauchy's
+    return float(np.median(off)) * scale
+
+
+def _vertex(values: Array) -> float:
+    """Where the parabola through three values at −1, 0, 1 is least, from −1 to 1."""
+    before, here, after = values.tolist()
+    bend = before - 2.0 * here + after
+    return float(np.clip(0.5 * (before - after) / bend, -1.0, 1.0)) if bend > 0.0 else 0.0

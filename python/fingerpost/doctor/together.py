@@ -1,0 +1,44 @@
+"""Whether the views show one hand at one time: the main loop itself is asked."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from itertools import zip_longest
+
+from fingerpost.capture import Frame
+from fingerpost.config import Rig
+from fingerpost.doctor.findings import Check, Finding, Severity
+from fingerpost.errors import FingerpostError
+from fingerpost.pipeline import Pointer
+
+
+def judge_times_by_motion(rig: Rig, frames: Sequence[Sequence[Frame]]) -> Iterator[Finding]:
+    """Say which views lag behind others, or hand out old pictures, by how the hand moves.
+
+    Nothing is said of a rig that cannot point, nor where no hand is seen to move in both views.
+    """
+    with _quiet():
+        try:
+            pointer = Pointer(rig)
+            for together in zip_longest(*frames):
+                for _ in pointer.update(together):
+                    pass
+        except FingerpostError:
+            return
+    for note in pointer.notes():
+        what, _, right = note.partition("; ")
+        yield Finding(Severity.WARNING, Check.TIMING, "", what, right)
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Have what is noticed told by the doctor alone."""
+    logger = logging.getLogger("fingerpost")
+    before = logger.level
+    logger.setLevel(logging.CRITICAL)
+    try:
+        yield
+    finally:
+        logger.setLevel(before)

@@ -1,0 +1,237 @@
+"""Rigs that their pictures belie: every mistake is made with a rig that is right, and named."""
+
+import itertools
+from itertools import product
+
+import numpy as np
+import pytest
+from msgspec import structs
+
+from fingerpost.capture import Frame
+from fingerpost.config import Rig
+from fingerpost.consistency import Scenery
+from fingerpost.doctor import examine
+from fingerpost.errors import InvalidInputError
+from fingerpost.pipeline import Pointer, steps
+from fingerpost.pointing import Status
+from fingerpost.rehearsal import described
+from fingerpost.simulate import Background, DevicePose, Placement, SimulatedRig, Workspace
+
+SHEET_ON_WOOD = Background(texture="wood", clutter=20.0, sheet=90.0)
+PRINTED = Background(clutter=50.0)
+SIZE = np.array([640, 480])
+
+
+def pictured(background=SHEET_ON_WOOD, *, seed=3, **placement):
+    """A rig that is right, and a picture of each view."""
+    # Unlike from either side, or a mirrored picture would be the other view's.
+    simulated = SimulatedRig(
+        Placement(**{"azimuths_deg": (-22.0, 10.0), **placement}), background=background
+    )
+    return described(simulated), simulated.render(None, rng=seed).images
+
+
+def with_points(rig, points_px):
+    """The rig with other points in some views."""
+    views = list(rig.views)
+    for k, points in points_px.items():
+        told = tuple((float(u), float(v)) for u, v in points)
+        views[k] = structs.replace(views[k], reference_points_px=told)
+    return structs.replace(rig, views=tuple(views))
+
+
+def given(rig):
+    return [np.array(view.reference_points_px) for view in rig.views]
+
+
+@pytest.fixture(scope="module", params=[SHEET_ON_WOOD, PRINTED], ids=["sheet", "print"])
+def right(request):
+    return pictured(request.param)
+
+
+MISTAKES = {
+    "rows and columns": lambda px: px[:, ::-1],
+    "upwards": lambda px: px * [1, -1] + [0, SIZE[1] - 1],
+    "parts of the image": lambda px: (px + 0.5) / SIZE,
+    "0.5 times as large": lambda px: px / 2,
+    "2 times as large": lambda px: px * 2,
+    "the order": lambda px: np.roll(px, 1, axis=0),
+}
+MADE = [
+    (words, views)
+    for words, views in product(MISTAKES, [(0,), (1,), (0, 1)])
+    # In both views alike, another order means other axes of the plane.
+    if (words, views) != ("the order", (0, 1))
+]
+
+
+@pytest.mark.parametrize(("words", "views"), MADE)
+def test_a_mistake_is_named_with_the_points_that_would_be_right(right, words, views):
+    rig, pictures = right
+    wrong = with_points(rig, {k: MISTAKES[words](given(rig)[k]) for k in views})
+    mistake = Scenery(wrong, pictures).mistake()
+    assert words in mistake.what
+    assert mistake.is_certain
+    corrected = with_points(wrong, mistake.points_px)
+    np.testing.assert_allclose(given(corrected), given(rig), atol=1.0)
+
+
+def test_views_whose_points_were_swapped_are_told(right):
+    rig, pictures = right
+    first, other = given(rig)
+    mistake = Scenery(with_points(rig, {0: other, 1: first}), pictures).mistake()
+    assert "swapped" in mistake.what
+
+
+@pytest.mark.parametrize("crop_px", [(60.0, 40.0), (-25.0, 110.0), (20.0, 5.0)])
+@pytest.mark.parametrize("views", [(0,), (0, 1)])
+def test_points_of_a_crop_are_brought_to_their_corners(crop_px, views):
+    rig, pictures = pictured()
+    wrong = with_points(rig, {k: given(rig)[k] - crop_px for k in views})
+    mistake = Scenery(wrong, pictures).mistake()
+    assert f"off by ({-crop_px[0]:g}, {-crop_px[1]:g}) px".replace("-0", "0") in (
+        mistake.what.replace("-0,", "0,").replace("-0)", "0)")
+    )
+    corrected = with_points(wrong, mistake.points_px)
+    np.testing.assert_allclose(given(corrected), given(rig), atol=1.5)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_points_that_are_each_off_are_noticed(seed):
+    rig, pictures = pictured()
+    turn = np.random.default_rng(seed).uniform(0, 2 * np.pi, 4)
+    off_px = 25.0 * np.stack([np.cos(turn), np.sin(turn)], axis=-1)
+    wrong = with_points(rig, {1: given(rig)[1] + off_px})
+    mistake = Scenery(wrong, pictures).mistake()
+    corrected = with_points(wrong, mistake.points_px)
+    np.testing.assert_allclose(given(corrected)[1], given(rig)[1], atol=4.0)
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(
+    "background", [SHEET_ON_WOOD, PRINTED, Background(), Background(sheet=80.0)]
+)
+def test_nothing_is_said_of_a_rig_that_is_right(background, seed):
+    rng = np.random.default_rng(seed)
+    rig, pictures = pictured(
+        background,
+        seed=seed,
+        azimuths_deg=(-float(rng.uniform(5, 40)), float(rng.uniform(5, 40))),
+        elevation_deg=float(rng.uniform(30, 70)),
+    )
+    order = rng.permutation(4)
+    plane = structs.replace(rig.plane, points=tuple(rig.plane.points[k] for k in order))
+    views = [
+        structs.replace(view, reference_points_px=tuple(map(tuple, points[order].tolist())))
+        for view, points in zip(rig.views, given(rig), strict=True)
+    ]
+    rig = Rig(plane=plane, views=tuple(views))
+    scenery = Scenery(rig, pictures)
+    assert scenery.mistake() is None
+    assert scenery.bends() == {}
+    assert scenery.same_pictures() is None
+    frames = [
+        [Frame(k, k / 30, np.clip(p + rng.normal(0, 2, p.shape), 0, 255).astype(np.uint8))]
+        for k in range(4)
+        for p in pictures
+    ]
+    frames = [[*itertools.chain(*frames[k::2])] for k in (0, 1)]
+    findings = examine(rig, frames).findings
+    assert [f for f in findings if f.check == "references" and "off the corner" not in f.what] == []
+    assert [f for f in findings if f.check in ("lens", "timing")] == []
+
+
+def test_more_points_than_four_and_one_between_the_others_pass():
+    simulated = SimulatedRig(
+        workspace=Workspace(points_per_side=3), background=Background(texture="wood", clutter=30.0)
+    )
+    rig, pictures = described(simulated), simulated.render(None, rng=0).images
+    assert len(rig.plane.points) == 9
+    assert Scenery(rig, pictures).mistake() is None
+    inner = [0, 1, 2, 3, 8]
+    some = structs.replace(rig.plane, points=tuple(rig.plane.points[k] for k in inner))
+    views = [
+        structs.replace(view, reference_points_px=tuple(map(tuple, points[inner].tolist())))
+        for view, points in zip(rig.views, given(rig), strict=True)
+    ]
+    rig = Rig(plane=some, views=tuple(views))
+    frames = [[Frame(0, 0.0, picture)] for picture in pictures]
+    found = [f.what for f in examine(rig, frames).findings if f.check == "references"]
+    assert [what for what in found if "off the corner" not in what] == []
+
+
+def test_two_views_of_one_picture_are_no_two_views():
+    rig, pictures = pictured()
+    both = [pictures[0], pictures[0]]
+    assert "show the same picture" in Scenery(rig, both).same_pictures().what
+    with pytest.raises(InvalidInputError, match="show the same picture"):
+        run(rig, both)
+
+
+def test_pictures_with_nothing_in_them_and_views_alone_are_never_right():
+    rig, pictures = pictured()
+    grey = np.full((480, 640), 128, np.uint8)
+    frames = [[Frame(0, 0.0, picture)] for picture in (pictures[0], grey)]
+    found = examine(rig, frames).findings
+    assert any(f.view == "right" and "nothing in its pictures" in f.what for f in found)
+    alone = Rig(plane=rig.plane, views=rig.views[:1])
+    assert any("two or more" in f.right for f in examine(alone, frames[:1]).findings)
+
+
+def run(rig, pictures, frames=1):
+    pointer = Pointer(rig)
+    together = ([Frame(k, k / 30, p) for p in pictures] for k in range(frames))
+    return list(steps(pointer, together))
+
+
+def test_a_run_refuses_what_is_certain_and_says_the_line_that_would_be_right():
+    rig, pictures = pictured()
+    wrong = with_points(rig, {k: points[:, ::-1] for k, points in enumerate(given(rig))})
+    with pytest.raises(InvalidInputError, match="rows and columns") as refused:
+        run(wrong, pictures)
+    first = "[[" + ", ".join(f"{c:.1f}" for c in given(rig)[1][0]) + "]"
+    assert f'view "right": reference_points_px = {first}' in str(refused.value)
+
+
+def test_points_measured_in_pictures_of_another_size_are_refused():
+    rig, pictures = pictured()
+    told = structs.replace(rig.views[0], size_px=(1280, 960))
+    rig = structs.replace(rig, views=(told, rig.views[1]))
+    with pytest.raises(InvalidInputError, match=r"640 × 480 px, and size_px = \[1280, 960\]"):
+        run(rig, pictures)
+
+
+@pytest.mark.parametrize("k1", [-0.3, -0.25, 0.3])
+def test_a_lens_that_bends_straight_sides_is_measured(k1):
+    simulated = SimulatedRig(
+        Placement(distance_m=0.75, f_px=640.0, k1=(k1,)), background=SHEET_ON_WOOD
+    )
+    rig, pictures = described(simulated), simulated.render(None, rng=0).images
+    bends = Scenery(rig, pictures).bends()
+    assert set(bends) == {0, 1}
+    for bend in bends.values():
+        # Of one focal length or another: k1 goes with its square.
+        assert bend.lens.k1 * (640.0 / bend.lens.fx) ** 2 == pytest.approx(k1, abs=0.08)
+
+
+def test_ellipses_hold_through_a_lens_that_nobody_told_of():
+    simulated = SimulatedRig(
+        Placement(distance_m=0.75, f_px=640.0, k1=(-0.25,)), background=SHEET_ON_WOOD
+    )
+    rng = np.random.default_rng(5)
+    held = []
+    for _ in range(4):
+        target = rng.uniform(120, 280, 2)
+        pose = DevicePose.pointing_at(target, slant_deg=50.0, hover_mm=60.0)
+        starts = [view.finger.start() for view in simulated.truth(pose).views]
+        rig = described(simulated, starts=starts)
+        pointer = Pointer(rig)
+        frames = (
+            [Frame(k, k / 30, i) for i in simulated.render(pose, rng=rng).images] for k in range(8)
+        )
+        *_, last = steps(pointer, frames)
+        if last.fix.status is Status.OK:
+            off = last.fix.point - target
+            held.append(off @ np.linalg.solve(last.fix.covariance, off) <= 5.99)
+    assert len(held) >= 3
+    assert np.mean(held) >= 0.75

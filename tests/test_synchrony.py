@@ -1,0 +1,242 @@
+"""Views of one time: clocks by the tip that both follow, old pictures, names that are times."""
+
+import logging
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from msgspec import structs
+
+import fingerpost
+from fingerpost.capture import Frame, open_source, open_views, read_views
+from fingerpost.capture.numbering import taken
+from fingerpost.config import Rig
+from fingerpost.consistency import FROZEN, Freshness, Tips, lag_between
+from fingerpost.pipeline import Pointer, steps
+from fingerpost.pointing import Status
+from fingerpost.simulate import Placement, Workspace
+
+CLIP = Path(fingerpost.__file__).parent / "data" / "desk" / "rig.toml"
+STEP_S = 1 / 30
+CAMERAS = Placement(azimuths_deg=(-20.0, 25.0)).cameras(Workspace())
+
+
+def tip_mm(time_s):
+    """A tip that wanders above the plane, in no regular way."""
+    t = np.asarray(time_s)
+    x = 200 + 80 * np.sin(2.1 * t) + 30 * np.sin(5.3 * t + 1)
+    y = 180 + 70 * np.sin(1.7 * t + 2) + 20 * np.sin(4.1 * t)
+    z = 80 + 30 * np.sin(1.3 * t) + 10 * np.sin(6.1 * t)
+    return np.stack([x, y, z], axis=-1)
+
+
+def tips(lag_s, *, noise_px=0.4, span_s=3.0, motion=tip_mm, rng=0):
+    """What both cameras see of it, the second one's clock being late."""
+    rng = np.random.default_rng(rng)
+    first, other = CAMERAS
+    both = []
+    for camera, late_s in ((first, 0.0), (other, lag_s)):
+        seen = Tips()
+        first_from_camera = first.image_from_plane @ np.linalg.inv(camera.image_from_plane)
+        for time_s in np.arange(0.0, span_s, STEP_S):
+            tip_px = camera.project(motion(time_s - late_s)) + rng.normal(0, noise_px, 2)
+            seen.add(time_s, first_from_camera @ [*tip_px, 1.0])
+        both.append(seen)
+    return both
+
+
+@pytest.mark.parametrize("frames", [-20, -6.5, -2, 1.5, 3, 12, 24])
+def test_a_clock_that_is_late_is_told_to_part_of_a_frame(frames):
+    lag = lag_between(*tips(frames * STEP_S))
+    assert lag.lag_s == pytest.approx(frames * STEP_S, abs=0.25 * STEP_S)
+    assert lag.with_px < 0.5 * lag.without_px
+
+
+@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("frames", [0.0, 0.3, -0.4])
+def test_clocks_that_agree_to_part_of_a_frame_are_left_alone(frames, seed):
+    assert lag_between(*tips(frames * STEP_S, noise_px=1.0, rng=seed)) is None
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_tip_that_stands_still_tells_nothing(seed):
+    still = tips(0.5, motion=lambda _: np.array([200.0, 150.0, 60.0]), rng=seed)
+    assert lag_between(*still) is None
+
+
+def test_a_tip_that_moves_along_the_base_line_tells_nothing():
+    along = CAMERAS[1].centre_mm - CAMERAS[0].centre_mm
+    along /= np.linalg.norm(along)
+
+    def motion(time_s):
+        return np.array([200.0, 200.0, 60.0]) + 40.0 * np.sin(4 * time_s) * along
+
+    assert lag_between(*tips(0.2, motion=motion)) is None
+
+
+def test_few_tips_tell_nothing():
+    assert lag_between(*tips(0.2, span_s=0.5)) is None
+
+
+@pytest.fixture(scope="module")
+def clip():
+    """The frames of the built-in clip, and its rig."""
+    rig = Rig.load(CLIP)
+    with open_views(rig.sources) as sources:
+        return rig, list(read_views(sources))
+
+
+def run(rig, frames):
+    pointer = Pointer(rig)
+    return pointer, list(steps(pointer, frames))
+
+
+def test_views_begun_apart_are_noticed_and_give_no_points(clip, caplog):
+    rig, together = clip
+    late = [
+        (left, Frame(left.index, left.time_s, right.image))
+        for (left, _), (_, right) in zip(together[:-5], together[5:], strict=True)
+    ]
+    with caplog.at_level(logging.WARNING):
+        pointer, told = run(rig, late)
+    (note,) = pointer.notes()
+    assert "offset_s = 0.20" in note
+    assert note in caplog.text
+    assert all(step.fix.status is not Status.OK for step in told[-30:])
+    assert "lags by -0.20 s" in told[-1].fix.reason
+
+
+def test_an_offset_in_the_rig_brings_them_together(clip, tmp_path):
+    rig, together = clip
+    late_by = 5
+    views = []
+    for k, view in enumerate(rig.views):
+        (tmp_path / view.name).mkdir()
+        for n, frames in enumerate(together[late_by * k :]):
+            cv2.imwrite(str(tmp_path / view.name / f"{n:03d}.png"), frames[k].image)
+        offset_s = late_by / 25.0 * k
+        source = str(tmp_path / view.name / "*.png")
+        views.append(structs.replace(view, source=source, offset_s=offset_s))
+    moved = structs.replace(rig, views=tuple(views))
+    with open_views(moved.sources, moved.offsets_s) as sources:
+        pointer, told = run(moved, read_views(sources))
+    assert pointer.notes() == []
+    _, plain = run(rig, together)
+    expected = {round(s.fix.time_s, 3): s.fix.point for s in plain if s.fix.status is Status.OK}
+    ok = [step.fix for step in told if step.fix.status is Status.OK]
+    assert len(ok) > 60
+    off = [np.hypot(*(f.point - expected[round(f.time_s, 3)])) for f in ok[10:]]
+    assert np.median(off) < 1.0
+
+
+def noisy(rng, centre, level=90):
+    image = np.full((240, 320), level, np.uint8)
+    cv2.circle(image, centre, 20, 200, -1)
+    return np.clip(image + rng.normal(0, 2.0, image.shape), 0, 255).astype(np.uint8)
+
+
+def freshness_of(pairs):
+    freshness = Freshness(2)
+    old = []
+    for k, images in enumerate(pairs):
+        frames = [Frame(k, k / 30.0, image) for image in images]
+        old.append(freshness.look(frames))
+    return freshness, np.array(old)
+
+
+def test_a_picture_that_a_driver_repeats_is_an_old_one():
+    rng = np.random.default_rng(1)
+    moving = [noisy(rng, (60 + 3 * k, 120)) for k in range(40)]
+    slow = [moving[k - k % 2] for k in range(40)]
+    freshness, old = freshness_of(zip(moving, slow, strict=True))
+    assert not old[:, 0].any()
+    assert old[12:, 1].tolist() == [k % 2 == 1 for k in range(12, 40)]
+    assert freshness.repeats[1] == old[:, 1].sum()
+
+
+def test_two_slow_sensors_are_told_by_themselves():
+    rng = np.random.default_rng(1)
+    moving = [noisy(rng, (60 + 3 * k, 120)) for k in range(40)]
+    slow = [moving[k - k % 2] for k in range(40)]
+    _, old = freshness_of(zip(slow, slow, strict=True))
+    assert old[12:].tolist() == [[k % 2 == 1] * 2 for k in range(12, 40)]
+
+
+def test_a_hand_that_keeps_still_is_seen_anew_in_every_picture():
+    rng = np.random.default_rng(1)
+    moving = [noisy(rng, (60 + 3 * min(k, 15), 120)) for k in range(60)]
+    still = [noisy(rng, (60, 120)) for _ in range(60)]
+    _, old = freshness_of(zip(moving, still, strict=True))
+    assert not old.any()
+
+
+def test_stills_and_films_without_noise_are_no_old_pictures():
+    rng = np.random.default_rng(1)
+    one = noisy(rng, (60, 120))
+    _, old = freshness_of([(one, one)] * 40)
+    assert not old.any()
+
+
+@pytest.mark.parametrize("view", [0, 1])
+def test_a_view_that_has_frozen_is_lost_and_comes_back(clip, view, caplog):
+    rig, together = clip
+    frames = []
+    for k, pair in enumerate(together):
+        images = [frame.image for frame in pair]
+        if 35 <= k < 70:
+            images[view] = together[35][view].image
+        frames.append([Frame(k, k / 25.0, image) for image in images])
+    pointer, told = run(rig, frames)
+    by_time = {round(25 * step.fix.time_s): step.fix for step in told}
+    frozen = [by_time[k] for k in range(50, 70)]
+    assert {fix.status for fix in frozen} == {Status.LOST}
+    assert all(f'view "{rig.views[view].name}": {FROZEN}' in fix.reason for fix in frozen)
+    assert all(by_time[k].status is not Status.OK for k in range(41, 70) if k in by_time)
+    assert any(by_time[k].status is Status.OK for k in range(72, 90))
+    assert "were old ones" in pointer.notes()[-1]
+    assert caplog.text.count("stands still") == 1
+
+
+def paths(*names):
+    return [Path(name) for name in names]
+
+
+def test_numbers_that_are_missing_are_frames_that_were_lost(caplog):
+    told = taken(paths("a1.png", "a2.png", "a5.png", "a6.png"), 10.0, "a*.png")
+    assert [one.place for one in told] == [0, 1, 4, 5]
+    assert [one.time_s for one in told] == [0.0, 0.1, 0.4, 0.5]
+    assert "a*.png: 2 numbers are missing, the first of them after a2.png" in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("names", "times_s"),
+    [
+        (["0.png", "10.png", "20.png", "30.png"], [0, 0.1, 0.2, 0.3]),  # every tenth was kept
+        (["7.png", "12.png", "13.png", "31.png"], [0, 0.1, 0.2, 0.3]),  # chosen ones
+        (["a.png", "b.png", "c.png", "d.png"], [0, 0.1, 0.2, 0.3]),
+        (["x.png"] * 4, [0, 0.1, 0.2, 0.3]),
+        (
+            ["1700000000000.png", "1700000000033.png", "1700000000150.png", "1700000000200.png"],
+            [1.7e9, 1.7e9 + 0.033, 1.7e9 + 0.15, 1.7e9 + 0.2],
+        ),
+        (
+            [f"l_{1_700_000_000 + k}.{k}5.png" for k in range(4)],
+            [1.7e9 + k + k / 10 + 0.05 for k in range(4)],
+        ),
+        ([f"{1_700_000_000_000_000_000 + k * 10**8}.png" for k in range(4)], None),
+    ],
+)
+def test_names_tell_when_images_were_taken(names, times_s, caplog):
+    expected = times_s or [1.7e9 + k / 10 for k in range(4)]
+    told = taken(paths(*names), 10.0, "*.png")
+    assert [one.time_s for one in told] == pytest.approx(expected, abs=1e-6)
+    assert caplog.text == ""
+
+
+def test_an_image_that_is_named_keeps_its_place(tmp_path):
+    for k in (0, 1, 4):
+        cv2.imwrite(str(tmp_path / f"{k}.png"), np.full((8, 8), k, np.uint8))
+    with open_source(str(tmp_path / "*.png"), fps=10.0) as source:
+        frames = list(source)
+    assert [(frame.index, frame.time_s) for frame in frames] == [(0, 0.0), (1, 0.1), (4, 0.4)]
