@@ -66,6 +66,7 @@ def test_programs_and_the_doctor_are_told_as_well(damaged):
     (finding,) = [f for f in told["findings"] if f["check"] == "pictures"]
     assert (finding["severity"], finding["view"]) == ("warning", view)
     assert finding["what"].startswith(f"1 of {FRAMES} pictures are damaged (")
+    assert [f for f in told["findings"] if f["check"] == "timing"] == []
 
 
 def test_sound_pictures_leave_no_note(recording):

@@ -144,8 +144,9 @@ def examine(
     ]
     stills = [_still(own) for own in frames]
     readings, findings = [], list(_judge_damage(rig.views, damage))
+    damaged = {finding.view for finding in findings}
     for view, own, size_px in zip(rig.views, frames, sizes_px, strict=True):
-        reading, wrong = _examine_view(view, own)
+        reading, wrong = _examine_view(view, own, has_gaps=view.name in damaged)
         readings.append(replace(reading, size_px=size_px))
         findings += wrong
     findings += judge_views(rig, plane_views, stills)
@@ -183,7 +184,9 @@ def _in_pixels_of(
     return structs.replace(rig, views=views)
 
 
-def _examine_view(view: View, frames: Sequence[Frame]) -> tuple[ViewReadings, list[Finding]]:
+def _examine_view(
+    view: View, frames: Sequence[Frame], *, has_gaps: bool
+) -> tuple[ViewReadings, list[Finding]]:
     height, width = frames[0].image.shape[:2]
     greys = [frame.grey() for frame in frames]
     region = region_between(np.array(view.reference_points_px), (height, width))
@@ -194,7 +197,7 @@ def _examine_view(view: View, frames: Sequence[Frame]) -> tuple[ViewReadings, li
         hand = read_hand(frames, view.start)
         findings += judge_hand(view.name, hand, view.start, (width, height), len(frames))
     findings += _judge_lens(view, (width, height))
-    findings += _judge_times(view.name, frames)
+    findings += _judge_times(view.name, frames, has_gaps=has_gaps)
     # Over the frames that came, fetched or not: a live view gives no more than the slowest.
     steps = np.diff([frame.time_s for frame in frames])
     steps /= np.maximum(1, np.diff([frame.index for frame in frames]))
@@ -243,7 +246,7 @@ def _judge_lens(view: View, size_px: tuple[int, int]) -> Iterator[Finding]:
     )
 
 
-def _judge_times(name: str, frames: Sequence[Frame]) -> Iterator[Finding]:
+def _judge_times(name: str, frames: Sequence[Frame], *, has_gaps: bool) -> Iterator[Finding]:
     times = np.array([frame.time_s for frame in frames])
     steps = np.diff(times)
     if not len(steps):
@@ -268,7 +271,7 @@ def _judge_times(name: str, frames: Sequence[Frame]) -> Iterator[Finding]:
             f"{SLOW_FPS:.0f} or more is right, or hands must move slowly",
         )
     longest = int(np.argmax(steps))
-    if steps[longest] > GAP_FRAMES * usual:
+    if not has_gaps and steps[longest] > GAP_FRAMES * usual:
         yield Finding(
             Severity.WARNING,
             Check.TIMING,
