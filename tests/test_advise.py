@@ -553,7 +553,7 @@ def test_without_a_size_the_sources_are_opened(tmp_path):
     rig_file = tmp_path / "rig.toml"
     rig_of(PAPER).save(rig_file)
     done = CliRunner().invoke(main, ["advise", str(rig_file)])
-    assert done.exit_code == 1
+    assert done.exit_code == 2
     assert "no such file" in done.output
 
 
