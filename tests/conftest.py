@@ -2,10 +2,10 @@
 
 import signal
 
-from hypothesis import settings
+from hypothesis import HealthCheck, settings
 
-# A busy machine is no fault of what is tested: no example has a deadline.
-settings.register_profile("untimed", deadline=None)
+# A busy machine is no fault of what is tested: no example has a deadline, and none is too slow.
+settings.register_profile("untimed", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("untimed")
 
 # A shell has its background jobs ignore Ctrl-C and Ctrl-\, and nohup the end of a terminal; what
