@@ -151,7 +151,7 @@ def test_a_picture_that_a_driver_repeats_is_an_old_one():
     slow = [moving[k - k % 2] for k in range(40)]
     freshness, old = freshness_of(zip(moving, slow, strict=True))
     assert not old[:, 0].any()
-    assert old[12:, 1].tolist() == [k % 2 == 1 for k in range(12, 40)]
+    assert old[18:, 1].tolist() == [k % 2 == 1 for k in range(18, 40)]
     assert freshness.repeats[1] == old[:, 1].sum()
 
 
@@ -160,7 +160,7 @@ def test_two_slow_sensors_are_told_by_themselves():
     moving = [noisy(rng, (60 + 3 * k, 120)) for k in range(40)]
     slow = [moving[k - k % 2] for k in range(40)]
     _, old = freshness_of(zip(slow, slow, strict=True))
-    assert old[12:].tolist() == [[k % 2 == 1] * 2 for k in range(12, 40)]
+    assert old[18:].tolist() == [[k % 2 == 1] * 2 for k in range(18, 40)]
 
 
 def test_a_hand_that_keeps_still_is_seen_anew_in_every_picture():

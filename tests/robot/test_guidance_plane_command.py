@@ -165,7 +165,7 @@ def test_a_log_that_fails_with_the_last_stop_loses_no_plane(tmp_path, monkeypatc
     rig = SimpleNamespace(save=lambda path: path.write_text("the plane"))
     found = SimpleNamespace(lines=lambda: ["9 of 9 places"], rig=lambda *_: rig)
     views = contextlib.nullcontext([SimpleNamespace(kind=SourceKind.LIVE)] * 2)
-    monkeypatch.setattr("fingerpost.capture.open_views", lambda _: views)
+    monkeypatch.setattr("fingerpost.capture.open_views", lambda *_: views)
     monkeypatch.setattr("fingerpost.capture.read_views", lambda sources, **_: iter(sources))
     monkeypatch.setattr("fingerpost.guidance.define_plane", lambda *_, **__: found)
     monkeypatch.setattr("fingerpost.cli.robot_plane.open_log", lambda *_: log)

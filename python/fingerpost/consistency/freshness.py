@@ -17,6 +17,8 @@ from numpy.typing import NDArray
 
 from fingerpost.capture import Frame
 
+Picture = NDArray[np.uint8]
+
 WIDTH_PX = 80
 """Pictures are compared at this width: coarse enough for noise to be small, and fine enough for a
 fingertip to show."""
@@ -32,8 +34,14 @@ MOVES_LEVELS = 8.0
 KNOWN_CHANGES = 5
 """Changes after which it is known how large they usually are."""
 
+STOPS = 3
 HELD_FRAMES = 3
-"""A sensor behind a driver that is so many times as fast hands a picture out so often again."""
+"""A hand that stops so often in full motion, for fewer frames than these, and goes on is seen by a
+sensor behind a driver that is faster."""
+
+OTHERS_FRAMES = 5
+"""A hand that has moved in so many pictures of another view since has moved: views that lag behind
+each other may see it stop in fewer."""
 
 FROZEN_S = 0.5
 """A view whose picture has been old for so long is frozen."""
@@ -43,12 +51,25 @@ FROZEN_S = 0.5
 class _View:
     """What is known of one view's latest new picture, and since."""
 
-    small: NDArray[np.float32] | None = None
+    small: Picture | None = None
+    spare: Picture | None = None
+    change: Picture = field(default_factory=lambda: np.empty((0, 0), np.uint8))
     time_s: float = -np.inf
     moved: bool = False
-    others_moved: bool = False
+    others_moved: int = 0
     held: int = 0
+    stops: int = 0
     changes: deque[float] = field(default_factory=lambda: deque(maxlen=30))
+
+    @property
+    def is_known(self) -> bool:
+        """Whether it is known how much its pictures usually change."""
+        return len(self.changes) >= KNOWN_CHANGES
+
+    def make_room(self, shape: tuple[int, ...]) -> None:
+        """Keep room for pictures of a size: a frame is to borrow no memory."""
+        self.small = None
+        self.spare, self.change = np.empty(shape, np.uint8), np.empty(shape, np.uint8)
 
 
 class Freshness:
@@ -78,7 +99,7 @@ class Freshness:
         for k, moves in enumerate(changed):
             if moves:
                 for other in self._views[:k] + self._views[k + 1 :]:
-                    other.others_moved = True
+                    other.others_moved += 1
         return tuple(
             frame is not None and self._is_old(k, frame, moves)
             for k, (frame, moves) in enumerate(zip(frames, changed, strict=True))
@@ -93,27 +114,34 @@ class Freshness:
         import cv2
 
         view, grey = self._views[k], frame.grey()
-        height = max(round(grey.shape[0] * WIDTH_PX / grey.shape[1]), 1)
-        small = np.asarray(
-            cv2.resize(grey, (WIDTH_PX, height), interpolation=cv2.INTER_AREA), np.float32
-        )
-        change = np.inf if view.small is None else np.abs(small - view.small)
-        mean, most = float(np.mean(change)), float(np.max(change))
-        usual = np.median(view.changes) if len(view.changes) >= KNOWN_CHANGES else 0.0
+        shape = (max(round(grey.shape[0] * WIDTH_PX / grey.shape[1]), 1), WIDTH_PX)
+        if view.spare is None or view.spare.shape != shape:
+            view.make_room(shape)
+        now, before = view.spare, view.small
+        cv2.resize(grey, shape[::-1], dst=now, interpolation=cv2.INTER_AREA)
+        if before is None:
+            view.small, view.spare = now, np.empty_like(now)
+            return False
+        change = cv2.absdiff(now, before, dst=view.change)
+        mean, most = cv2.mean(change)[0], cv2.minMaxLoc(change)[1]
+        usual = sorted(view.changes)[len(view.changes) // 2] if view.is_known else 0.0
         if mean <= SAME_SHARE * usual and most <= SAME_LEVELS and usual > 0.0:
             return None
-        if np.isfinite(mean):
-            view.changes.append(mean)
-        view.small = small
-        return bool(MOVES_LEVELS <= most < np.inf)
+        view.changes.append(mean)
+        view.small, view.spare = now, before
+        return most >= MOVES_LEVELS
 
     def _is_old(self, k: int, frame: Frame, moves: bool | None) -> bool:
         view = self._views[k]
         self.frames[k] += 1
         if moves is not None:
-            view.time_s, view.moved, view.others_moved, view.held = frame.time_s, moves, False, 0
+            if moves and view.moved and not view.held:
+                view.stops = max(view.stops - 1, 0)  # no driver that hands pictures out again
+            view.time_s, view.moved, view.others_moved, view.held = frame.time_s, moves, 0, 0
             return False
         view.held += 1
-        is_old = view.others_moved or (view.moved and view.held < HELD_FRAMES)
+        view.stops += view.moved and view.held == 1
+        repeats = view.moved and view.stops >= STOPS and view.held < HELD_FRAMES
+        is_old = repeats or view.others_moved >= OTHERS_FRAMES
         self.repeats[k] += is_old
         return is_old

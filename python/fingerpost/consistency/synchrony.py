@@ -10,7 +10,6 @@ with the least distances from its lines is that of the clocks.
 
 from __future__ import annotations
 
-from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,7 +21,8 @@ SPAN_S = 1.0
 """Lags up to this are looked at: views that were begun further apart share no motion."""
 
 KEPT_S = 6.0
-"""Tips are kept for so long."""
+MOST_TIPS = 256
+"""Tips are compared for so long, and of so many frames at most."""
 
 LEAST_PAIRS = 24
 """Fewer pairs of tips fit an epipole by chance."""
@@ -63,25 +63,34 @@ class Lag:
 
 
 class Tips:
-    """The latest places of the fingertip in one view, in the pixels of the first view's image.
-
-    Attributes
-    ----------
-    times_s, points
-        When, and where as homogeneous vectors (3,): oldest first.
-    """
+    """The latest places of the fingertip in one view, in the pixels of the first view's image."""
 
     def __init__(self) -> None:
-        self.times_s: deque[float] = deque()
-        self.points: deque[Array] = deque()
+        # Room for all of them: a frame is to keep no memory.
+        self._rows = np.empty((MOST_TIPS, 4))
+        self._count = 0
+
+    def __len__(self) -> int:
+        return min(self._count, MOST_TIPS)
 
     def add(self, time_s: float, point: Array) -> None:
-        """Add the latest one, and forget those before the time that is kept."""
-        self.times_s.append(time_s)
-        self.points.append(point)
-        while time_s - self.times_s[0] > KEPT_S:
-            self.times_s.popleft()
-            self.points.popleft()
+        """Add the latest one: when [s], and where as a homogeneous vector (3,)."""
+        row = self._rows[self._count % MOST_TIPS]
+        row[0], row[1:] = time_s, point
+        self._count += 1
+
+    @property
+    def has_moved(self) -> bool:
+        """Whether it has been at places well apart; quick to tell."""
+        places = self._rows[: len(self), 1:3]
+        return bool((places.max(axis=0) - places.min(axis=0)).max() > 2.0 * LEAST_SPREAD_PX)
+
+    def latest(self) -> tuple[Array, Array]:
+        """Return the times (M,) [s] and points (M, 3) of the last `KEPT_S`, the oldest first."""
+        first = self._count % MOST_TIPS if self._count > MOST_TIPS else 0
+        rows = np.roll(self._rows[: len(self)], -first, axis=0)
+        rows = rows[rows[:, 0] >= rows[-1, 0] - KEPT_S]
+        return rows[:, 0], rows[:, 1:]
 
 
 def lag_between(first: Tips, other: Tips) -> Lag | None:
@@ -94,17 +103,19 @@ def lag_between(first: Tips, other: Tips) -> Lag | None:
     first, other
         The tip in both.
     """
-    if min(len(first.times_s), len(other.times_s)) < LEAST_PAIRS:
+    if min(len(first), len(other)) < LEAST_PAIRS or not first.has_moved:
         return None
-    times_s, points = np.array(first.times_s), np.array(first.points)
-    step_s = max(float(np.median(np.diff(np.array(s.times_s)))) for s in (first, other))
+    (times_s, points), (other_s, there) = first.latest(), other.latest()
+    if min(len(times_s), len(other_s)) < LEAST_PAIRS:
+        return None
+    step_s = max(float(np.median(np.diff(s))) for s in (times_s, other_s))
     if step_s <= 0.0:
         return None
     none = int(SPAN_S / step_s)
     lags_s = step_s * np.arange(-none, none + 1)
     if _spread_px(points) < LEAST_SPREAD_PX:
         return None
-    told = [_distance_px(times_s + lag_s, points, other, step_s) for lag_s in lags_s]
+    told = [_distance_px(times_s + lag_s, points, other_s, there, step_s) for lag_s in lags_s]
     off_px, pairs = np.array(told).T
     off_px[pairs < LEAST_SHARE * pairs[none]] = np.nan
     if not np.isfinite(off_px[none]):
@@ -127,12 +138,13 @@ def _spread_px(points: Array) -> float:
     return float(np.median(np.hypot(*(points[:, :2] - np.median(points[:, :2], axis=0)).T)))
 
 
-def _distance_px(times_s: Array, points: Array, other: Tips, step_s: float) -> tuple[float, int]:
+def _distance_px(
+    times_s: Array, points: Array, other_s: Array, there: Array, step_s: float
+) -> tuple[float, int]:
     """Median distance of tips from their epipolar lines [px], the others' taken at other times.
 
     And the number of pairs; NaN of too few.
     """
-    other_s, there = np.array(other.times_s), np.array(other.points)
     after = np.clip(np.searchsorted(other_s, times_s), 1, len(other_s) - 1)
     gap_s = other_s[after] - other_s[after - 1]
     part = (times_s - other_s[after - 1]) / np.maximum(gap_s, np.finfo(float).tiny)
