@@ -52,7 +52,7 @@ class _View:
     """What is known of one view's latest new picture, and since."""
 
     small: Picture | None = None
-    spare: Picture | None = None
+    spare: Picture = field(default_factory=lambda: np.empty((0, 0), np.uint8))
     change: Picture = field(default_factory=lambda: np.empty((0, 0), np.uint8))
     time_s: float = -np.inf
     moved: bool = False
@@ -115,7 +115,7 @@ class Freshness:
 
         view, grey = self._views[k], frame.grey()
         shape = (max(round(grey.shape[0] * WIDTH_PX / grey.shape[1]), 1), WIDTH_PX)
-        if view.spare is None or view.spare.shape != shape:
+        if view.spare.shape != shape:
             view.make_room(shape)
         now, before = view.spare, view.small
         cv2.resize(grey, shape[::-1], dst=now, interpolation=cv2.INTER_AREA)
