@@ -16,7 +16,7 @@ from geometry_rig import (
     stereo,
     view_ray_angle_deg,
 )
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from fingerpost.errors import DegenerateReferencePointsError, InvalidInputError
@@ -913,6 +913,7 @@ pixels = st.floats(-1e3, 2e3)
     ),
     st.booleans(),
 )
+@example([(0, 1061, 0.0625, 1, -3), (0, 0, 0, 1, 0), (0, 1104, 0, 1, -2)], False)
 def test_any_finger_lines_give_a_fix_or_a_reason(entries, bent):
     """Nonsense may come from a tracker: no exception, no warning, and no NaN for a point."""
     lens = Lens(1692.0, 1692.0, 319.5, 239.5, -0.3)

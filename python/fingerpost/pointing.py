@@ -644,6 +644,8 @@ def indicated_point(
     # As sure as the lines are of it where the 99 % ellipse ends, but no surer than nearer by.
     end = min(_END * largest_sigma(found.covariance), options.nsigma * max_sigma)
     covariance = widened(met, found, end)
+    if doubt := _uncertain(covariance, max_sigma, crossing):
+        return Fix(time_s, Status.ILL_CONDITIONED, lines, None, covariance, crossing, doubt)
     return Fix(time_s, Status.OK, lines, found.point, covariance, crossing, without)
 
 

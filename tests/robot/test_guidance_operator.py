@@ -20,6 +20,7 @@ from guided_process import (
 )
 from robot_rig import CrowdedError, best_of_three
 
+GIVE_UP_AFTER_S = 6.0
 MAX_AGE_S = 0.3
 """Of a fix to move on."""
 OPERATOR_TIMEOUT_S = 1.0
@@ -53,7 +54,8 @@ def test_fixes_that_stop_coming_stop_the_arm(hand_film, tmp_path):
     ]
     with JpegStreams(films) as streams:
         rig = write_rig(folder, hand_film, streams.urls, z_m=(0.03, 0.4))
-        with Travelling(rig, folder, "--max-age", MAX_AGE_S) as run:
+        options = ("--max-age", MAX_AGE_S, "--give-up-after", GIVE_UP_AFTER_S)
+        with Travelling(rig, folder, *options) as run:
             aborts, held_before = run.travel(), len(run.reasons())
             streams.stalled = True
             stalled_s = time.monotonic()
@@ -66,7 +68,7 @@ def test_fixes_that_stop_coming_stop_the_arm(hand_film, tmp_path):
     if "are bridged" in reason:
         raise CrowdedError(reason)
     assert "s old" in reason
-    assert "no new frame" in run.guided.said()
+    assert "given up" in run.guided.said()
 
 
 def test_a_dead_mans_key_let_go_stops_the_arm(rig, tmp_path):
