@@ -68,7 +68,7 @@ def test_fixes_that_stop_coming_stop_the_arm(hand_film, tmp_path):
     if "are bridged" in reason:
         raise CrowdedError(reason)
     assert "s old" in reason
-    assert "given up" in run.guided.said()
+    assert "no new frame" in run.guided.said()
 
 
 def test_a_dead_mans_key_let_go_stops_the_arm(rig, tmp_path):

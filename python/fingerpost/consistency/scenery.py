@@ -269,7 +269,8 @@ class Scenery:
             return  # points at corners in all views: what differs stands on the plane
         for k in range(1, len(self._given)):
             aligned = self._aligned(k)
-            if aligned is not None:
+            # Further off, a hand in one view has been laid on something else in the other.
+            if aligned is not None and self._off_px(k, aligned) <= FURTHEST_PX:
                 yield self._aligned_words(k, aligned), {k: aligned}
 
     def _moved_words(self, k: int, points: Array) -> str:
@@ -281,13 +282,16 @@ class Scenery:
         )
 
     def _aligned_words(self, k: int, points: Array) -> str:
-        off_px = float(np.median(np.linalg.norm(points - self._given[k], axis=1)))
-        off_px *= self._reductions[k].factor
+        off_px = self._off_px(k, points) * self._reductions[k].factor
         first, name = self._rig.views[0].name, self._rig.views[k].name
         return (
             f'the points of views "{first}" and "{name}" do not belong together: those of one of '
             f'them are off, by {off_px:.0f} px if they are those of "{name}"'
         )
+
+    def _off_px(self, k: int, points: Array) -> float:
+        """How far points are off the rig's, as a median [px]."""
+        return float(np.median(np.linalg.norm(points - self._given[k], axis=1)))
 
     def _aligned(self, k: int) -> Array | None:
         """Return points by which a view's texture comes to lie on the first one's.
