@@ -1,4 +1,4 @@
-"""Ctrl-C where a library cannot bear it: while it is loaded, and in blocks that put it off."""
+"""How the program ends: by Ctrl-C where a library cannot bear it, and beside a stuck device."""
 
 import os
 import signal
@@ -206,3 +206,37 @@ def test_what_the_package_offers_is_what_its_modules_define():
         assert offered.__module__.startswith("fingerpost")
     with pytest.raises(AttributeError, match="module 'fingerpost' has no attribute 'Pionter'"):
         fingerpost.Pionter  # noqa: B018
+
+
+# The interpreter is torn down for 2 s, in the midst of which the stream's time limit is up.
+STUCK = """
+import socket, sys, threading, time, types
+import cv2
+import fingerpost.__main__ as program, fingerpost.cli
+
+class Slow:
+    def __del__(self, sleep=time.sleep):
+        sleep(2.0)
+
+sys.modules["slow"] = types.ModuleType("slow")
+sys.modules["slow"].slow = Slow()
+server = socket.create_server(("127.0.0.1", 0))
+
+def read():
+    url = f"http://127.0.0.1:{server.getsockname()[1]}/"
+    cv2.VideoCapture(url, cv2.CAP_FFMPEG, [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, 1000])
+
+def command():
+    threading.Thread(target=read, daemon=True).start()
+    time.sleep(0.5)
+    print("all is said")
+    sys.exit(3)
+
+fingerpost.cli.main = command
+program.main()
+"""
+
+
+def test_a_reader_stuck_in_its_stream_changes_neither_exit_code_nor_output():
+    ended = subprocess.run([sys.executable, "-c", STUCK], timeout=PATIENCE_S, **PIPED)
+    assert (ended.returncode, ended.stdout) == (3, "all is said\n")

@@ -255,9 +255,10 @@ class LiveSource(Source):
         if self._reader.is_alive():
             _log.warning("%s: the device does not answer; its reader is left behind", self.name)
             # A decoder that comes back while the interpreter ends takes the process down with it;
-            # one of a stream comes back by its own time limit, one of a device may never.
+            # one of a stream comes back by its own time limits, one of a device may never.
             if is_url(self.name):
-                atexit.register(self._reader.join, self._timeout_s)
+                opening_and_reading_s = 2.0 * self._timeout_s
+                atexit.register(self._reader.join, opening_and_reading_s)
 
     def _await_opening(self) -> None:
         if not self._await(lambda: self._opened is not None, self._timeout_s):
