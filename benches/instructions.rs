@@ -15,9 +15,9 @@
 
 use fingerpost_benches::sequence::Sequence;
 use fingerpost_benches::{Iteration, Tracked};
-use fingerpost_core::appearance::Appearance;
-use fingerpost_core::simd::Isa;
-use fingerpost_core::tracker::Model;
+use fingerpost_core::appearance::histogram::HistogramModel;
+use fingerpost_core::numeric::simd::Isa;
+use fingerpost_core::track::Model;
 use fingerpost_core::{Frame, GrayView};
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -136,9 +136,9 @@ fn iterate(isa: Isa, count: usize) {
 fn learn(count: usize) {
     let (gray, colours) = ([128; 2], [200, 150, 120, 60, 70, 80]);
     let image = GrayView::new(&gray, 2, 1, 2).unwrap();
-    let colours = fingerpost_core::frame::ColourView::new(&colours, 2, 1, 6).unwrap();
+    let colours = fingerpost_core::image::frame::ColourView::new(&colours, 2, 1, 6).unwrap();
     let frame = Frame::coloured(image, colours).unwrap();
-    let mut appearance = Appearance::new(true);
+    let mut appearance = HistogramModel::new(true);
     for (u, is_hand) in [(0.0, true), (1.0, false)] {
         appearance.observe(&frame, u, 0.0, is_hand);
     }

@@ -1,15 +1,15 @@
 //! One iteration of the contour, and a tracker that follows a hand: what is timed.
 
 use crate::{Scene, first_frames};
-use fingerpost_core::fit::{EquationBuffer, FitOptions, Fitter, Outcome};
+use fingerpost_core::geometry::planar::{Affine, AffineMap, PlanarSpace};
+use fingerpost_core::geometry::shape_space::{Pose, ShapeSpace};
+use fingerpost_core::geometry::template::{Template, TemplateSample, Thumb};
+use fingerpost_core::measure::edge::{EdgeMeasurement, Polarity, Scale, SearchLine};
+use fingerpost_core::measure::edge_search::{Cue, EdgeSearch, SearchOptions};
 use fingerpost_core::nalgebra::SVector;
-use fingerpost_core::search::{
-    Cue, EdgeMeasurement, EdgeSearch, Polarity, Scale, SearchLine, SearchOptions,
-};
-use fingerpost_core::shape_space::{Affine, AffineMap, PlanarSpace, Pose, ShapeSpace};
-use fingerpost_core::simd::Isa;
-use fingerpost_core::template::{Template, TemplateSample, Thumb};
-use fingerpost_core::tracker::{ContourTracker, Model, Status, TrackerOptions};
+use fingerpost_core::numeric::simd::Isa;
+use fingerpost_core::solve::fit::{EquationBuffer, FitOptions, Fitter, Outcome};
+use fingerpost_core::track::{ContourTracker, Model, Status, TrackerOptions};
 use fingerpost_core::{Frame, GrayView};
 use std::time::Instant;
 

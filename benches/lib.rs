@@ -12,7 +12,7 @@ pub mod sequence;
 pub use iteration::{Iteration, Tracked, median};
 
 use fingerpost_core::nalgebra::{Point2, Vector2};
-use fingerpost_core::tracker::StartPose;
+use fingerpost_core::track::StartPose;
 
 /// One frame and where the hand is in it.
 pub struct Scene {

@@ -14,7 +14,7 @@
 use fingerpost_benches::sequence::{NORMALS, Sequence};
 use fingerpost_benches::{Iteration, Tracked, median};
 use fingerpost_core::nalgebra::{Matrix3, Vector3};
-use fingerpost_core::simd::Isa;
+use fingerpost_core::numeric::simd::Isa;
 use fingerpost_core::{Frame, GrayView};
 use std::env;
 use std::path::{Path, PathBuf};

@@ -10,13 +10,13 @@
 
 use criterion::{BenchmarkId, Criterion, criterion_group, criterion_main};
 use fingerpost_benches::{Scene, frames};
-use fingerpost_core::frame::Frame;
-use fingerpost_core::image::GrayView;
-use fingerpost_core::refine::{
+use fingerpost_core::axis::{
     Finger, KnownBackground, RefineOptions, Refiner, RoundFinger, Source, Stretch,
 };
-use fingerpost_core::search::Polarity;
-use fingerpost_core::shape_space::Axis;
+use fingerpost_core::geometry::shape_space::Axis;
+use fingerpost_core::image::frame::Frame;
+use fingerpost_core::image::gray::GrayView;
+use fingerpost_core::measure::edge::Polarity;
 use std::hint::black_box;
 
 const SIZES: [(&str, [usize; 2], usize); 2] =

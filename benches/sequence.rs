@@ -4,9 +4,9 @@
 //! edges, shading, a background gradient and pixel noise. Template coordinates are centred on the
 //! capsule; pixel centres are integers.
 
+use fingerpost_core::geometry::planar::AffineMap;
+use fingerpost_core::geometry::template::{Limb, TemplateSample};
 use fingerpost_core::nalgebra::{Matrix2, Point2, Vector2};
-use fingerpost_core::shape_space::AffineMap;
-use fingerpost_core::template::{Limb, TemplateSample};
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 use std::path::Path;
 use std::{fs, io};
@@ -71,7 +71,7 @@ impl Sequence {
     /// normals \[px\].
     #[must_use]
     pub fn error_px(&self, frame: usize, found: &AffineMap) -> f64 {
-        use fingerpost_core::shape_space::Pose;
+        use fingerpost_core::geometry::shape_space::Pose;
         let truth = &self.truth[frame];
         let samples = self.template(NORMALS);
         let squares = samples.iter().map(|sample| {

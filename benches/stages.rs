@@ -11,16 +11,19 @@
 
 use criterion::{BenchmarkId, Criterion, criterion_group, criterion_main};
 use fingerpost_benches::{Scene, frames};
-use fingerpost_core::background::{Background, BackgroundOptions};
-use fingerpost_core::candidates::{FinderOptions, HandFinder};
-use fingerpost_core::fit::{EquationBuffer, FitOptions, Fitter};
-use fingerpost_core::frame::Frame;
-use fingerpost_core::image::GrayView;
+use fingerpost_core::appearance::background::Background;
+use fingerpost_core::appearance::background::options::BackgroundOptions;
+use fingerpost_core::detect::candidates::{FinderOptions, HandFinder};
+use fingerpost_core::geometry::planar::{Affine, AffineMap, PlanarSpace, RigidShear};
+use fingerpost_core::geometry::shape_space::{Pose, ShapeSpace};
+use fingerpost_core::geometry::template::{Template, TemplateSample, Thumb};
+use fingerpost_core::image::frame::Frame;
+use fingerpost_core::image::gray::GrayView;
+use fingerpost_core::measure::edge::{Polarity, Scale, SearchLine};
+use fingerpost_core::measure::edge_search::{Cue, EdgeSearch, SearchOptions};
 use fingerpost_core::nalgebra::SVector;
-use fingerpost_core::search::{Cue, EdgeSearch, Polarity, Scale, SearchLine, SearchOptions};
-use fingerpost_core::shape_space::{Affine, AffineMap, PlanarSpace, Pose, RigidShear, ShapeSpace};
-use fingerpost_core::template::{Template, TemplateSample, Thumb};
-use fingerpost_core::tracker::{ContourTracker, Model, Status, TrackerOptions};
+use fingerpost_core::solve::fit::{EquationBuffer, FitOptions, Fitter};
+use fingerpost_core::track::{ContourTracker, Model, Status, TrackerOptions};
 use std::hint::black_box;
 
 const NORMALS: usize = 100;
@@ -105,7 +108,7 @@ fn solve<S: ShapeSpace<D>, const D: usize>(
     x: &SVector<f64, D>,
     samples: &[TemplateSample],
     placed: &[SearchLine],
-    measurements: &[fingerpost_core::search::EdgeMeasurement],
+    measurements: &[fingerpost_core::measure::edge::EdgeMeasurement],
     buffer: &mut EquationBuffer,
     fitter: &mut Fitter,
 ) -> SVector<f64, D> {

@@ -4,7 +4,6 @@ A module that stands in no table fails: whoever adds one says where it belongs.
 """
 
 import ast
-import re
 import shutil
 import subprocess
 import sys
@@ -12,6 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from house import circles, function_lengths, rust_files, rust_imports, rust_paths
 
 # --- the rules -------------------------------------------------------------------------------
 
@@ -83,32 +83,20 @@ THIRD_PARTY_RULES = {
     "pointing": {"numpy"},
 }
 
-# What each module of fingerpost-core may import of the others: shapes never see a pixel, pixels
-# never see a shape, and the fit sees measurements alone. Lanes of numbers are nobody's business but
-# their own.
-_SHAPES = {"error", "bspline", "contour", "template", "shape_space"}
-_PIXELS = {"error", "image", "frame", "appearance", "discriminant"}
-_LANES = {"simd", "logarithm"}
+# What each room of fingerpost-core may import of the others: shapes never see a pixel, pixels never
+# see a shape, and the fit sees measurements alone. Inside a room files import each other without
+# circles. Arithmetic is nobody's business but its own.
 RUST_RULES = {
     "error": set(),
-    "simd": set(),
-    "logarithm": set(),
+    "numeric": set(),
+    "geometry": {"error"},
     "image": {"error"},
-    "frame": {"error", "image"},
-    "appearance": {"error", "image", "frame"} | _LANES,
-    "discriminant": {"error", "image", "frame"},
-    "background": {"error", "image", "frame", "simd"},
-    "candidates": {"error", "image", "frame", "background", "template"},
-    "bspline": {"error"},
-    "contour": {"error", "bspline"},
-    "template": {"error", "bspline", "contour"},
-    "shape_space": _SHAPES,
-    "fit": _SHAPES | {"simd"},
-    "dynamics": _SHAPES,
-    "search": _SHAPES | _PIXELS | _LANES,
-    "refine": _SHAPES | _PIXELS | {"fit", "search", "simd", "background"},
-    "tracker": _SHAPES | _PIXELS | {"fit", "dynamics", "search", "refine", "background", "simd"},
-    "views": {"error", "frame", "tracker", "background"},
+    "appearance": {"error", "image", "numeric"},
+    "detect": {"error", "image", "appearance", "geometry"},
+    "solve": {"error", "geometry", "numeric"},
+    "measure": {"error", "geometry", "image", "appearance", "numeric"},
+    "axis": {"error", "geometry", "image", "appearance", "measure", "solve", "numeric"},
+    "track": {"error", "geometry", "image", "appearance", "measure", "solve", "axis", "numeric"},
 }
 
 # What the core must do without, so that it can be embedded anywhere.
@@ -118,7 +106,6 @@ FOREIGN_TO_THE_CORE = {"pyo3", "numpy"}
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "python" / "fingerpost"
-CORE = ROOT / "crates" / "fingerpost-core"
 
 
 def python_modules() -> dict[str, Path]:
@@ -164,45 +151,6 @@ def may_import(module: str, name: str) -> bool:
     return same_package or group_of(name) in PYTHON_RULES[group_of(module)]
 
 
-def rust_imports(source: str, exports: dict[str, str]) -> set[str]:
-    """Modules of the crate that a file uses outside its tests; `exports` are the root's names."""
-    code = re.sub(r"//[^\n]*", "", source).partition("#[cfg(test)]")[0]
-    names = set()
-    for match in re.finditer(r"\bcrate::", code):
-        rest = code[match.end() :]
-        heads = _heads(rest) if rest.startswith("{") else re.findall(r"^\w+", rest)
-        names.update(heads)
-    return {exports.get(name, name) for name in names}
-
-
-def _heads(group: str) -> list[str]:
-    """First names of the paths in `{a::b, c::{d, e}, F}`."""
-    depth, heads, expect = 0, [], False
-    for token in re.findall(r"\w+|::|[{},]", group):
-        if token == "{":
-            depth += 1
-            expect = depth == 1
-        elif token == "}":
-            depth -= 1
-            if depth == 0:
-                break
-        elif token == ",":
-            expect = depth == 1
-        elif token != "::" and expect:
-            heads.append(token)
-            expect = False
-    return heads
-
-
-def root_exports() -> dict[str, str]:
-    """Names that the crate's root hands on, and the module each comes from."""
-    source = (CORE / "src" / "lib.rs").read_text()
-    exports = {}
-    for module, names in re.findall(r"^pub use (\w+)::(\{[^}]*\}|\w+);", source, re.MULTILINE):
-        exports.update(dict.fromkeys(re.findall(r"\w+", names), module))
-    return exports
-
-
 # --- the checks ------------------------------------------------------------------------------
 
 
@@ -231,17 +179,28 @@ def test_geometry_needs_numpy_alone():
             assert package in THIRD_PARTY_RULES[group], f"{module} must do without {name}"
 
 
-def test_rust_imports_run_one_way():
-    exports = root_exports()
-    files = [path for path in (CORE / "src").rglob("*.rs") if path.name != "lib.rs"]
-    assert files
-    for path in files:
-        module = path.relative_to(CORE / "src").with_suffix("").parts[0]
-        assert module in RUST_RULES, f"say in RUST_RULES where {module} belongs"
-        wrong = rust_imports(path.read_text(), exports) - RUST_RULES[module] - {module}
-        assert not wrong, f"{path.name} must not use {', '.join(sorted(wrong))}"
-    modules = {path.relative_to(CORE / "src").with_suffix("").parts[0] for path in files}
-    assert set(RUST_RULES) - modules == set(), "RUST_RULES names a module that does not exist"
+def test_rust_rooms_import_one_way():
+    imports = rust_imports(rust_files())
+    rooms = {module.partition("::")[0] for module in imports} - {"lib"}
+    assert rooms - set(RUST_RULES) == set(), "say in RUST_RULES what the room may import"
+    assert set(RUST_RULES) - rooms == set(), "RUST_RULES names a room that does not exist"
+    for module, names in imports.items():
+        room = module.partition("::")[0]
+        if room != "lib":
+            wrong = {name.partition("::")[0] for name in names} - RUST_RULES[room] - {room, "lib"}
+            assert not wrong, f"{module} must not use {', '.join(sorted(wrong))}"
+
+
+def test_no_files_of_the_core_import_each_other():
+    assert circles(rust_imports(rust_files())) == []
+
+
+def test_files_and_functions_of_the_core_are_short():
+    sizes = {name: len(path.read_text().splitlines()) for name, path in rust_files().items()}
+    assert [name for name, size in sizes.items() if size > 600] == []
+    lengths = function_lengths()
+    assert lengths[0][0] <= 80, lengths[0]
+    assert sorted(length for length, _ in lengths)[len(lengths) // 2] <= 8
 
 
 def test_the_core_depends_on_no_python():
@@ -297,16 +256,20 @@ def test_the_rules_decide(module, name, allowed):
 
 
 @pytest.mark.parametrize(
-    ("source", "modules"),
+    ("source", "paths"),
     [
-        ("use crate::image::GrayView;", {"image"}),
-        ("use crate::{Error, Result};", {"error"}),
-        ("use crate::{fit::{self, Fitter}, search, image::GrayView};", {"fit", "search", "image"}),
-        ("let x = crate::contour::sample(1);", {"contour"}),
-        ("/// see [`crate::search`]\n// crate::fit\nfn f() {}", set()),
-        ("fn f() {}\n#[cfg(test)]\nmod tests { use crate::image; }", set()),
-        ("use crate::{\n    fit,\n    bspline::{BSpline, fit::Fit},\n};", {"fit", "bspline"}),
+        ("use crate::image::GrayView;", ["crate::image::GrayView"]),
+        ("use super::{a::{B, c::D}, e};", ["super::a::B", "super::a::c::D", "super::e"]),
+        ("let x = crate::contour::sample(1);", ["crate::contour::sample"]),
+        ("/// see [`crate::search`]\n// crate::fit\nfn f() {}", []),
+        ("fn f() {}\n#[cfg(test)]\nmod tests { use crate::image; }", []),
+        ("use crate::{\n    fit,\n    b::{C},\n};", ["crate::fit", "crate::b::C"]),
     ],
 )
-def test_rust_imports_are_seen(source, modules):
-    assert rust_imports(source, {"Error": "error", "Result": "error"}) == modules
+def test_rust_imports_are_seen(source, paths):
+    assert ["::".join(path) for path in rust_paths(source)] == paths
+
+
+def test_circles_are_seen():
+    assert circles({"a": {"b"}, "b": {"c"}, "c": {"a", "d"}, "d": set()}) == [["a", "b", "c"]]
+    assert circles({"a": {"b"}, "b": set()}) == []

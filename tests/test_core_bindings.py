@@ -26,7 +26,6 @@ from scipy import integrate, interpolate
 
 from fingerpost import _core
 from fingerpost._core import (
-    Appearance,
     Background,
     BSpline,
     ContourTracker,
@@ -480,8 +479,6 @@ def test_misses_say_why_and_are_nan():
         ({"polarity": "grey"}, 'is \'grey\'; it must be "bright", "dark" or "unknown"'),
         ({"polarity": 3}, "polarity is 3"),
         ({"scale": "huge"}, 'scale is \'huge\'; it must be "fine" or "coarse"'),
-        ({"cue": "votes"}, 'cue is "votes" and there is no appearance'),
-        ({"appearance": Appearance(coloured=False)}, 'cue is "edges" and there is an appear'),
     ],
 )
 def test_lines_that_cannot_be_searched_are_refused(changed, complaint):
@@ -509,82 +506,6 @@ def test_a_coarse_kernel_sees_a_smeared_edge_that_a_fine_one_cannot():
     # So wide an edge changes by less than a grey level a pixel at its top.
     assert coarse.offset_px == pytest.approx([4.5], abs=0.2)
     assert coarse.contrast_grey == pytest.approx([-51], rel=0.05)
-
-
-# --- appearance ------------------------------------------------------------------------------
-
-
-def painted() -> tuple[np.ndarray, np.ndarray]:
-    """Skin on the left half, blue on the right, of equal grey."""
-    colour = np.empty((60, 80, 3), np.uint8)
-    colour[:, :40], colour[:, 40:] = (120, 150, 220), (220, 150, 120)
-    return np.full((60, 80), 150, np.uint8), colour
-
-
-def test_votes_tell_colours_apart_that_are_equally_grey():
-    image, colour = painted()
-    rng = np.random.default_rng(6)
-    inside, outside = (
-        rng.uniform((5, 5), (30, 30), (200, 2)),
-        rng.uniform((50, 5), (75, 30), (200, 2)),
-    )
-    known = Appearance(coloured=True)
-    assert known.is_coloured
-    assert (known.vote(image, inside, colour=colour) == 0).all()
-    known.observe(image, inside, "hand", colour=colour)
-    known.observe(image, outside, "background", colour=colour)
-    known.learn()
-    assert (known.vote(image, inside, colour=colour) > 1).all()
-    assert (known.vote(image, outside, colour=colour) < -1).all()
-    assert known.vote(image, [[-3.0, 2.0], [np.nan, 1.0]], colour=colour).tolist() == [0, 0]
-
-    # The hand ends at u = 39.5, and no grey level says so.
-    line = {"position_px": [[36.0, 30.0]], "normal": [[1.0, 0.0]], "half_length_px": 10.0}
-    search = EdgeSearch()
-    assert search.search(image, **line, polarity="unknown").miss[0] == "no-contrast"
-    votes = search.search(
-        image, **line, polarity="unknown", colour=colour, appearance=known, cue="votes"
-    )
-    assert votes.offset_px == pytest.approx([3.5], abs=0.01)
-    assert votes.separation[0] > 1
-
-
-def test_hand_edges_pass_a_stronger_edge_that_is_not_the_hands():
-    image, colour = painted()
-    colour[:, 50:] //= 3
-    image[:, 40:50], image[:, 50:] = 110, 20
-    known = Appearance(coloured=True)
-    known.observe(image, [[u, 20] for u in range(5, 35)], "hand", colour=colour)
-    known.observe(image, [[u, 20] for u in range(42, 75)], "background", colour=colour)
-    known.learn()
-    line = ([[44.0, 30.0]], [[1.0, 0.0]], 9.0, "bright")
-    search = EdgeSearch({"scale_px": 1.0})
-    assert search.search(image, *line).offset_px == pytest.approx([5.5], abs=0.1)
-    hers = search.search(image, *line, colour=colour, appearance=known, cue="hand-edges")
-    assert hers.offset_px == pytest.approx([-4.5], abs=0.1)
-
-
-def test_what_was_seen_fades_but_an_anchored_hand_stays():
-    image, colour = painted()
-    hand, background = [[10, 10]] * 50, [[60, 10]] * 50
-    known = Appearance(coloured=True)
-    for side, pixels in [("hand", hand), ("background", background)]:
-        known.observe(image, pixels, side, colour=colour)
-    known.anchor()
-    known.fade(0.0)
-    known.observe(image, background, "background", colour=colour)
-    known.observe(image, background[:1], "hand", colour=colour)  # a contour that drifted
-    known.learn()
-    assert (known.vote(image, hand, colour=colour) > 1).all()
-    with pytest.raises(InvalidInputError, match=r"keep is 1\.5; it must be 0 to 1"):
-        known.fade(1.5)
-    with pytest.raises(InvalidInputError, match="keep is NaN"):
-        known.fade(np.nan)
-    with pytest.raises(InvalidInputError, match='"hand" or "background"'):
-        known.observe(image, hand, "thumb", colour=colour)
-    for use in [lambda: known.vote(image, hand), lambda: known.observe(image, hand, "hand")]:
-        with pytest.raises(InvalidInputError, match="made for colours"):
-            use()
 
 
 # --- fit -------------------------------------------------------------------------------------
@@ -911,7 +832,6 @@ def test_everything_shows_itself():
         "BasisRows(2 parameters, 4 weights each)": spline.basis([0, 1]),
         "CurvePoints(1 points)": spline.evaluate(square, [0.5]),
         "ContourSamples(5 samples)": sample_contour(spline, square, 5, "left"),
-        "Appearance(coloured=True)": Appearance(coloured=True),
         "FitReport(outcome='too-few-equations', rank=0, inliers=0 of 0, residual_rms_px=0.0000, "
         "iterations=0)": Fitter().solve(np.empty((0, 2)), [], []),
     }
@@ -957,17 +877,12 @@ def test_strided_views_are_read_as_their_contiguous_copies(lay):
     ],
 )
 def test_strided_colours_are_read_as_their_contiguous_copies(lay):
-    image, colour = painted()
-    rng = np.random.default_rng(55)
-    colour = rng.integers(0, 256, colour.shape, dtype=np.uint8)
-    known = Appearance(coloured=True)
-    positions = rng.uniform(0, 60, (500, 2))
-    known.observe(image, positions[:250], "hand", colour=lay(colour))
-    known.observe(image, positions[250:], "background", colour=colour)
-    known.learn()
-    votes = known.vote(image, positions, colour=lay(colour))
-    assert votes.any()
-    assert np.array_equal(votes, known.vote(image, positions, colour=colour))
+    image = grey(80, 100)
+    colour = np.random.default_rng(55).integers(0, 256, (80, 100, 3), dtype=np.uint8)
+    colour[30:50] //= 4  # something to be a band
+    likeness = HandFinder.likeness(image, (60.0, 40.0), 0.3, 6.0, colour=colour)
+    assert likeness is not None
+    assert HandFinder.likeness(image, (60.0, 40.0), 0.3, 6.0, colour=lay(colour)) == likeness
 
 
 @pytest.mark.parametrize(
@@ -1080,16 +995,13 @@ def test_images_are_not_copied(tmp_path: Path) -> None:
         import re, resource
         from pathlib import Path
         import numpy as np
-        from fingerpost._core import (
-            Appearance, ContourTracker, StartPose, Template, update_views
-        )
+        from fingerpost._core import ContourTracker, StartPose, Template, update_views
 
         path = {str(tmp_path / "sparse")!r}
         image = np.memmap(path, np.uint8, "w+", shape=(2**15 - 1, 2**16))[:, : 2**15 - 1]
         image[4096:4196, 16384:16484] = 200
         colour = np.memmap(path + "3", np.uint8, "w+", shape=(2**15 - 1, 2**15 - 1, 3))
         tracker = ContourTracker(Template.pistol("left"), StartPose((16440, 4150), 0.5, 80))
-        known = Appearance(coloured=True)
         used = re.search(r"VmSize:\\s+(\\d+) kB", Path("/proc/self/status").read_text())
         limit = int(used.group(1)) * 1024 + 2**24
         resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
@@ -1104,7 +1016,6 @@ def test_images_are_not_copied(tmp_path: Path) -> None:
         for schedule in ("in-turn", "side-by-side"):
             views = [(tracker, image, 0.2, colour, None), (other, image, 0.2, None, None)]
             print(*(track.status for track in update_views(views, schedule=schedule)))
-        known.observe(image, [[16440, 4150]], "hand", colour=colour)
     """
     done = subprocess.run(
         [sys.executable, "-c", textwrap.dedent(program)], capture_output=True, text=True
@@ -1381,11 +1292,6 @@ def heavy_calls() -> dict[str, Callable[[], object]]:
         grey(),
         (rng.uniform(50, 400, (4000, 2)), np.tile([1.0, 0], (4000, 1))),
     )
-    known = Appearance(coloured=False)
-    pixels = rng.uniform(0, 400, (50000, 2))
-    known.observe(image, pixels[:100], "hand")
-    known.observe(image, pixels[100:], "background")
-    known.learn()
     rows, offsets, variances = rng.normal(size=(4000, 6)), rng.normal(size=4000), np.ones(4000)
     search, fitter = EdgeSearch(), Fitter()
     return {
@@ -1404,7 +1310,6 @@ def heavy_calls() -> dict[str, Callable[[], object]]:
         "ShapeSpace.place": lambda: space.place(x, PISTOL, 5000),
         "ShapeSpace.normal_rows": lambda: space.normal_rows(x, PISTOL, 5000),
         "EdgeSearch.search": lambda: search.search(image, position, normal, 40.0, "unknown"),
-        "Appearance.vote": lambda: known.vote(image, pixels),
         "Fitter.solve": lambda: fitter.solve(rows, offsets, variances),
         "ContourTracker": lambda: ContourTracker(PISTOL, WAITING, {"samples": 2000}),
     }
@@ -1470,33 +1375,6 @@ def test_one_tracker_in_two_threads_says_so_and_goes_on(use):
         "lock"
     }
     assert tracker.update(image, 1.0).status == "acquiring"
-
-
-def test_an_appearance_that_changes_is_read_by_no_other_thread():
-    image, pixels = grey(), np.random.default_rng(1).uniform(0, 400, (200000, 2))
-    known = Appearance(coloured=False)
-    line = ([[100.0, 100.0]], [[1.0, 0.0]], 10.0, "unknown")
-    complaints: list[str] = []
-
-    def complaining(call: Callable[[], object]) -> Callable[[], None]:
-        def complain() -> None:
-            try:
-                call()
-            except FingerpostError as error:
-                complaints.append(str(error))
-
-        return complain
-
-    def change() -> object:
-        return known.observe(image, pixels, "hand")
-
-    def read() -> object:
-        return EdgeSearch().search(image, *line, appearance=known, cue="hand-edges")
-
-    # Whichever comes second is refused.
-    assert meet([complaining(change), complaining(read)])
-    assert complaints
-    assert all(c.startswith("this Appearance is in use in another thread") for c in complaints)
 
 
 # --- whatever comes --------------------------------------------------------------------------

@@ -25,7 +25,7 @@ read-only.
 ``options`` of every stage tells; an unknown key is refused with its path.
 
 *Threads*: whatever takes longer than some microseconds releases the GIL. Objects are immutable and
-may be shared, but for `ContourTracker`, `Appearance`, `Background` and `HandFinder`: while one is
+may be shared, but for `ContourTracker`, `Background` and `HandFinder`: while one is
 at work in one thread, any use of it in another raises `fingerpost.errors.FingerpostError`.
 
 Bad input raises `fingerpost.errors.InvalidInputError`, a `ValueError`, that names the value and
@@ -42,7 +42,6 @@ from numpy.typing import ArrayLike, NDArray
 from fingerpost.errors import FingerpostError
 
 __all__ = [
-    "Appearance",
     "ArcLength",
     "Axis",
     "BSpline",
@@ -1007,9 +1006,6 @@ class EdgeSearch:
         polarity: Literal["bright", "dark", "unknown"],
         *,
         scale: Literal["fine", "coarse"] = "fine",
-        colour: NDArray[np.uint8] | None = None,
-        appearance: Appearance | None = None,
-        cue: Literal["edges", "hand-edges", "votes"] = "edges",
     ) -> SearchLines:
         """Search along lines.
 
@@ -1028,13 +1024,6 @@ class EdgeSearch:
         scale
             A kernel of the option ``scale_px``; or a larger one, which sees an edge that motion
             has smeared.
-        colour : (height, width, 3), optional
-            Colours of the same frame; not copied.
-        appearance
-            What the hand looks like, for the cues that ask.
-        cue
-            The strongest edge; the edge that best separates the hand from what is behind it; or
-            the place where the pixels' votes change sides, edge or none.
 
         Returns
         -------
@@ -1045,10 +1034,7 @@ class EdgeSearch:
         ------
         InvalidInputError
             An image that is not as described above, positions that are not finite, normals that
-            are no unit vectors, lengths out of range, arrays that do not match; an appearance
-            without a cue for it, or the reverse.
-        FingerpostError
-            The appearance is changing in another thread.
+            are no unit vectors, lengths out of range, arrays that do not match.
         """
 
 @final
@@ -1084,7 +1070,7 @@ class SearchLines:
 
     @property
     def separation(self) -> NDArray[np.float64]:
-        """Mean vote inside minus mean vote outside, (N,); NaN without an appearance."""
+        """Mean log-likelihood ratio inside minus outside, (N,); NaN for lines of an `EdgeSearch`."""
 
     @property
     def agrees(self) -> NDArray[np.bool_] | None:
@@ -1103,104 +1089,6 @@ class SearchLines:
         """
 
     def __len__(self) -> int: ...
-
-@final
-class Appearance:
-    """What the hand looks like, and what does not: two histograms and the log of their ratio.
-
-    A pixel whose colour is frequent on the hand and rare behind it votes for the hand. Observe
-    pixels of both sides, `learn`, then `vote` or give it to a search. A tracker keeps one of its
-    own; this is for study.
-
-    References
-    ----------
-    Ronfard 1994 and Bibby & Reid 2008 for region statistics along a contour.
-    """
-
-    def __new__(cls, *, coloured: bool) -> Appearance:
-        """Make an appearance that has seen nothing: every vote is 0.
-
-        Parameters
-        ----------
-        coloured
-            Whether it looks at colours; otherwise at grey levels.
-        """
-
-    @property
-    def is_coloured(self) -> bool:
-        """Whether it looks at colours."""
-
-    def observe(
-        self,
-        image: NDArray[np.uint8],
-        position_px: ArrayLike,
-        side: Literal["hand", "background"],
-        *,
-        colour: NDArray[np.uint8] | None = None,
-    ) -> None:
-        """Count pixels as the hand or as what is behind it.
-
-        Parameters
-        ----------
-        image : (height, width)
-            Grey levels; not copied.
-        position_px : (N, 2)
-            Which pixels: the nearest to these [px]. Outside the image there are none.
-        side
-            What they show.
-        colour : (height, width, 3), optional
-            Colours of the same frame; not copied. Needed if `is_coloured`.
-
-        Raises
-        ------
-        InvalidInputError
-            An image, colours or positions that are not as described; another side.
-        FingerpostError
-            The appearance is in use in another thread.
-        """
-
-    def learn(self) -> None:
-        """Work the votes out anew from what was observed; until both sides were, they are 0."""
-
-    def fade(self, keep: float) -> None:
-        """Let what was observed fade to a part of its weight.
-
-        Parameters
-        ----------
-        keep
-            The part, 0 to 1.
-        """
-
-    def anchor(self) -> None:
-        """Keep the hand as it is known now for good: it counts beside all that comes later."""
-
-    def vote(
-        self,
-        image: NDArray[np.uint8],
-        position_px: ArrayLike,
-        *,
-        colour: NDArray[np.uint8] | None = None,
-    ) -> NDArray[np.float32]:
-        """Let the pixels nearest to some positions vote.
-
-        Parameters
-        ----------
-        image, position_px, colour
-            As for `observe`.
-
-        Returns
-        -------
-        (N,)
-            log(p_hand / p_background) within ±3: positive for the hand, negative for what is
-            behind it, 0 outside the image.
-
-        Raises
-        ------
-        InvalidInputError
-            An image, colours or positions that are not as described.
-        FingerpostError
-            The appearance is changing in another thread.
-        """
 
 @final
 class Background:

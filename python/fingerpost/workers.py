@@ -86,7 +86,12 @@ class _Pool(ProcessPoolExecutor):
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         """Hand work to a worker, and start one if there are fewer than there may be."""
         with _held_back():
-            return super().submit(fn, *args, **kwargs)
+            future = super().submit(fn, *args, **kwargs)
+        # A worker that has just been started is watched only from the manager's next waking on:
+        # of one that is killed at once it would never hear, and all would wait for ever.
+        with self._shutdown_lock:
+            self._executor_manager_thread_wakeup.wakeup()
+        return future
 
 
 @contextmanager

@@ -1,8 +1,8 @@
 //! Track a pointing finger in an image with an active contour.
 //!
-//! A B-spline [`template`] of the index finger and the up-turned thumb waits in the image; at every
-//! frame the tracker [`search`](mod@search)es for edges along the normals of the contour, [`fit`]s
-//! the deformations that a [`shape_space`] allows by weighted least squares, and accepts or loses
+//! A B-spline [`template`](geometry::template) of the index finger and the up-turned thumb waits in the image; at every
+//! frame the tracker [`search`](measure::edge_search)es for edges along the normals of the contour, [`fit`](solve::fit)s
+//! the deformations that a [`shape_space`](geometry::shape_space) allows by weighted least squares, and accepts or loses
 //! the hand. One basis vector of the template lies along the index finger, so the fitted shape
 //! vector gives the *finger line*, the image line that the finger points along, with its
 //! covariance.
@@ -17,8 +17,8 @@
 //!
 //! ```
 //! use fingerpost_core::nalgebra::{Point2, Vector2};
-//! use fingerpost_core::template::{Template, Thumb};
-//! use fingerpost_core::tracker::{ContourTracker, StartPose, Status, TrackerOptions};
+//! use fingerpost_core::geometry::template::{Template, Thumb};
+//! use fingerpost_core::track::{ContourTracker, StartPose, Status, TrackerOptions};
 //! use fingerpost_core::{Frame, GrayView};
 //!
 //! // A camera's frame: a bright finger of 70 px, its tip at `tip`, before a darker table.
@@ -58,26 +58,17 @@
 //! ```
 
 pub mod appearance;
-pub mod background;
-pub mod bspline;
-pub mod candidates;
-pub mod contour;
-pub mod discriminant;
-pub mod dynamics;
+pub mod axis;
+pub mod detect;
 mod error;
-pub mod fit;
-pub mod frame;
+pub mod geometry;
 pub mod image;
-mod logarithm;
-pub mod refine;
-pub mod search;
-pub mod shape_space;
-pub mod simd;
-pub mod template;
-pub mod tracker;
-pub mod views;
+pub mod measure;
+pub mod numeric;
+pub mod solve;
+pub mod track;
 
 pub use error::{Error, Result};
-pub use frame::Frame;
-pub use image::GrayView;
+pub use image::frame::Frame;
+pub use image::gray::GrayView;
 pub use nalgebra;

@@ -3,7 +3,7 @@
 use crate::arrays::{column, flat_table, points, table, vector};
 use crate::errors::{InvalidInputError, invalid_input, wrong};
 use crate::numbers::{count, whole};
-use fingerpost_core::bspline::{ArcLength, BSpline, BasisRow, Degree, Parametrization};
+use fingerpost_core::geometry::bspline::{ArcLength, BSpline, BasisRow, Degree, Parametrization};
 use numpy::{PyArray1, PyArray2, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 

@@ -8,8 +8,8 @@ use crate::numbers::real;
 use crate::options::{Overlay, options, overlay_fields};
 use crate::tracker::PyStartPose;
 use crate::words::Word;
-use fingerpost_core::candidates::{Candidate, FinderOptions, HandFinder};
-use fingerpost_core::tracker::StartPose;
+use fingerpost_core::detect::candidates::{Candidate, FinderOptions, HandFinder};
+use fingerpost_core::track::StartPose;
 use pyo3::prelude::*;
 
 overlay_fields!(FinderOptions { min_half_width, max_half_width, min_gradient_grey, candidates });

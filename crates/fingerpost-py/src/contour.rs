@@ -5,7 +5,7 @@ use crate::bspline::PyBSpline;
 use crate::errors::invalid_input;
 use crate::numbers::count;
 use crate::words::Word;
-use fingerpost_core::contour::{self, HandSide};
+use fingerpost_core::geometry::contour::{self, HandSide};
 use numpy::{PyArray1, PyArray2, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 

@@ -6,10 +6,10 @@ use crate::numbers::real;
 use crate::options::{Overlay, options, overlay_fields, overlay_words};
 use crate::words::Word;
 use fingerpost_core::Error;
-use fingerpost_core::fit::{
+use fingerpost_core::nalgebra::{DMatrix, SMatrix, SVector};
+use fingerpost_core::solve::fit::{
     EquationBuffer, FitOptions, FitReport, Fitter, Loss, Outcome, Prior, Solve,
 };
-use fingerpost_core::nalgebra::{DMatrix, SMatrix, SVector};
 use numpy::{PyArray1, PyArray2};
 use pyo3::prelude::*;
 

@@ -2,7 +2,7 @@
 
 use crate::arrays::as_tuple;
 use crate::errors::{InvalidInputError, invalid_input};
-use fingerpost_core::frame::ColourView;
+use fingerpost_core::image::frame::ColourView;
 use fingerpost_core::{Frame, GrayView};
 use numpy::{PyArrayMethods, PyReadonlyArrayDyn, PyUntypedArray, PyUntypedArrayMethods};
 use pyo3::prelude::*;

@@ -1,7 +1,6 @@
 //! The extension module `fingerpost._core`: converts arguments, releases the GIL, calls
 //! `fingerpost-core`, maps errors. Nothing else; `python/fingerpost/_core.pyi` documents it.
 
-mod appearance;
 mod arrays;
 mod background;
 mod bspline;
@@ -30,8 +29,6 @@ use pyo3::prelude::*;
 // one. The loss is small: whatever takes longer than a conversion detaches.
 #[pymodule(gil_used = true)]
 mod _core {
-    #[pymodule_export]
-    use super::appearance::PyAppearance;
     #[pymodule_export]
     use super::background::PyBackground;
     #[pymodule_export]

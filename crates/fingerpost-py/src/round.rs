@@ -4,8 +4,8 @@ use crate::arrays::point;
 use crate::errors::invalid_input;
 use crate::image::FrameArrays;
 use crate::numbers::real;
-use fingerpost_core::refine::RoundFinger;
-use fingerpost_core::shape_space::Axis;
+use fingerpost_core::axis::RoundFinger;
+use fingerpost_core::geometry::shape_space::Axis;
 use pyo3::prelude::*;
 
 /// The finger whose shading, as a round body's, explains best what is seen about an axis.

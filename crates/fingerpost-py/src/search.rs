@@ -1,16 +1,14 @@
 //! `fingerpost._core.EdgeSearch` and the lines that a search or a tracker has looked along.
 
-use crate::appearance::PyAppearance;
 use crate::arrays::{column, points, same_length, table, unit_vectors, vector};
-use crate::errors::{InvalidInputError, invalid_input};
+use crate::errors::invalid_input;
 use crate::image::FrameArrays;
 use crate::numbers::real;
 use crate::options::{Overlay, options, overlay_fields, overlay_words};
-use crate::words::{CueKind, Word};
-use fingerpost_core::search::{
-    Cue, Edge, EdgeMeasurement, EdgeSearch, Polarity, Scale, SearchLine, SearchOptions,
-};
-use fingerpost_core::shape_space::PlacedSample;
+use crate::words::Word;
+use fingerpost_core::geometry::shape_space::PlacedSample;
+use fingerpost_core::measure::edge::{Edge, EdgeMeasurement, Polarity, Scale, SearchLine};
+use fingerpost_core::measure::edge_search::{Cue, EdgeSearch, SearchOptions};
 use numpy::{PyArray1, PyArray2, PyArrayMethods, PyFixedUnicode, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 
@@ -39,10 +37,10 @@ impl PyEdgeSearch {
     #[pyo3(
         signature = (
             image, position_px, normal, half_length_px, polarity, *,
-            scale = None, colour = None, appearance = None, cue = None
+            scale = None
         ),
         text_signature = "($self, image, position_px, normal, half_length_px, polarity, *, \
-                          scale='fine', colour=None, appearance=None, cue='edges')"
+                          scale='fine')"
     )]
     #[expect(clippy::too_many_arguments, reason = "they are keywords in Python")]
     fn search(
@@ -54,33 +52,15 @@ impl PyEdgeSearch {
         half_length_px: &Bound<'_, PyAny>,
         polarity: &Bound<'_, PyAny>,
         scale: Option<&Bound<'_, PyAny>>,
-        colour: Option<&Bound<'_, PyAny>>,
-        appearance: Option<&Bound<'_, PyAppearance>>,
-        cue: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<PySearchLines> {
-        let arrays = FrameArrays::new(image, colour)?;
+        let arrays = FrameArrays::new(image, None)?;
         let frame = arrays.frame()?;
         let lines = lines(position_px, normal, half_length_px, polarity)?;
         let scale = scale.map_or(Ok(Scale::Fine), |scale| Scale::parse(scale, "scale"))?;
-        let cue = cue.map_or(Ok(CueKind::Edges), |cue| CueKind::parse(cue, "cue"))?;
-        let appearance = appearance.map(PyAppearance::known).transpose()?;
-        let cue = match (cue, &appearance) {
-            (CueKind::Edges, None) => Cue::Edges,
-            (CueKind::HandEdges, Some(known)) => Cue::HandEdges(known.for_frame(&frame)?),
-            (CueKind::Votes, Some(known)) => Cue::Votes(known.for_frame(&frame)?),
-            (cue, given) => {
-                return Err(InvalidInputError::new_err(format!(
-                    "the cue is {:?} and there is {} appearance; \"edges\" takes none, \
-                     \"hand-edges\" and \"votes\" need one",
-                    cue.word(),
-                    if given.is_some() { "an" } else { "no" }
-                )));
-            }
-        };
         // The buffers of a search are a few kilobytes: with its own, every thread may search.
         let mut search = self.0.clone();
         let mut found = Vec::with_capacity(lines.len());
-        py.detach(|| search.search(&frame, cue, scale, &lines, &mut found))
+        py.detach(|| search.search(&frame, Cue::Edges, scale, &lines, &mut found))
             .map_err(invalid_input)?;
         PySearchLines::new(py, lines.iter().zip(&found), None)
     }

@@ -6,13 +6,13 @@ use crate::errors::{InvalidInputError, invalid_input};
 use crate::numbers::whole;
 use crate::template::PyTemplate;
 use crate::words::Word;
-use fingerpost_core::nalgebra::{SVector, Vector2};
-use fingerpost_core::shape_space::{
-    Affine, AffineMap, Axis, BandMeasure, PlacedSample, PlanarSpace, Pose, RIBBON_DOF, Ribbon,
-    RibbonVector, Rigid, RigidShear, ShapeSpace, Similarity, SimilarityShear, Translation,
-    ribbon_of,
+use fingerpost_core::geometry::planar::{
+    Affine, AffineMap, PlanarSpace, Rigid, RigidShear, Similarity, SimilarityShear, Translation,
 };
-use fingerpost_core::template::{TemplateSample, Thumb};
+use fingerpost_core::geometry::ribbon::{BandMeasure, RIBBON_DOF, Ribbon, RibbonVector, ribbon_of};
+use fingerpost_core::geometry::shape_space::{Axis, PlacedSample, Pose, ShapeSpace};
+use fingerpost_core::geometry::template::{TemplateSample, Thumb};
+use fingerpost_core::nalgebra::{SVector, Vector2};
 use fingerpost_core::{Error, Result};
 use numpy::{PyArray1, PyArray2, PyUntypedArrayMethods};
 use pyo3::prelude::*;

@@ -6,12 +6,12 @@ use crate::errors::{InvalidInputError, invalid_input};
 use crate::numbers::count;
 use crate::options::{Overlay, overlay_fields};
 use crate::words::Word;
-use fingerpost_core::contour::HandSide;
-use fingerpost_core::template::{
+use fingerpost_core::geometry::contour::HandSide;
+use fingerpost_core::geometry::template::{
     OutlineAxis, Proportions, TRACED_CONTROL_POINTS, Template, TemplateSample, Thumb,
     ThumbProportions,
 };
-use fingerpost_core::tracker::TrackerOptions;
+use fingerpost_core::track::TrackerOptions;
 use numpy::PyArray2;
 use pyo3::prelude::*;
 

@@ -10,9 +10,10 @@ use crate::search::PySearchLines;
 use crate::template::PyTemplate;
 use crate::words::Word;
 use fingerpost_core::Result;
-use fingerpost_core::shape_space::{AffineMap, Axis};
-use fingerpost_core::template::Template;
-use fingerpost_core::tracker::{
+use fingerpost_core::geometry::planar::AffineMap;
+use fingerpost_core::geometry::shape_space::Axis;
+use fingerpost_core::geometry::template::Template;
+use fingerpost_core::track::{
     AcceptOptions, AcquireOptions, ContourTracker, Diagnostics, DynamicsOptions, FingerLine, Model,
     ShapeEstimate, StartPose, Track, TrackOptions, TrackerOptions,
 };

@@ -6,7 +6,7 @@ use crate::image::FrameArrays;
 use crate::numbers::real;
 use crate::tracker::{PyContourTracker, PyTrack};
 use crate::words::Word;
-use fingerpost_core::views::{Schedule, ViewUpdate};
+use fingerpost_core::track::views::{Schedule, ViewUpdate};
 use pyo3::prelude::*;
 use pyo3::types::PyTuple;
 
@@ -42,7 +42,7 @@ pub fn update_views<'py>(
         })
         .collect();
     let mut tracks =
-        py.detach(|| fingerpost_core::views::update_views(updates, schedule)).into_iter();
+        py.detach(|| fingerpost_core::track::views::update_views(updates, schedule)).into_iter();
     let told = refused.into_iter().filter_map(|refusal| match refusal {
         Some(error) => Some(Err(error)),
         None => tracks.next().map(|track| track.map_err(invalid_input)),

@@ -1,34 +1,14 @@
 //! The core's enums are words in Python.
 
 use crate::errors::wrong;
-use fingerpost_core::contour::HandSide;
-use fingerpost_core::fit::{Outcome, Solve};
-use fingerpost_core::search::{Miss, Polarity, Scale};
-use fingerpost_core::template::Thumb;
-use fingerpost_core::tracker::{LineSource, Model, Refusal, Status};
-use fingerpost_core::views::Schedule;
+use fingerpost_core::geometry::contour::HandSide;
+use fingerpost_core::geometry::template::Thumb;
+use fingerpost_core::measure::edge::{Miss, Polarity, Scale};
+use fingerpost_core::solve::fit::{Outcome, Solve};
+use fingerpost_core::track::views::Schedule;
+use fingerpost_core::track::{LineSource, Model, Refusal, Status};
 use pyo3::prelude::*;
 use pyo3::types::PyString;
-
-/// Which of the core's cues a search follows.
-#[derive(Clone, Copy)]
-pub enum CueKind {
-    /// The strongest edge.
-    Edges,
-    /// The edge that best separates the hand from what is behind it.
-    HandEdges,
-    /// The place where the pixels' votes change sides.
-    Votes,
-}
-
-/// What a pixel shows.
-#[derive(Clone, Copy)]
-pub enum Side {
-    /// The hand.
-    Hand,
-    /// What is behind it.
-    Background,
-}
 
 /// A choice among words.
 pub trait Word: Copy + 'static {
@@ -87,8 +67,6 @@ words! {
         Background = "background",
         Misfit = "misfit",
     }
-    CueKind { Edges = "edges", HandEdges = "hand-edges", Votes = "votes" }
     Schedule { ByNeed = "by-need", InTurn = "in-turn", SideBySide = "side-by-side" }
-    Side { Hand = "hand", Background = "background" }
     Status { Acquiring = "acquiring", Tracking = "tracking", Lost = "lost" }
 }

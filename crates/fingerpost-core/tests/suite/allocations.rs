@@ -3,14 +3,15 @@
 
 use crate::common::{Canvas, Hand, Noise, Picture};
 use fingerpost_core::Frame;
-use fingerpost_core::background::{Background, BackgroundOptions, ForegroundMap};
-use fingerpost_core::frame::ColourView;
+use fingerpost_core::appearance::background::options::BackgroundOptions;
+use fingerpost_core::appearance::background::{Background, ForegroundMap};
+use fingerpost_core::axis::{Finger, RefineOptions, Refiner, Source, Stretch};
+use fingerpost_core::geometry::shape_space::Axis;
+use fingerpost_core::geometry::template::{Template, Thumb};
+use fingerpost_core::image::frame::ColourView;
+use fingerpost_core::measure::edge::Polarity;
 use fingerpost_core::nalgebra::Point2;
-use fingerpost_core::refine::{Finger, RefineOptions, Refiner, Source, Stretch};
-use fingerpost_core::search::Polarity;
-use fingerpost_core::shape_space::Axis;
-use fingerpost_core::template::{Template, Thumb};
-use fingerpost_core::tracker::{ContourTracker, Model, StartPose, Status, TrackerOptions};
+use fingerpost_core::track::{ContourTracker, Model, StartPose, Status, TrackerOptions};
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 use std::hint::black_box;

@@ -1,13 +1,13 @@
 //! What votes a learned appearance casts, and how it learns, forgets and keeps.
 
-use fingerpost_core::appearance::Appearance;
-use fingerpost_core::frame::{ColourView, Frame};
-use fingerpost_core::image::GrayView;
+use fingerpost_core::appearance::histogram::HistogramModel;
+use fingerpost_core::image::frame::{ColourView, Frame};
+use fingerpost_core::image::gray::GrayView;
 use proptest::prelude::*;
 use proptest::test_runner::{Config, RngSeed};
 
 /// The largest vote, as documented.
-const MAX_VOTE: f32 = 3.0;
+const MAX_LOG_RATIO: f32 = 3.0;
 const HAND: u8 = 160;
 const BACKGROUND: u8 = 60;
 
@@ -31,9 +31,9 @@ fn with_pixel<T>(colour: [u8; 3], then: impl FnOnce(&Frame<'_>) -> T) -> T {
 }
 
 /// A hand and a background of one grey level each.
-fn two_levels() -> Appearance {
+fn two_levels() -> HistogramModel {
     let bytes = [HAND, BACKGROUND];
-    let mut appearance = Appearance::new(false);
+    let mut appearance = HistogramModel::new(false);
     for _ in 0..50 {
         appearance.observe(&row(&bytes), 0.0, 0.0, true);
         appearance.observe(&row(&bytes), 1.0, 0.0, false);
@@ -42,21 +42,21 @@ fn two_levels() -> Appearance {
     appearance
 }
 
-fn vote_for(appearance: &Appearance, level: u8) -> f32 {
-    appearance.vote(&row(&[level]), 0.0, 0.0)
+fn vote_for(appearance: &HistogramModel, level: u8) -> f32 {
+    appearance.log_ratio(&row(&[level]), 0.0, 0.0)
 }
 
 #[test]
 fn nothing_seen_is_no_vote() {
-    for appearance in [Appearance::new(false), {
-        let mut learned = Appearance::new(false);
+    for appearance in [HistogramModel::new(false), {
+        let mut learned = HistogramModel::new(false);
         learned.learn();
         learned
     }] {
         assert!(levels().iter().all(|&level| vote_for(&appearance, level) == 0.0));
     }
     // One side alone tells nothing either.
-    let mut one_sided = Appearance::new(false);
+    let mut one_sided = HistogramModel::new(false);
     one_sided.observe(&row(&[HAND]), 0.0, 0.0, true);
     one_sided.learn();
     assert_eq!(vote_for(&one_sided, HAND), 0.0);
@@ -65,8 +65,8 @@ fn nothing_seen_is_no_vote() {
 #[test]
 fn each_side_s_levels_vote_for_it_and_others_for_neither() {
     let appearance = two_levels();
-    assert_eq!(vote_for(&appearance, HAND), MAX_VOTE);
-    assert_eq!(vote_for(&appearance, BACKGROUND), -MAX_VOTE);
+    assert_eq!(vote_for(&appearance, HAND), MAX_LOG_RATIO);
+    assert_eq!(vote_for(&appearance, BACKGROUND), -MAX_LOG_RATIO);
     for level in [0, 110, 255] {
         assert_eq!(vote_for(&appearance, level), 0.0, "{level}");
     }
@@ -82,14 +82,14 @@ fn observing_alone_changes_no_vote() {
     for _ in 0..1000 {
         appearance.observe(&row(&[HAND]), 0.0, 0.0, false);
     }
-    assert_eq!(vote_for(&appearance, HAND), MAX_VOTE);
+    assert_eq!(vote_for(&appearance, HAND), MAX_LOG_RATIO);
     appearance.learn();
     assert!(vote_for(&appearance, HAND) < 0.1, "now as frequent behind the hand as on it");
 }
 
 #[test]
 fn what_fades_is_replaced_and_what_is_anchored_stays() {
-    let relearn = |mut appearance: Appearance| {
+    let relearn = |mut appearance: HistogramModel| {
         appearance.fade(0.0);
         for _ in 0..50 {
             appearance.observe(&row(&[BACKGROUND]), 0.0, 0.0, true);
@@ -100,8 +100,8 @@ fn what_fades_is_replaced_and_what_is_anchored_stays() {
     };
     // A contour on the wrong side turns the votes round.
     let forgot = relearn(two_levels());
-    assert_eq!(vote_for(&forgot, HAND), -MAX_VOTE);
-    assert_eq!(vote_for(&forgot, BACKGROUND), MAX_VOTE);
+    assert_eq!(vote_for(&forgot, HAND), -MAX_LOG_RATIO);
+    assert_eq!(vote_for(&forgot, BACKGROUND), MAX_LOG_RATIO);
     // But not those of a hand that was anchored: half of its say stays what it was.
     let mut anchored = two_levels();
     anchored.anchor();
@@ -121,8 +121,8 @@ fn fading_keeps_the_ratio() {
 }
 
 /// Levels in a hand's and a background's range, and the same under another light.
-fn spread(light: f32) -> Appearance {
-    let mut appearance = Appearance::new(false);
+fn spread(light: f32) -> HistogramModel {
+    let mut appearance = HistogramModel::new(false);
     for k in 0..40_u8 {
         for (level, is_hand) in [(140 + k, true), (60 + k, false)] {
             let lit = (f32::from(level) * light).round() as u8;
@@ -150,7 +150,7 @@ fn in_other_light_the_same_things_vote_the_same() {
 #[test]
 fn in_other_light_colours_keep_their_side() {
     let (skin, wood) = ([120, 140, 180], [60, 90, 140]);
-    let mut appearance = Appearance::new(true);
+    let mut appearance = HistogramModel::new(true);
     for _ in 0..50 {
         with_pixel(skin, |frame| appearance.observe(frame, 0.0, 0.0, true));
         with_pixel(wood, |frame| appearance.observe(frame, 0.0, 0.0, false));
@@ -158,10 +158,10 @@ fn in_other_light_colours_keep_their_side() {
     appearance.learn();
     let dimmed = |colour: [u8; 3]| colour.map(|c| (f32::from(c) * 0.7).round() as u8);
     // The hand is as dark as the wood was.
-    assert!(with_pixel(dimmed(skin), |f| appearance.vote(f, 0.0, 0.0)) < 1.0);
+    assert!(with_pixel(dimmed(skin), |f| appearance.log_ratio(f, 0.0, 0.0)) < 1.0);
     appearance.relight(0.7);
-    assert!(with_pixel(dimmed(skin), |f| appearance.vote(f, 0.0, 0.0)) > 2.0);
-    assert!(with_pixel(dimmed(wood), |f| appearance.vote(f, 0.0, 0.0)) < -2.0);
+    assert!(with_pixel(dimmed(skin), |f| appearance.log_ratio(f, 0.0, 0.0)) > 2.0);
+    assert!(with_pixel(dimmed(wood), |f| appearance.log_ratio(f, 0.0, 0.0)) < -2.0);
 }
 
 #[test]
@@ -182,38 +182,38 @@ fn outside_the_frame_there_is_no_vote_and_nothing_to_see() {
         (0.0, 1e300),
         (-1e300, 0.0),
     ] {
-        assert_eq!(appearance.vote(&frame, u, v), 0.0, "{u} {v}");
+        assert_eq!(appearance.log_ratio(&frame, u, v), 0.0, "{u} {v}");
         appearance.observe(&frame, u, v, true);
         appearance.observe(&frame, u, v, false);
     }
     assert_eq!(appearance, before);
     // The pixel's whole square is inside.
-    assert_eq!(appearance.vote(&frame, -0.49, 0.49), MAX_VOTE);
-    assert_eq!(appearance.vote(&frame, 0.51, -0.49), -MAX_VOTE);
+    assert_eq!(appearance.log_ratio(&frame, -0.49, 0.49), MAX_LOG_RATIO);
+    assert_eq!(appearance.log_ratio(&frame, 0.51, -0.49), -MAX_LOG_RATIO);
 }
 
 #[test]
 fn colours_of_one_brightness_are_told_apart() {
     let (skin, table, wall) = ([200, 150, 120], [120, 150, 200], [30, 220, 30]);
-    let mut appearance = Appearance::new(true);
-    assert!(appearance.is_coloured() && !Appearance::new(false).is_coloured());
+    let mut appearance = HistogramModel::new(true);
+    assert!(appearance.is_coloured() && !HistogramModel::new(false).is_coloured());
     for _ in 0..50 {
         with_pixel(skin, |frame| appearance.observe(frame, 0.0, 0.0, true));
         with_pixel(table, |frame| appearance.observe(frame, 0.0, 0.0, false));
     }
     appearance.learn();
-    let vote = |colour| with_pixel(colour, |frame| appearance.vote(frame, 0.0, 0.0));
-    assert_eq!((vote(skin), vote(table), vote(wall)), (MAX_VOTE, -MAX_VOTE, 0.0));
+    let vote = |colour| with_pixel(colour, |frame| appearance.log_ratio(frame, 0.0, 0.0));
+    assert_eq!((vote(skin), vote(table), vote(wall)), (MAX_LOG_RATIO, -MAX_LOG_RATIO, 0.0));
     assert!(vote([206, 146, 124]) > 1.0);
 }
 
 #[test]
 fn a_frame_without_colours_tells_a_coloured_appearance_nothing() {
-    let mut appearance = Appearance::new(true);
+    let mut appearance = HistogramModel::new(true);
     let before = appearance.clone();
     appearance.observe(&row(&[HAND]), 0.0, 0.0, true);
     assert_eq!(appearance, before);
-    assert_eq!(appearance.vote(&row(&[HAND]), 0.0, 0.0), 0.0);
+    assert_eq!(appearance.log_ratio(&row(&[HAND]), 0.0, 0.0), 0.0);
 }
 
 proptest! {
@@ -226,7 +226,7 @@ proptest! {
         keep in 0.0..=1.0_f32,
     ) {
         let learned = |hand: &[u8], background: &[u8]| {
-            let mut appearance = Appearance::new(false);
+            let mut appearance = HistogramModel::new(false);
             for (levels, is_hand) in [(hand, true), (background, false)] {
                 for x in 0..levels.len() {
                     appearance.observe(&row(levels), x as f64, 0.0, is_hand);
@@ -239,7 +239,7 @@ proptest! {
         let (one, other) = (learned(&hand, &background), learned(&background, &hand));
         for level in levels() {
             let vote = vote_for(&one, level);
-            prop_assert!(vote.abs() <= MAX_VOTE);
+            prop_assert!(vote.abs() <= MAX_LOG_RATIO);
             prop_assert!((vote + vote_for(&other, level)).abs() < 1e-4);
         }
         // On the whole, the hand's own levels vote for it.

@@ -1,8 +1,10 @@
 //! The background of a camera that keeps still: what it learns, and what it does not.
 
 use crate::common::Noise;
-use fingerpost_core::background::{Background, BackgroundOptions, CELL_PX, ForegroundMap, KeepOut};
-use fingerpost_core::frame::ColourView;
+use fingerpost_core::appearance::background::CELL_PX;
+use fingerpost_core::appearance::background::options::{BackgroundOptions, KeepOut};
+use fingerpost_core::appearance::background::{Background, ForegroundMap};
+use fingerpost_core::image::frame::ColourView;
 use fingerpost_core::nalgebra::{Point2, Vector2};
 use fingerpost_core::{Error, Frame, GrayView};
 

@@ -1,7 +1,7 @@
 //! B-splines against golden data (`tests/golden/generate_bspline.py`), against what defines them, and on degenerate input.
 
 use fingerpost_core::Error;
-use fingerpost_core::bspline::{BSpline, Degree, Parametrization};
+use fingerpost_core::geometry::bspline::{BSpline, Degree, Parametrization};
 use fingerpost_core::nalgebra::{Matrix2, Point2, Vector2};
 use proptest::prelude::*;
 use proptest::test_runner::{Config, RngSeed};

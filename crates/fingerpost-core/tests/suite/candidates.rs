@@ -2,11 +2,12 @@
 //! it looks like.
 
 use crate::common::{Canvas, HalfPlane, Hand, Noise, Picture};
-use fingerpost_core::background::{Background, BackgroundOptions};
-use fingerpost_core::candidates::{Candidate, FinderOptions, HandFinder};
-use fingerpost_core::frame::ColourView;
+use fingerpost_core::appearance::background::Background;
+use fingerpost_core::appearance::background::options::BackgroundOptions;
+use fingerpost_core::detect::candidates::{Candidate, FinderOptions, HandFinder};
+use fingerpost_core::geometry::template::Thumb;
+use fingerpost_core::image::frame::ColourView;
 use fingerpost_core::nalgebra::{self, Point2};
-use fingerpost_core::template::Thumb;
 use fingerpost_core::{Frame, GrayView};
 use std::f64::consts::{PI, TAU};
 

@@ -4,9 +4,9 @@
 //! Gaussian, gets white noise and is rounded to 8 bits, as a camera would do it. A straight edge so
 //! painted stands where the shape says, at any angle; a round one to within 1/(24 r) px.
 
-use fingerpost_core::image::GrayView;
+use fingerpost_core::geometry::template::{HALF_LENGTH, Proportions, Thumb};
+use fingerpost_core::image::gray::GrayView;
 use fingerpost_core::nalgebra::{Point2, Vector2};
-use fingerpost_core::template::{HALF_LENGTH, Proportions, Thumb};
 
 /// White noise: SplitMix64, made normal by Box and Muller.
 #[derive(Debug, Clone)]

@@ -1,8 +1,8 @@
 //! Contour samples against the circle and the line, whose arc length and normals are known.
 
 use fingerpost_core::Error;
-use fingerpost_core::bspline::{BSpline, Degree};
-use fingerpost_core::contour::{ContourSample, HandSide, sample};
+use fingerpost_core::geometry::bspline::{BSpline, Degree};
+use fingerpost_core::geometry::contour::{ContourSample, HandSide, sample};
 use fingerpost_core::nalgebra::{Point2, Rotation2, Vector2};
 use proptest::prelude::*;
 use proptest::test_runner::{Config, RngSeed};

@@ -1,12 +1,12 @@
 //! The mixture of colours that shows a hand best, and what a tracker gains by it.
 
 use crate::common::{Canvas, HalfPlane, Hand, Noise, Picture, Shape};
-use fingerpost_core::discriminant::{Discriminant, DiscriminantImage, Mixture};
-use fingerpost_core::frame::{ColourView, Frame};
-use fingerpost_core::image::GrayView;
+use fingerpost_core::appearance::discriminant::{Discriminant, DiscriminantImage, Mixture};
+use fingerpost_core::geometry::template::{Template, Thumb};
+use fingerpost_core::image::frame::{ColourView, Frame};
+use fingerpost_core::image::gray::GrayView;
 use fingerpost_core::nalgebra::{Matrix3, Point2, Vector2, Vector3};
-use fingerpost_core::template::{Template, Thumb};
-use fingerpost_core::tracker::{ContourTracker, Model, StartPose, Status, TrackerOptions};
+use fingerpost_core::track::{ContourTracker, Model, StartPose, Status, TrackerOptions};
 
 type Colour = [u8; 3];
 

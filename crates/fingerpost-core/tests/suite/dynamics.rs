@@ -2,12 +2,12 @@
 
 use crate::common::Noise;
 use fingerpost_core::Error;
-use fingerpost_core::dynamics::{
-    Component, Course, Domain, Dynamics, Expectation, Gate, Innovation, Prediction,
-    acceleration_density, chi_square_quantile,
-};
 use fingerpost_core::nalgebra::{
     Cholesky, DMatrix, DVector, Matrix1, SMatrix, Vector1, Vector2, Vector4,
+};
+use fingerpost_core::solve::dynamics::{
+    Component, Course, Domain, Dynamics, Expectation, Gate, Innovation, Prediction,
+    acceleration_density, chi_square_quantile,
 };
 use proptest::prelude::*;
 use proptest::test_runner::{Config, RngSeed};
@@ -356,7 +356,7 @@ fn a_doubted_velocity_is_the_old_one_or_the_new_one() {
     dynamics.update(0.04, &at(100.0), &r).unwrap();
     let before = *dynamics.velocity();
     dynamics.update(0.08, &at(150.0), &r).unwrap();
-    let (jumped, doubting) = (dynamics, dynamics.doubting(&before));
+    let (jumped, doubting) = (dynamics, dynamics.with_velocity_reset(&before));
     assert!(jumped.velocity().x > 500.0, "{}", jumped.velocity());
     let after_s = 0.04;
     let half = 0.5 * (jumped.velocity() - before);

@@ -2,13 +2,14 @@
 
 use crate::common::Noise;
 use fingerpost_core::Error;
-use fingerpost_core::fit::{
+use fingerpost_core::geometry::planar::{AffineMap, PlanarSpace, Rigid, RigidShear};
+use fingerpost_core::geometry::shape_space::Pose;
+use fingerpost_core::geometry::template::{Limb, TemplateSample};
+use fingerpost_core::nalgebra::{DMatrix, DVector, Matrix2, Point2, SMatrix, SVector, Vector2};
+use fingerpost_core::numeric::simd::Isa;
+use fingerpost_core::solve::fit::{
     EquationBuffer, FitOptions, FitReport, Fitter, Loss, Outcome, Prior, Solve,
 };
-use fingerpost_core::nalgebra::{DMatrix, DVector, Matrix2, Point2, SMatrix, SVector, Vector2};
-use fingerpost_core::shape_space::{AffineMap, PlanarSpace, Pose, Rigid, RigidShear};
-use fingerpost_core::simd::Isa;
-use fingerpost_core::template::{Limb, TemplateSample};
 use proptest::prelude::*;
 use proptest::test_runner::{Config, RngSeed};
 

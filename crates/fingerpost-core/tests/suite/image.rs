@@ -1,8 +1,8 @@
 //! The grey view against the definition of a strided image and of bilinear interpolation.
 
 use fingerpost_core::Error;
-use fingerpost_core::frame::ColourView;
-use fingerpost_core::image::GrayView;
+use fingerpost_core::image::frame::ColourView;
+use fingerpost_core::image::gray::GrayView;
 use proptest::prelude::*;
 use proptest::test_runner::{Config, RngSeed};
 

@@ -2,15 +2,15 @@
 //! a pinhole, whose axis projects to a line that is known to rounding.
 
 use crate::common::{BentFinger, Canvas, Noise, Picture, Shape, covered_part};
-use fingerpost_core::appearance::Appearance;
-use fingerpost_core::nalgebra::{Matrix2, Matrix4, Point2, Vector2, Vector3, Vector4};
-use fingerpost_core::refine::{
+use fingerpost_core::appearance::histogram::HistogramModel;
+use fingerpost_core::axis::{
     Belief, Finger, KnownBackground, MAX_STRETCH_PX, RefineOptions, Refined, Refiner, Source,
     Stretch,
 };
-use fingerpost_core::search::Polarity;
-use fingerpost_core::shape_space::Axis;
-use fingerpost_core::simd::Isa;
+use fingerpost_core::geometry::shape_space::Axis;
+use fingerpost_core::measure::edge::Polarity;
+use fingerpost_core::nalgebra::{Matrix2, Matrix4, Point2, Vector2, Vector3, Vector4};
+use fingerpost_core::numeric::simd::Isa;
 use fingerpost_core::{Error, Frame, GrayView};
 use std::f64::consts::{PI, TAU};
 
@@ -1013,8 +1013,8 @@ fn bent_finger(bend_rad: f64, noise: &mut Noise) -> (BentFinger, Finger) {
 }
 
 /// What the hand looks like before an even background.
-fn looks(frame: &Frame<'_>, finger: &BentFinger) -> Appearance {
-    let mut appearance = Appearance::new(false);
+fn looks(frame: &Frame<'_>, finger: &BentFinger) -> HistogramModel {
+    let mut appearance = HistogramModel::new(false);
     for (x, y) in (0..SIZE).flat_map(|y| (0..SIZE).map(move |x| (x, y))) {
         let (x, y) = (x as f64, y as f64);
         let (depth, _) = finger.depth(Point2::new(x, y));

@@ -1,10 +1,10 @@
 //! Round fingers against bodies whose light is worked out from their normals, rendered by supersampling.
 
 use crate::common::Noise;
-use fingerpost_core::frame::ColourView;
+use fingerpost_core::axis::RoundFinger;
+use fingerpost_core::geometry::shape_space::Axis;
+use fingerpost_core::image::frame::ColourView;
 use fingerpost_core::nalgebra::{Point2, Vector2};
-use fingerpost_core::refine::RoundFinger;
-use fingerpost_core::shape_space::Axis;
 use fingerpost_core::{Error, Frame, GrayView};
 
 const WIDTH: usize = 200;

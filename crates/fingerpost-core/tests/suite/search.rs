@@ -1,16 +1,16 @@
 //! The search along normals on rendered edges whose place is known, and on any bytes at all.
 
 use crate::common::{Canvas, HalfPlane, Noise, Picture};
-use fingerpost_core::appearance::Appearance;
-use fingerpost_core::frame::ColourView;
-use fingerpost_core::image::GrayView;
-use fingerpost_core::nalgebra::{Point2, Vector2};
-use fingerpost_core::search::{
-    Cue, Edge, EdgeMeasurement, EdgeSearch, MAX_HALF_LENGTH_PX, Miss, Polarity, Scale, SearchLine,
-    SearchOptions,
+use fingerpost_core::appearance::histogram::HistogramModel;
+use fingerpost_core::geometry::shape_space::PlacedSample;
+use fingerpost_core::image::frame::ColourView;
+use fingerpost_core::image::gray::GrayView;
+use fingerpost_core::measure::edge::{
+    Edge, EdgeMeasurement, MAX_HALF_LENGTH_PX, Miss, Polarity, Scale, SearchLine,
 };
-use fingerpost_core::shape_space::PlacedSample;
-use fingerpost_core::simd::Isa;
+use fingerpost_core::measure::edge_search::{Cue, EdgeSearch, SearchOptions};
+use fingerpost_core::nalgebra::{Point2, Vector2};
+use fingerpost_core::numeric::simd::Isa;
 use fingerpost_core::{Error, Frame};
 use proptest::prelude::*;
 use proptest::test_runner::{Config, RngSeed};
@@ -274,8 +274,8 @@ fn near_the_border_what_is_visible_counts_and_nothing_is_invented() {
 }
 
 /// What a hand of one brightness looks like before clutter of another.
-fn learned(frame: &Frame<'_>, is_hand: impl Fn(usize, usize) -> bool) -> Appearance {
-    let mut appearance = Appearance::new(frame.colour().is_some());
+fn learned(frame: &Frame<'_>, is_hand: impl Fn(usize, usize) -> bool) -> HistogramModel {
+    let mut appearance = HistogramModel::new(frame.colour().is_some());
     for y in 0..frame.image().height() {
         for x in 0..frame.image().width() {
             appearance.observe(frame, x as f64, y as f64, is_hand(x, y));
@@ -316,7 +316,7 @@ fn the_hand_s_edge_is_told_from_stronger_ones() {
             assert!((edge.offset_px - 2.4).abs() < 0.2, "{edge:?}");
             assert!(edge.separation.unwrap() > 1.0);
         }
-        for edge in all(Cue::Votes(&appearance)) {
+        for edge in all(Cue::LogRatio(&appearance)) {
             let edge = edge.unwrap();
             assert!((edge.offset_px - 2.4).abs() < 1.5, "{edge:?}");
             assert!(edge.separation.unwrap() > 1.0 && edge.variance_px2 >= 1.0);
@@ -328,7 +328,7 @@ fn the_hand_s_edge_is_told_from_stronger_ones() {
 /// point, counted from its inner end on.
 fn mean_vote(
     frame: &Frame<'_>,
-    appearance: &Appearance,
+    appearance: &HistogramModel,
     sample: &PlacedSample,
     first_px: f64,
     samples: std::ops::Range<i64>,
@@ -342,7 +342,7 @@ fn mean_vote(
     };
     let votes = samples.map(|i| {
         let u = nearest(first.x, sample.normal.x, i);
-        f64::from(appearance.vote(frame, u, nearest(first.y, sample.normal.y, i)))
+        f64::from(appearance.log_ratio(frame, u, nearest(first.y, sample.normal.y, i)))
     });
     votes.sum::<f64>() / count as f64
 }
@@ -391,7 +391,7 @@ fn votes_need_no_edge() {
         let options = SearchOptions { min_contrast_grey: 30.0, ..options() };
         let with = |cue| search_all(options, picture.view(), cue, Scale::Fine, &[line])[0];
         assert!(with(Cue::Edges).is_err());
-        let edge = with(Cue::Votes(&appearance)).unwrap();
+        let edge = with(Cue::LogRatio(&appearance)).unwrap();
         assert!((u + edge.offset_px - 47.5).abs() < 2.0, "{edge:?}");
     }
 }
@@ -399,9 +399,9 @@ fn votes_need_no_edge() {
 #[test]
 fn without_a_known_hand_no_edge_is_the_hand_s() {
     let picture = picture(&HalfPlane::beyond(CENTRE, 0.0, 1.0));
-    let unknown = Appearance::new(false);
+    let unknown = HistogramModel::new(false);
     let line = line(CENTRE, Vector2::x());
-    for cue in [Cue::HandEdges(&unknown), Cue::Votes(&unknown)] {
+    for cue in [Cue::HandEdges(&unknown), Cue::LogRatio(&unknown)] {
         let found = search_all(options(), picture.view(), cue, Scale::Fine, &[line])[0];
         assert!(found.is_err(), "{found:?}");
     }
@@ -524,7 +524,7 @@ fn a_search_remembers_nothing() {
         (0..64).map(|y| line(Point2::new(31.0, f64::from(y)), Vector2::x())).collect();
     let (mut first, mut again) = (Vec::new(), vec![Err(Miss::NoContrast); 3]);
     search.search(&frame, Cue::Edges, Scale::Fine, &lines, &mut first).unwrap();
-    search.search(&frame, Cue::Votes(&appearance), Scale::Coarse, &lines, &mut again).unwrap();
+    search.search(&frame, Cue::LogRatio(&appearance), Scale::Coarse, &lines, &mut again).unwrap();
     search.search(&frame, Cue::Edges, Scale::Fine, &lines, &mut again).unwrap();
     assert_eq!(first, again);
 }
@@ -703,11 +703,11 @@ proptest! {
     ) {
         let appearance = learned(&picture.view().into(), |x, y| (x + y) % 2 == 0);
         let scale = if coarse { Scale::Coarse } else { Scale::Fine };
-        for cue in [Cue::Edges, Cue::HandEdges(&appearance), Cue::Votes(&appearance)] {
+        for cue in [Cue::Edges, Cue::HandEdges(&appearance), Cue::LogRatio(&appearance)] {
             let found = search_all(options, picture.view(), cue, scale, &lines);
             for (line, found) in lines.iter().zip(&found) {
                 if let Ok(edge) = found {
-                    check(edge, line, &options, matches!(cue, Cue::Votes(_)));
+                    check(edge, line, &options, matches!(cue, Cue::LogRatio(_)));
                 }
             }
         }
@@ -743,7 +743,7 @@ proptest! {
         let colours = ColourView::new(&colours, width, height, 3 * width + stride).unwrap();
         for frame in [Frame::gray(image), Frame::coloured(image, colours).unwrap()] {
             let appearance = learned(&frame, |x, y| (x + y) % 2 == 0);
-            for cue in [Cue::Edges, Cue::HandEdges(&appearance), Cue::Votes(&appearance)] {
+            for cue in [Cue::Edges, Cue::HandEdges(&appearance), Cue::LogRatio(&appearance)] {
                 let found = |isa| {
                     let mut found = Vec::new();
                     let mut search = EdgeSearch::new(options).unwrap().with_isa(isa);

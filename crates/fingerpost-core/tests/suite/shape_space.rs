@@ -2,13 +2,17 @@
 //! band template against the bands.
 
 use fingerpost_core::Error;
-use fingerpost_core::nalgebra::{Matrix2, Point2, Rotation2, SMatrix, SVector, Vector2};
-use fingerpost_core::shape_space::{
-    Affine, AffineMap, Axis, BandMeasure, PlanarSpace, Pose, RIBBON_DOF, Ribbon, RibbonPose,
-    RibbonVector, Rigid, RigidShear, ShapeSpace, Similarity, SimilarityShear, Translation,
-    ribbon_of,
+use fingerpost_core::geometry::planar::{
+    Affine, AffineMap, PlanarSpace, Rigid, RigidShear, Similarity, SimilarityShear, Translation,
 };
-use fingerpost_core::template::{HALF_LENGTH, Limb, Proportions, Template, TemplateSample, Thumb};
+use fingerpost_core::geometry::ribbon::{
+    BandMeasure, RIBBON_DOF, Ribbon, RibbonPose, RibbonVector, ribbon_of,
+};
+use fingerpost_core::geometry::shape_space::{Axis, Pose, ShapeSpace};
+use fingerpost_core::geometry::template::{
+    HALF_LENGTH, Limb, Proportions, Template, TemplateSample, Thumb,
+};
+use fingerpost_core::nalgebra::{Matrix2, Point2, Rotation2, SMatrix, SVector, Vector2};
 use proptest::prelude::*;
 use proptest::test_runner::{Config, RngSeed, TestCaseResult};
 use std::f64::consts::{FRAC_PI_2, PI};

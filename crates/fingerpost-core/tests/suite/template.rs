@@ -2,14 +2,15 @@
 //! from.
 
 use fingerpost_core::Error;
-use fingerpost_core::bspline::{BSpline, Degree};
-use fingerpost_core::contour::HandSide;
-use fingerpost_core::nalgebra::{Point2, SVector, Similarity2, Vector2};
-use fingerpost_core::shape_space::{AffineMap, ribbon_of};
-use fingerpost_core::template::{
+use fingerpost_core::geometry::bspline::{BSpline, Degree};
+use fingerpost_core::geometry::contour::HandSide;
+use fingerpost_core::geometry::planar::AffineMap;
+use fingerpost_core::geometry::ribbon::ribbon_of;
+use fingerpost_core::geometry::template::{
     HALF_LENGTH, Limb, OutlineAxis, Part, Proportions, Template, TemplateSample, Thumb,
     ThumbProportions,
 };
+use fingerpost_core::nalgebra::{Point2, SVector, Similarity2, Vector2};
 use proptest::prelude::*;
 use proptest::test_runner::{Config, RngSeed};
 
@@ -313,7 +314,7 @@ proptest! {
         let expected = Proportions { flank_start: waiting.flank_start, thumb, ..hand };
         let map = AffineMap::upright(Point2::new(u, v), angle_rad, length_px).unwrap();
         let (x, waiting) = (ribbon_of(&expected, &map), Template::with_proportions(&waiting));
-        let moulded = waiting.unwrap().moulded(&x, length_px, hand.thumb.is_some()).unwrap();
+        let moulded = waiting.unwrap().fitted(&x, length_px, hand.thumb.is_some()).unwrap();
         let found = moulded.proportions().unwrap();
         prop_assert!((found.half_width - expected.half_width).abs() < ROUNDING);
         prop_assert_eq!(found.flank_start, expected.flank_start);
@@ -372,7 +373,7 @@ fn a_traced_outline_keeps_its_shape_and_its_axis() {
         // All of it counts as finger, its spine the axis.
         assert_eq!((s.limb, s.along, s.radial), (Limb::Finger, s.position.x, s.normal));
     }
-    let unmoulded = template.moulded(&SVector::zeros(), 100.0, true);
+    let unmoulded = template.fitted(&SVector::zeros(), 100.0, true);
     assert!(matches!(unmoulded, Err(Error::Unsupported { what: "moulding", .. })));
 }
 

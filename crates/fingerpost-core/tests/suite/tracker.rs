@@ -1,15 +1,17 @@
 //! The tracker on rendered hands that move as we say.
 
 use crate::common::{BentFinger, Canvas, Hand, Noise, Picture, Shape, covered_part};
-use fingerpost_core::fit::{FitOptions, Loss};
-use fingerpost_core::frame::ColourView;
-use fingerpost_core::image::GrayView;
+use fingerpost_core::geometry::planar::AffineMap;
+use fingerpost_core::geometry::shape_space::{PlacedSample, Pose};
+use fingerpost_core::geometry::template::{HALF_LENGTH, OutlineAxis, Template, Thumb};
+use fingerpost_core::image::frame::ColourView;
+use fingerpost_core::image::gray::GrayView;
+use fingerpost_core::measure::edge::Polarity;
+use fingerpost_core::measure::edge_search::SearchOptions;
 use fingerpost_core::nalgebra::{Matrix2, Point2, Vector2};
-use fingerpost_core::search::{Polarity, SearchOptions};
-use fingerpost_core::shape_space::{AffineMap, PlacedSample, Pose};
-use fingerpost_core::simd::Isa;
-use fingerpost_core::template::{HALF_LENGTH, OutlineAxis, Template, Thumb};
-use fingerpost_core::tracker::{
+use fingerpost_core::numeric::simd::Isa;
+use fingerpost_core::solve::fit::{FitOptions, Loss};
+use fingerpost_core::track::{
     AcceptOptions, AcquireOptions, ContourTracker, Diagnostics, FingerLine, LineSource, Model,
     Refusal, SearchedLine, StartPose, Status, Track, TrackOptions, TrackerOptions,
 };
@@ -572,7 +574,7 @@ fn a_hand_that_turns_round_in_full_motion_is_followed() {
 
 #[test]
 fn a_jump_surprises_and_a_steady_motion_does_not() {
-    let beyond = fingerpost_core::dynamics::chi_square_quantile(0.9999, 3).unwrap();
+    let beyond = fingerpost_core::solve::dynamics::chi_square_quantile(0.9999, 3).unwrap();
     for model in MODELS {
         let (mut tracker, mut noise) = (tracker(model, Thumb::None), Noise::new(0x6a75_6d70));
         let hand = held_up(Thumb::None);

@@ -1,0 +1,542 @@
+//! What a camera that keeps still sees when no hand is there.
+//!
+//! Every pixel keeps the grey level that it shows most of the time, with a running mean and variance
+//! of what agrees with it, and a count of how often that was so. A visit that disagrees lowers the
+//! count; at zero the pixel starts anew with what it shows now (the majority vote of Boyer and
+//! Moore, as a running estimate). So the first frames give the level that most of them show, a hand
+//! that passes changes nothing, and what is put down and stays becomes background after a while. A
+//! hand that is being followed is kept out altogether.
+//!
+//! The light may change: every frame is first explained as `gain · background + offset`, fitted
+//! robustly to a grid of pixels, and everything is compared and learned in the light of the
+//! background. What is left is the foreground, unless it is darker by a ratio that a shadow may have
+//! and, where there are colours, of unchanged hue. When most of the pixels that would show it have
+//! changed, the camera has moved: the background is void and is learned anew. A camera that has been
+//! bumped by a part of a pixel changes few of them by much; how far all have moved is told by the
+//! gradient of the background, and while they have, no edge in it is where it was
+//! ([`Background::is_exact`]).
+//!
+//! A frame visits every fourth pair of rows in turn, every eighth once nothing has been new for long,
+//! and allocates nothing once it has seen its first frame.
+//!
+//! Sources: Stauffer & Grimson 1999 for a background of levels that last; Horprasert, Harwood &
+//! Davis 1999 for shadows as a change of brightness without one of hue.
+
+mod light;
+pub mod options;
+mod visit;
+
+use super::background::options::{BackgroundOptions, KeepOut, Light};
+use crate::Result;
+use crate::image::frame::Frame;
+use crate::numeric::simd::Isa;
+use nalgebra::Vector2;
+pub use visit::CELL_PX;
+use visit::{Learning, Visits};
+
+/// The grey level to expect at a place where nothing stands before the background.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ExpectedGrey {
+    /// The level in the light of the last frame \[grey levels\].
+    pub grey: f64,
+    /// How uncertain it is \[grey levels\]: the standard deviation of the mean, without the noise
+    /// of a frame that it is compared with.
+    pub sigma_grey: f64,
+}
+
+/// How like foreground the image is, on a grid of cells of `step` × `step` pixels.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct ForegroundMap {
+    /// Cells in a row; cell (x, y) stands for the pixel (x · step, y · step).
+    pub width: usize,
+    /// Rows of cells.
+    pub height: usize,
+    /// Pixels from one cell to the next.
+    pub step: usize,
+    /// Row by row: 0 for background, 255 for foreground; between them it is uncertain.
+    pub cells: Vec<u8>,
+}
+
+impl ForegroundMap {
+    /// The likelihood of foreground at a place \[0–1\]; that of the nearest cell outside the image.
+    #[must_use]
+    pub fn at(&self, u: f64, v: f64) -> f64 {
+        let cell = |x: f64, n: usize| {
+            ((x / self.step.max(1) as f64).round().max(0.0) as usize).min(n.saturating_sub(1))
+        };
+        let i = cell(v, self.height) * self.width + cell(u, self.width);
+        self.cells.get(i).map_or(0.0, |&c| f64::from(c) / 255.0)
+    }
+}
+
+/// The learned background of one view.
+///
+/// ```
+/// use fingerpost_core::appearance::background::Background;
+/// use fingerpost_core::appearance::background::options::BackgroundOptions;
+/// use fingerpost_core::{Frame, GrayView};
+///
+/// let mut background = Background::new(BackgroundOptions::default())?;
+/// let table = [80; 64 * 48];
+/// for _ in 0..10 {
+///     background.observe(&Frame::gray(GrayView::new(&table, 64, 48, 64)?), None)?;
+/// }
+/// assert!(background.is_known());
+/// let expected = background.expected(20.3, 10.7).expect("the pixels around it are known");
+/// assert_eq!(expected.grey, 80.0);
+/// # Ok::<(), fingerpost_core::Error>(())
+/// ```
+#[derive(Debug, Clone)]
+pub struct Background {
+    options: BackgroundOptions,
+    size: Option<(usize, usize)>,
+    grey: Plane,
+    /// Blue, green and red (or whatever order they come in), at every second pixel of every second
+    /// row; empty without colours.
+    colour: Vec<[f32; 3]>,
+    light: Light,
+    /// Standard deviation of the light fit's inliers \[grey levels\].
+    light_sigma: f32,
+    /// Part of the telling pixels that have changed, and since how many frames that is too much.
+    changed_share: f64,
+    moved_frames: usize,
+    /// How far the picture lies from the background, if its edges tell \[px\].
+    shift_px: Option<Vector2<f64>>,
+    bumped_frames: usize,
+    frames: usize,
+    /// Frames since it began, or since a part of it was forgotten.
+    settling_frames: usize,
+    slopes: Vec<Slope>,
+    pairs: Vec<(f32, f32)>,
+    ratios: Vec<f32>,
+}
+
+/// How a pixel differs from its background.
+struct Change {
+    /// In standard deviations.
+    sigmas: f32,
+    /// Whether a shadow would explain it.
+    is_shadow: bool,
+}
+
+/// The background's gradient at a pixel, in the light of the frame, and what the frame shows besides.
+#[derive(Debug, Clone, Copy)]
+struct Slope {
+    by_px: Vector2<f64>,
+    residual: f64,
+    /// One over the largest residual that a shift explains.
+    per_most: f64,
+}
+
+/// Level, variance and number of agreeing visits of every pixel.
+#[derive(Debug, Clone, Default)]
+struct Plane {
+    level: Vec<f32>,
+    variance: Vec<f32>,
+    seen: Vec<u8>,
+}
+
+/// A frame visits every fourth pair of rows, so that as many of them have colours in every frame,
+const IN_TURN: usize = 4;
+/// and every eighth once the background has been there for as long as something new takes to become
+/// a part of it.
+const SETTLED_IN_TURN: usize = 8;
+/// Rows that are visited together: those of a cell.
+const PAIR: usize = CELL_PX;
+/// The light and the share of changed pixels are estimated from about this many pixels.
+const SAMPLES: usize = 3000;
+/// A background that has shifted by more than this is not exact \[px\],
+const EXACT_PX: f64 = 0.15;
+/// A shadow changes no chromaticity (a share of the sum of the channels) by more than this, plus the
+/// noise.
+const SHADOW_HUE: f32 = 0.025;
+/// The noise of a channel, in parts of that of the grey level.
+const COLOUR_NOISE: f32 = 1.5;
+/// Without colours a hand may look like a shadow: only a light one is recognised.
+const GREY_SHADOW_LIGHT: f32 = 0.8;
+/// What a shadow keeps of its likelihood of foreground: a hand in a dark glove looks like one.
+const SHADOW_VARIANCE: f32 = 0.6;
+/// The likelihood of foreground rises from 0 to 1 between these parts of
+/// [`BackgroundOptions::changed_sigmas`].
+const RAMP: (f32, f32) = (0.6, 1.4);
+
+impl Background {
+    /// A background that has seen nothing.
+    ///
+    /// # Errors
+    /// When an option is outside its documented range.
+    pub fn new(options: BackgroundOptions) -> Result<Self> {
+        options.check()?;
+        Ok(Self {
+            options,
+            size: None,
+            grey: Plane::default(),
+            colour: Vec::new(),
+            light: Light::UNCHANGED,
+            light_sigma: 0.0,
+            changed_share: 0.0,
+            moved_frames: 0,
+            shift_px: None,
+            bumped_frames: 0,
+            frames: 0,
+            settling_frames: 0,
+            slopes: Vec::with_capacity(2 * SAMPLES),
+            pairs: Vec::with_capacity(2 * SAMPLES),
+            ratios: Vec::with_capacity(2 * SAMPLES),
+        })
+    }
+
+    /// The options in force.
+    #[must_use]
+    pub fn options(&self) -> &BackgroundOptions {
+        &self.options
+    }
+
+    /// Forgets everything.
+    pub fn clear(&mut self) {
+        self.size = None;
+        (self.frames, self.settling_frames) = (0, 0);
+        self.moved_frames = 0;
+        self.shift_px = None;
+        self.bumped_frames = 0;
+        (self.light, self.light_sigma) = (Light::UNCHANGED, 0.0);
+        self.changed_share = 0.0;
+    }
+
+    /// Forgets a part of the image, such as a hand that has stood there from the start.
+    ///
+    /// # Errors
+    /// When the part is not finite or its radius not positive.
+    pub fn forget(&mut self, part: &KeepOut) -> Result<()> {
+        part.check()?;
+        let Some((width, height)) = self.size else { return Ok(()) };
+        self.settling_frames = 0;
+        for y in 0..height {
+            let columns = part.columns(y as f64, width);
+            self.grey.seen[y * width..][columns].fill(0);
+        }
+        Ok(())
+    }
+
+    /// Whether it has lasted long enough to tell the foreground from it.
+    #[must_use]
+    pub fn is_known(&self) -> bool {
+        self.frames >= self.options.learn_frames && self.moved_frames == 0
+    }
+
+    /// Whether it is known and its edges are where the last frame shows them: the camera has not been
+    /// bumped, by however little.
+    #[must_use]
+    pub fn is_exact(&self) -> bool {
+        self.is_known() && self.shift_px.is_none_or(|shift| shift.norm() <= EXACT_PX)
+    }
+
+    /// How far the last frame shows the background from where it was learned \[px\], if edges in it
+    /// tell; beyond a pixel it is no more than a sign that it has moved. Where they all run one way,
+    /// they tell how far it has moved across them, and along them it is taken to be still.
+    #[must_use]
+    pub fn shift_px(&self) -> Option<Vector2<f64>> {
+        self.shift_px
+    }
+
+    /// How the light of the last frame differs from the background's.
+    #[must_use]
+    pub fn light(&self) -> Light {
+        self.light
+    }
+
+    /// Part of the pixels that would show a motion of the camera and have changed, 0–1.
+    #[must_use]
+    pub fn changed_share(&self) -> f64 {
+        self.changed_share
+    }
+
+    /// Takes one frame: looks at it, then learns from what agrees with the background. Nothing
+    /// within `keep_out` is learned. A frame of another size, or with colours where there were none,
+    /// starts a new background.
+    ///
+    /// # Errors
+    /// When `keep_out` is not finite or its radius not positive.
+    pub fn observe(&mut self, frame: &Frame<'_>, keep_out: Option<&KeepOut>) -> Result<()> {
+        self.look(frame);
+        self.learn(frame, keep_out)
+    }
+
+    /// Looks at a frame without learning from it: estimates its light, and notices a camera that has
+    /// moved. From then on all that is told of the background holds for this frame.
+    pub fn look(&mut self, frame: &Frame<'_>) {
+        self.fit_size(frame);
+        self.estimate_light(frame);
+        self.notice_motion(frame);
+        self.measure_shift(frame);
+        self.notice_bump();
+    }
+
+    /// Learns from the frame that was looked at last; nothing within `keep_out` is learned.
+    ///
+    /// # Errors
+    /// When `keep_out` is not finite or its radius not positive.
+    pub fn learn(&mut self, frame: &Frame<'_>, keep_out: Option<&KeepOut>) -> Result<()> {
+        if let Some(keep_out) = keep_out {
+            keep_out.check()?;
+        }
+        self.fit_size(frame);
+        let height = frame.image().height();
+        let step = if self.frames < self.options.learn_frames { 1 } else { self.in_turn() };
+        for pair in (self.frames % step..height.div_ceil(PAIR)).step_by(step) {
+            for y in PAIR * pair..height.min(PAIR * (pair + 1)) {
+                self.learn_row(frame, y, keep_out);
+            }
+        }
+        self.frames = self.frames.saturating_add(1);
+        self.settling_frames = self.settling_frames.saturating_add(1);
+        Ok(())
+    }
+
+    /// How many frames it takes to visit all rows.
+    fn in_turn(&self) -> usize {
+        let settled = self.settling_frames >= self.options.absorb_frames;
+        if settled { SETTLED_IN_TURN } else { IN_TURN }
+    }
+
+    /// Starts anew with a frame that is not like the last ones.
+    fn fit_size(&mut self, frame: &Frame<'_>) {
+        let size = (frame.image().width(), frame.image().height());
+        let coloured = frame.colour().is_some();
+        if self.size != Some(size) || self.colour.is_empty() == coloured {
+            self.start(size, coloured);
+        }
+    }
+
+    /// The grey level to expect at a subpixel place in the light of the last frame; `None` where a
+    /// pixel around it is unknown or outside the image.
+    #[must_use]
+    pub fn expected(&self, u: f64, v: f64) -> Option<ExpectedGrey> {
+        let (width, height) = self.size?;
+        if !(u >= 0.0 && v >= 0.0 && u <= (width - 1) as f64 && v <= (height - 1) as f64) {
+            return None;
+        }
+        let (x, y) =
+            ((u as usize).min(width.saturating_sub(2)), (v as usize).min(height.saturating_sub(2)));
+        let (s, t) = (u - x as f64, v - y as f64);
+        let (right, below) = (usize::from(width > 1), usize::from(height > 1) * width);
+        let (mut grey, mut variance) = (0.0, 0.0);
+        let corners = [
+            (0, (1.0 - s) * (1.0 - t)),
+            (right, s * (1.0 - t)),
+            (below, (1.0 - s) * t),
+            (below + right, s * t),
+        ];
+        for (offset, weight) in corners.into_iter().filter(|(_, weight)| *weight > 0.0) {
+            let i = y * width + x + offset;
+            if usize::from(self.grey.seen[i]) < self.known_from() {
+                return None;
+            }
+            grey += weight * f64::from(self.grey.level[i]);
+            variance += weight * weight * self.variance_of_mean(i);
+        }
+        let Light { gain, offset_grey } = self.light;
+        Some(ExpectedGrey { grey: gain * grey + offset_grey, sigma_grey: gain * variance.sqrt() })
+    }
+
+    /// How likely the pixel nearest to a place shows something before the background, 0–1; `None`
+    /// outside the image and where the background is unknown.
+    #[must_use]
+    pub fn foreground(&self, frame: &Frame<'_>, u: f64, v: f64) -> Option<f64> {
+        let size = (frame.image().width(), frame.image().height());
+        if self.size != Some(size) || !self.is_known() || !frame.image().contains(u, v, -0.5) {
+            return None;
+        }
+        let (x, y) = ((u + 0.5) as usize, (v + 0.5) as usize);
+        let (x, y) = (x.min(size.0 - 1), y.min(size.1 - 1));
+        self.change(frame, x, y, size.0).map(|change| f64::from(self.likelihood(&change)))
+    }
+
+    /// Fills `map` with how like foreground every cell of the frame is; all background while the
+    /// background is unknown.
+    pub fn foreground_map(&self, frame: &Frame<'_>, map: &mut ForegroundMap) {
+        let (width, height) = (frame.image().width(), frame.image().height());
+        (map.width, map.height) = (width.div_ceil(CELL_PX), height.div_ceil(CELL_PX));
+        map.step = CELL_PX;
+        map.cells.clear();
+        if !self.is_known() || self.size != Some((width, height)) {
+            map.cells.resize(map.width * map.height, 0);
+            return;
+        }
+        for y in (0..height).step_by(CELL_PX) {
+            map.cells.extend((0..width).step_by(CELL_PX).map(|x| {
+                self.change(frame, x, y, width).map_or(0, |c| (255.0 * self.likelihood(&c)) as u8)
+            }));
+        }
+    }
+
+    fn start(&mut self, size: (usize, usize), coloured: bool) {
+        self.clear();
+        self.size = Some(size);
+        let pixels = size.0 * size.1;
+        self.grey.level.clear();
+        self.grey.level.resize(pixels, 0.0);
+        self.grey.variance.clear();
+        self.grey.variance.resize(pixels, 0.0);
+        self.grey.seen.clear();
+        self.grey.seen.resize(pixels, 0);
+        self.colour.clear();
+        if coloured {
+            let cells = size.0.div_ceil(CELL_PX) * size.1.div_ceil(CELL_PX);
+            self.colour.resize(cells, [0.0; 3]);
+        }
+    }
+
+    /// Agreeing visits from which a pixel is known, and at most counted: in turn, a visit stands for
+    /// as many frames as it takes to visit all rows.
+    fn known_from(&self) -> usize {
+        self.options.learn_frames.div_ceil(2)
+    }
+
+    fn most_seen(&self) -> u8 {
+        let visits = self.options.absorb_frames.div_ceil(self.in_turn());
+        visits.max(self.known_from() + 1).min(usize::from(u8::MAX)) as u8
+    }
+
+    /// Variance of a pixel's level: of a mean over its visits, or of the running mean in the end.
+    fn variance_of_mean(&self, i: usize) -> f64 {
+        let rate = self.options.rate;
+        let share = (1.0 / f64::from(self.grey.seen[i].max(1))).max(rate / (2.0 - rate));
+        share * self.noise_variance(i) + f64::from(self.light_sigma * self.light_sigma) / 100.0
+    }
+
+    fn noise_variance(&self, i: usize) -> f64 {
+        f64::from(self.grey.variance[i]).max(self.options.noise_grey * self.options.noise_grey)
+    }
+
+    /// Likelihood of foreground by how a pixel differs, 0–1.
+    fn likelihood(&self, change: &Change) -> f32 {
+        let part = change.sigmas / self.options.changed_sigmas as f32;
+        let likely = ((part - RAMP.0) / (RAMP.1 - RAMP.0)).clamp(0.0, 1.0);
+        if change.is_shadow { SHADOW_VARIANCE * likely } else { likely }
+    }
+
+    /// How a pixel inside the image differs from its background, if that is known.
+    fn change(&self, frame: &Frame<'_>, x: usize, y: usize, width: usize) -> Option<Change> {
+        let i = y * width + x;
+        if usize::from(self.grey.seen[i]) < self.known_from() {
+            return None;
+        }
+        let now = f32::from(frame.image().pixel(x, y)?);
+        let (gain, offset) = (self.light.gain as f32, self.light.offset_grey as f32);
+        let grey = gain * self.grey.level[i] + offset;
+        let noise = self.options.noise_grey as f32;
+        let sigma =
+            self.grey.variance[i].max(noise * noise).sqrt() * gain.max(1.0) + self.light_sigma;
+        let mut sigmas = (now - grey).abs() / sigma;
+        let mut light = now / grey.max(1.0);
+        let mut deepest = (self.options.shadow_light as f32).max(GREY_SHADOW_LIGHT);
+        let mut hue = 0.0;
+        if let Some((known, now)) = self.colours(frame, x, y) {
+            let expected = known.map(|c| gain * c + offset);
+            let (sum_expected, sum_now) =
+                (expected.iter().sum::<f32>().max(1.0), now.iter().sum::<f32>().max(1.0));
+            for (a, b) in expected.iter().zip(now) {
+                sigmas = sigmas.max((b - a).abs() / (COLOUR_NOISE * sigma));
+                hue = f32::max(hue, (a / sum_expected - b / sum_now).abs());
+            }
+            hue -= COLOUR_NOISE * sigma / sum_now;
+            light = sum_now / sum_expected;
+            deepest = self.options.shadow_light as f32;
+        }
+        let is_shadow = hue < SHADOW_HUE && (deepest..1.0).contains(&light);
+        Some(Change { sigmas, is_shadow })
+    }
+
+    /// The background's colours and the frame's at the cell of a pixel.
+    fn colours(&self, frame: &Frame<'_>, x: usize, y: usize) -> Option<([f32; 3], [f32; 3])> {
+        let (width, _) = self.size?;
+        let (cx, cy) = (x / CELL_PX, y / CELL_PX);
+        let known = self.colour.get(cy * width.div_ceil(CELL_PX) + cx)?;
+        Some((*known, frame.colour()?.pixel(cx * CELL_PX, cy * CELL_PX)?.map(f32::from)))
+    }
+
+    /// Pixels of an even grid of about [`SAMPLES`], as (x, y); the same for every frame.
+    fn grid((width, height): (usize, usize)) -> impl Iterator<Item = (usize, usize)> {
+        let step = ((width * height / SAMPLES) as f64).sqrt().ceil().max(1.0) as usize;
+        (step / 2..height)
+            .step_by(step)
+            .flat_map(move |y| (step / 2..width).step_by(step).map(move |x| (x, y)))
+    }
+
+    /// The levels about a pixel in the light of the last frame, row by row; `None` where one of them
+    /// is unknown or outside the image.
+    pub(crate) fn about(&self, x: usize, y: usize) -> Option<[[f32; 3]; 3]> {
+        let (width, height) = self.size?;
+        if x == 0 || y == 0 || x + 1 >= width || y + 1 >= height {
+            return None;
+        }
+        let (gain, offset) = (self.light.gain as f32, self.light.offset_grey as f32);
+        let known_from = self.known_from();
+        let mut levels = [[0.0; 3]; 3];
+        for (row, levels) in levels.iter_mut().enumerate() {
+            let from = (y + row - 1) * width + x - 1;
+            let seen = self.grey.seen.get(from..from + 3)?;
+            if seen.iter().any(|&s| usize::from(s) < known_from) {
+                return None;
+            }
+            for (level, learned) in levels.iter_mut().zip(self.grey.level.get(from..from + 3)?) {
+                *level = gain * learned + offset;
+            }
+        }
+        Some(levels)
+    }
+
+    /// The level of a pixel in the light of the last frame; `None` where it is unknown.
+    pub(crate) fn level(&self, x: usize, y: usize) -> Option<f32> {
+        let i = y * self.size?.0 + x;
+        let seen = usize::from(*self.grey.seen.get(i)?);
+        let level = *self.grey.level.get(i)?;
+        let (gain, offset) = (self.light.gain as f32, self.light.offset_grey as f32);
+        (seen >= self.known_from()).then_some(gain * level + offset)
+    }
+
+    /// Variance of the level to expect at a pixel inside the image, as [`ExpectedGrey::sigma_grey`].
+    pub(crate) fn variance(&self, x: usize, y: usize) -> f64 {
+        let (width, _) = self.size.unwrap_or_default();
+        self.light.gain.powi(2) * self.variance_of_mean(y * width + x)
+    }
+
+    /// Width and height of the images that it was learned from; (0, 0) before the first.
+    pub(crate) fn size(&self) -> (usize, usize) {
+        self.size.unwrap_or_default()
+    }
+
+    /// One visit of every pixel of a row, but for those that are kept out.
+    fn learn_row(&mut self, frame: &Frame<'_>, y: usize, keep_out: Option<&KeepOut>) {
+        let (Some((width, _)), Some(row)) = (self.size, frame.image().row(y)) else { return };
+        let skip = keep_out.map_or(0..0, |k| k.columns(y as f64, width));
+        let noise = self.options.noise_grey as f32;
+        let sigmas = self.options.changed_sigmas as f32;
+        let learning = Learning {
+            per_gain: 1.0 / self.light.gain as f32,
+            offset_grey: self.light.offset_grey as f32,
+            rate: self.options.rate as f32,
+            noise2: noise * noise,
+            sigmas2: sigmas * sigmas,
+            most_seen: self.most_seen(),
+        };
+        let colours = frame.colour().filter(|_| y.is_multiple_of(CELL_PX));
+        let colours = colours.and_then(|c| c.row(y)).unwrap_or_default();
+        for part in [0..skip.start, skip.end..width] {
+            let at = y * width + part.start..y * width + part.end;
+            let cell = y / CELL_PX * width.div_ceil(CELL_PX) + part.start.div_ceil(CELL_PX);
+            let first = part.start.next_multiple_of(CELL_PX);
+            Isa::detect().run(Visits {
+                learning,
+                level: &mut self.grey.level[at.clone()],
+                variance: &mut self.grey.variance[at.clone()],
+                seen: &mut self.grey.seen[at],
+                now: &row[part.clone()],
+                first: first - part.start,
+                colour: self.colour.get_mut(cell..).unwrap_or_default(),
+                now_in_colour: colours.get(3 * first..).unwrap_or_default(),
+            });
+        }
+    }
+}

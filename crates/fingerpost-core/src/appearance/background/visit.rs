@@ -1,0 +1,90 @@
+//! What a visit of a pixel teaches, side by side for many pixels of a row.
+
+#![expect(
+    clippy::inline_always,
+    reason = "what is inlined into a function with wider instructions is compiled for them"
+)]
+
+use crate::numeric::simd::Work;
+/// Pixels from one cell of the foreground map to the next.
+pub const CELL_PX: usize = 2;
+
+/// The constants of a frame's visits.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Learning {
+    /// One over the gain of the frame's light, and its offset.
+    pub per_gain: f32,
+    pub offset_grey: f32,
+    /// Least part that a visit takes over.
+    pub rate: f32,
+    /// Least variance \[grey levels²\].
+    pub noise2: f32,
+    /// A level that is farther off than this many standard deviations, squared, has changed.
+    pub sigmas2: f32,
+    /// Most visits that are counted.
+    pub most_seen: u8,
+}
+
+impl Learning {
+    /// A level in the light of the background.
+    #[inline(always)]
+    fn in_its_light(&self, now: u8) -> f32 {
+        (f32::from(now) - self.offset_grey) * self.per_gain
+    }
+}
+
+/// One visit of every pixel of a part of a row, and of the cells of colour in it.
+pub(super) struct Visits<'a> {
+    pub learning: Learning,
+    pub level: &'a mut [f32],
+    pub variance: &'a mut [f32],
+    pub seen: &'a mut [u8],
+    pub now: &'a [u8],
+    /// The first pixel that begins a cell. Its cell and those that follow, and the channels of the
+    /// pixels from there on; empty in a row without colours.
+    pub first: usize,
+    pub colour: &'a mut [[f32; 3]],
+    pub now_in_colour: &'a [u8],
+}
+
+/// Pixels that are visited at once: whole cells.
+const AT_ONCE: usize = 64;
+
+impl Work for Visits<'_> {
+    #[inline(always)]
+    fn run(self) {
+        let Self { learning, level, variance, seen, now, first, colour, now_in_colour } = self;
+        let Learning { rate, noise2, sigmas2, most_seen, .. } = learning;
+        let mut cells = colour.iter_mut().zip(now_in_colour.chunks(3 * CELL_PX));
+        let levels = level.chunks_mut(AT_ONCE).zip(variance.chunks_mut(AT_ONCE));
+        let shown = seen.chunks_mut(AT_ONCE).zip(now.chunks(AT_ONCE));
+        for ((level, variance), (seen, now)) in levels.zip(shown) {
+            // The part of its change that every pixel takes over: none if it disagrees.
+            let mut parts = [0.0; AT_ONCE];
+            let pixels = level.iter_mut().zip(variance).zip(seen).zip(now).zip(&mut parts);
+            for ((((level, variance), seen), now), taken) in pixels {
+                // Without branches, by factors that are 0 or 1: what does not count is worked out as
+                // well.
+                let change = learning.in_its_light(*now) - *level;
+                let known = if *variance > noise2 { *variance } else { noise2 };
+                let starts = u8::from(*seen == 0);
+                let learns = starts | u8::from(change * change <= sigmas2 * known);
+                let (begun, learned) = (f32::from(starts), f32::from(learns));
+                // All of it at the first level of a pixel, or another one that has outlasted it.
+                let mean = 1.0 / (1.0 + f32::from(*seen));
+                let part = learned * if mean > rate { mean } else { rate };
+                *taken = part;
+                *level += part * change;
+                let spread = *variance + rate * (change * change - *variance);
+                *variance += learned * (spread + begun * (noise2 - spread) - *variance);
+                *seen = seen.saturating_add(learns).saturating_sub(1 - learns).min(most_seen);
+            }
+            // A cell's colour is that of its first pixel.
+            for (part, (known, now)) in parts.iter().skip(first).step_by(CELL_PX).zip(&mut cells) {
+                for (known, &now) in known.iter_mut().zip(now) {
+                    *known += part * (learning.in_its_light(now) - *known);
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,398 @@
+//! The grey image in which a hand stands out best.
+//!
+//! A finger's shaded flank may be just as dark as the wood behind it and still be of another
+//! colour. Fisher's linear discriminant w = S⁻¹ (μ_hand − μ_background), S the scatter of colours
+//! within the two classes, is the mixture of the camera's channels that separates the hand from
+//! what is behind it by most of its own standard deviations. It is learned from either side of
+//! contours that were accepted; edges are then measured in its image instead of the grey one, where
+//! the hand is always the brighter side.
+//!
+//! A finger that a lamp lights from one side is of one colour and of two brightnesses, and what lies
+//! behind it may have the darker one. Then colours tell it by their *chromaticity* alone, the parts of
+//! their channels in the sum of all three, which light of one colour does not change.
+//!
+//! Source: Fisher 1936, The use of multiple measurements in taxonomic problems.
+
+use crate::Result;
+use crate::image::frame::{CHROMATICITY_SUM, Frame, SidedPixel, chromaticity};
+use crate::image::gray::GrayView;
+use nalgebra::{Matrix3, Point2, Vector3};
+
+/// Variance that noise and rounding leave in every channel of any image \[grey levels²\].
+const LEAST_VARIANCE: f64 = 1.0;
+/// Standard deviation of either class in the discriminant's image, unless [`MOST_CONTRAST`] is
+/// less \[grey levels\]: enough for rounding to bytes to cost nothing.
+const CLASS_SIGMA: f64 = 3.0;
+/// Hand minus background in the discriminant's image at least \[grey levels\]: an edge that shows half
+/// of it has the least contrast that counts as one.
+const LEAST_CONTRAST: f64 = 18.0;
+/// Hand minus background in the discriminant's image at most \[grey levels\]; more would leave the
+/// range of a byte.
+const MOST_CONTRAST: f64 = 120.0;
+/// Squared separation in standard deviations, by which colour must beat grey: colour is recorded
+/// with less resolution, so it has to be worth it.
+const BETTER_THAN_GREY: f64 = 1.5;
+/// Means of hand and background that are nearer than this tell neither \[standard deviations\]. They
+/// are shown [`LEAST_CONTRAST`] apart, so noise would be magnified 288 times, and the weights of a
+/// mixture, which go as 1 / separation, outgrow their integers below 0.03.
+const LEAST_SEPARATION: f64 = 1.0 / 16.0;
+/// The same of chromaticities: there is no brightness beside them that would tell more.
+const LEAST_CHROMATIC_SEPARATION: f64 = std::f64::consts::SQRT_2;
+/// Channels are mixed in fixed point with so many binary places.
+const PLACES: i32 = 12;
+
+/// What is known of the colours of one class.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+struct Class {
+    weight: f64,
+    sum: Vector3<f64>,
+    squares: Matrix3<f64>,
+    grey: f64,
+    grey_squares: f64,
+}
+
+/// Sums over the pixels of one frame; of as many as fit in none of them overflows.
+#[derive(Debug, Clone, Copy, Default)]
+struct Counts {
+    pixels: u64,
+    sum: [u64; 3],
+    squares: [[u64; 3]; 3],
+    grey: u64,
+    grey_squares: u64,
+}
+
+impl Counts {
+    fn add(&mut self, colour: [u64; 3], grey: u8) {
+        let grey = u64::from(grey);
+        self.pixels += 1;
+        self.grey += grey;
+        self.grey_squares += grey * grey;
+        for (i, &c) in colour.iter().enumerate() {
+            self.sum[i] += c;
+            for (square, &other) in self.squares[i].iter_mut().zip(&colour) {
+                *square += c * other;
+            }
+        }
+    }
+}
+
+impl Class {
+    fn add(&mut self, counts: &Counts, times: f64) {
+        let many = |count: u64| times * count as f64;
+        self.weight += many(counts.pixels);
+        self.sum += Vector3::from(counts.sum.map(many));
+        self.squares += Matrix3::from(counts.squares.map(|row| row.map(many)));
+        self.grey += many(counts.grey);
+        self.grey_squares += many(counts.grey_squares);
+    }
+
+    fn fade(&mut self, keep: f64) {
+        self.weight *= keep;
+        self.sum *= keep;
+        self.squares *= keep;
+        self.grey *= keep;
+        self.grey_squares *= keep;
+    }
+
+    fn relight(&mut self, gain: f64) {
+        self.sum *= gain;
+        self.squares *= gain * gain;
+        self.grey *= gain;
+        self.grey_squares *= gain * gain;
+    }
+
+    fn and(&self, other: &Self) -> Self {
+        Self {
+            weight: self.weight + other.weight,
+            sum: self.sum + other.sum,
+            squares: self.squares + other.squares,
+            grey: self.grey + other.grey,
+            grey_squares: self.grey_squares + other.grey_squares,
+        }
+    }
+
+    fn mean(&self) -> Vector3<f64> {
+        self.sum / self.weight
+    }
+
+    fn covariance(&self) -> Matrix3<f64> {
+        self.squares / self.weight - self.mean() * self.mean().transpose()
+    }
+
+    fn grey_variance(&self) -> f64 {
+        self.grey_squares / self.weight - (self.grey / self.weight).powi(2)
+    }
+}
+
+/// The channels' mixture that shows the hand, once it was seen.
+#[derive(Debug, Clone, Default)]
+pub struct Discriminant {
+    hand: Class,
+    anchor: Class,
+    background: Class,
+    mixture: Option<Mixture>,
+    /// Whether colours count by their chromaticity alone.
+    is_chromatic: bool,
+}
+
+/// A grey level from a colour: a weighted sum.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Mixture {
+    weights: [i32; 3],
+    offset: i32,
+    /// Whether it is that of a colour's chromaticity.
+    is_chromatic: bool,
+}
+
+impl Discriminant {
+    /// One by which colours count by their chromaticity alone, however bright they are.
+    #[must_use]
+    pub fn of_chromaticity() -> Self {
+        Self { is_chromatic: true, ..Self::default() }
+    }
+
+    /// Forgets all.
+    pub fn forget(&mut self) {
+        *self = Self { is_chromatic: self.is_chromatic, ..Self::default() };
+    }
+
+    /// Lets what was learned fade to a part `keep` of its weight, 0–1.
+    pub fn fade(&mut self, keep: f64) {
+        self.hand.fade(keep);
+        self.background.fade(keep);
+    }
+
+    /// Takes what was learned over into light that is `gain` times as bright, and works the mixture
+    /// out anew. Chromaticities stay what they are.
+    pub fn relight(&mut self, gain: f64) {
+        if self.is_chromatic {
+            return;
+        }
+        for class in [&mut self.hand, &mut self.anchor, &mut self.background] {
+            class.relight(gain);
+        }
+        self.learn();
+    }
+
+    /// Keeps the hand as it is known now for good: it counts as much as all that is learned later.
+    pub fn anchor(&mut self) {
+        self.anchor = self.hand;
+    }
+
+    /// Counts the pixel nearest to (u, v), if it lies in the frame and that has colours.
+    pub fn observe(&mut self, frame: &Frame<'_>, u: f64, v: f64, is_hand: bool) {
+        self.observe_all(frame, SidedPixel::at(u, v, is_hand).as_slice(), 1.0);
+    }
+
+    /// Counts pixels, all that lie in the frame, `times` times each, if it has colours.
+    pub(crate) fn observe_all(&mut self, frame: &Frame<'_>, pixels: &[SidedPixel], times: f64) {
+        let Some(colours) = frame.colour() else { return };
+        let mut counts = [Counts::default(); 2];
+        for &SidedPixel { x, y, is_hand } in pixels {
+            let (x, y) = (x as usize, y as usize);
+            if let (Some(colour), Some(grey)) = (colours.pixel(x, y), frame.image().pixel(x, y)) {
+                let colour = if self.is_chromatic {
+                    chromaticity(colour).map(|channel| channel.round() as u64).into()
+                } else {
+                    colour.map(u64::from)
+                };
+                counts[usize::from(is_hand)].add(colour, grey);
+            }
+        }
+        self.background.add(&counts[0], times);
+        self.hand.add(&counts[1], times);
+    }
+
+    /// Works the mixture out anew.
+    pub fn learn(&mut self) {
+        self.mixture = self.fisher();
+    }
+
+    /// The mixture in whose image the hand is the brighter side; none if nothing was seen, the
+    /// grey image shows the hand as well, or the means of hand and background are nearer than a
+    /// sixteenth of a standard deviation. That of chromaticities is compared with no grey image, and
+    /// none if the means are nearer than √2 standard deviations.
+    #[must_use]
+    pub fn mixture(&self) -> Option<&Mixture> {
+        self.mixture.as_ref()
+    }
+
+    /// How far apart the means of hand and background are, in standard deviations of either; 0 if
+    /// nothing was seen.
+    #[must_use]
+    pub fn separation(&self) -> f64 {
+        self.direction().map_or(0.0, |(_, separation2)| separation2.max(0.0).sqrt())
+    }
+
+    /// All of the hand that is known; none unless something was seen of it and of the background.
+    fn hand(&self) -> Option<Class> {
+        let hand = self.hand.and(&self.anchor);
+        (hand.weight >= 1.0 && self.background.weight >= 1.0).then_some(hand)
+    }
+
+    /// Fisher's direction, and how far apart the classes are by it, which is their variance, too.
+    fn direction(&self) -> Option<(Vector3<f64>, f64)> {
+        let (hand, background) = (self.hand()?, &self.background);
+        let scatter = 0.5 * (hand.covariance() + background.covariance())
+            + Matrix3::identity() * LEAST_VARIANCE;
+        let apart = hand.mean() - background.mean();
+        let w = scatter.cholesky()?.solve(&apart);
+        Some((w, apart.dot(&w)))
+    }
+
+    /// Whether colours whose classes are so far apart show the hand well enough, and better than grey.
+    fn is_useful(&self, separation2: f64) -> bool {
+        let Some(hand) = self.hand() else { return false };
+        let background = &self.background;
+        if self.is_chromatic {
+            return separation2 >= LEAST_CHROMATIC_SEPARATION.powi(2);
+        }
+        let grey_apart = hand.grey / hand.weight - background.grey / background.weight;
+        let grey_scatter =
+            0.5 * (hand.grey_variance() + background.grey_variance()) + LEAST_VARIANCE;
+        separation2 >= LEAST_SEPARATION.powi(2)
+            && separation2 > BETTER_THAN_GREY * grey_apart.powi(2) / grey_scatter
+    }
+
+    fn fisher(&self) -> Option<Mixture> {
+        let (hand, background) = (self.hand()?, &self.background);
+        let (w, separation2) = self.direction()?;
+        if !self.is_useful(separation2) {
+            return None;
+        }
+        let contrast = (CLASS_SIGMA * separation2.sqrt()).clamp(LEAST_CONTRAST, MOST_CONTRAST);
+        let gain = contrast / separation2;
+        let middle = 0.5 * (hand.mean() + background.mean());
+        let unit = f64::from(1 << PLACES);
+        let weights = w.map(|w| (w * gain * unit).round());
+        // Half a unit more: shifting rounds down.
+        let half = f64::from(1 << (PLACES - 1));
+        let offset = ((128.0 - gain * w.dot(&middle)) * unit).round() + half;
+        // Means taken over into other light may lie beyond a byte, and the sum beyond its integer.
+        let most_channel = if self.is_chromatic { CHROMATICITY_SUM } else { f64::from(u8::MAX) };
+        let most = most_channel * weights.abs().sum() + offset.abs();
+        (most <= f64::from(i32::MAX)).then(|| Mixture {
+            weights: [0, 1, 2].map(|k| weights[k] as i32),
+            offset: offset as i32,
+            is_chromatic: self.is_chromatic,
+        })
+    }
+}
+
+/// An image of a discriminant, made where it is looked at.
+#[derive(Debug, Clone, Default)]
+pub struct DiscriminantImage {
+    pixels: Vec<u8>,
+    /// What of the present frame is there, and by which mixture: columns and rows, from and to.
+    made: Option<(Mixture, [usize; 4])>,
+}
+
+impl DiscriminantImage {
+    /// A new frame: nothing of it is there yet. To be called before each; see [`of`](Self::of).
+    pub fn clear(&mut self) {
+        self.made = None;
+    }
+
+    /// Makes room for a frame, so that none has to be made once a hand is known.
+    pub(crate) fn reserve(&mut self, frame: &Frame<'_>) {
+        let pixels = frame.image().width() * frame.image().height();
+        self.pixels.reserve(pixels.saturating_sub(self.pixels.len()));
+    }
+
+    /// The frame as a mixture shows it, in a region at least, or as it is where there is none; see
+    /// [`of`](Self::of).
+    ///
+    /// # Errors
+    /// As those of [`of`](Self::of).
+    pub(crate) fn shown<'a>(
+        &'a mut self,
+        frame: &Frame<'a>,
+        mixture: Option<&Mixture>,
+        region: impl FnOnce() -> [f64; 4],
+    ) -> Result<Frame<'a>> {
+        mixture.map_or(Ok(*frame), |mixture| self.of(frame, mixture, region()))
+    }
+
+    /// The frame with the discriminant in place of its grey image, in a region at least: columns
+    /// and rows \[px\], from and to. Outside it, pixels are of any value.
+    ///
+    /// What was made since the last [`clear`](Self::clear) is not made again, so between two of them
+    /// all calls must be given one and the same frame: of another one, the pixels of the first may be
+    /// shown. Call [`clear`](Self::clear) before the first call of each frame.
+    ///
+    /// # Errors
+    /// Never for a frame that was made; a frame without colours is returned as it is.
+    pub fn of<'a>(
+        &'a mut self,
+        frame: &Frame<'a>,
+        mixture: &Mixture,
+        region: [f64; 4],
+    ) -> Result<Frame<'a>> {
+        let Some(colour) = frame.colour() else { return Ok(*frame) };
+        let (width, height) = (frame.image().width(), frame.image().height());
+        self.pixels.resize(width * height, 0);
+        let [left, right, top, bottom] = region;
+        let wanted = [
+            left.floor().clamp(0.0, width as f64) as usize,
+            (right.ceil() + 1.0).clamp(0.0, width as f64) as usize,
+            top.floor().clamp(0.0, height as f64) as usize,
+            (bottom.ceil() + 1.0).clamp(0.0, height as f64) as usize,
+        ];
+        let made = self.made.filter(|(by, _)| by == mixture).map(|(_, made)| made);
+        if !made.is_some_and(|m| covers(&m, &wanted)) {
+            let [x0, x1, y0, y1] = made.map_or(wanted, |m| hull(&m, &wanted));
+            for y in y0..y1 {
+                let row = self.pixels.get_mut(y * width..).and_then(|r| r.get_mut(x0..x1));
+                if let (Some(row), Some(colours)) = (row, colour.row(y)) {
+                    mixture.mix(&colours[3 * x0..], row);
+                }
+            }
+            self.made = Some((*mixture, [x0, x1, y0, y1]));
+        }
+        Frame::coloured(GrayView::new(&self.pixels, width, height, width)?, *colour)
+    }
+}
+
+/// Columns and rows, from and to, of all that lies within reach of some points \[px\].
+pub(crate) fn region_about(points: impl Iterator<Item = (Point2<f64>, f64)>) -> [f64; 4] {
+    let nothing = [f64::INFINITY, f64::NEG_INFINITY, f64::INFINITY, f64::NEG_INFINITY];
+    points.fold(nothing, |[left, right, top, bottom], (p, reach)| {
+        [
+            left.min(p.x - reach),
+            right.max(p.x + reach),
+            top.min(p.y - reach),
+            bottom.max(p.y + reach),
+        ]
+    })
+}
+
+fn covers(made: &[usize; 4], wanted: &[usize; 4]) -> bool {
+    made[0] <= wanted[0] && made[1] >= wanted[1] && made[2] <= wanted[2] && made[3] >= wanted[3]
+}
+
+fn hull(a: &[usize; 4], b: &[usize; 4]) -> [usize; 4] {
+    [a[0].min(b[0]), a[1].max(b[1]), a[2].min(b[2]), a[3].max(b[3])]
+}
+
+impl Mixture {
+    /// The grey level of a colour.
+    pub(crate) fn of(&self, colour: [u8; 3]) -> u8 {
+        let sum = if self.is_chromatic {
+            let weights = Vector3::from(self.weights.map(f64::from));
+            // The cast goes towards zero, and shifting rounds down; below zero both end at black.
+            weights.dot(&chromaticity(colour)) as i32
+        } else {
+            let [a, b, c] = self.weights;
+            let [x, y, z] = colour.map(i32::from);
+            a * x + b * y + c * z
+        };
+        ((sum + self.offset) >> PLACES).clamp(0, 255) as u8
+    }
+
+    /// Mixes a row of interleaved colours.
+    fn mix(&self, colours: &[u8], row: &mut [u8]) {
+        for (grey, colour) in row.iter_mut().zip(colours.as_chunks::<3>().0) {
+            *grey = self.of(*colour);
+        }
+    }
+}

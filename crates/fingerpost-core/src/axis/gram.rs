@@ -1,0 +1,179 @@
+//! Weighted moments of the residuals and features of blocks: all that the fit needs of their pixels.
+
+#![expect(
+    clippy::inline_always,
+    reason = "what is inlined into a function with wider instructions is compiled for them"
+)]
+
+use super::blur::BlurTable;
+use super::pixels::{Chunk, Doubles, LANES, Lanes};
+use super::profile::{COLUMNS, OUTSIDE, Prediction, Profile, RIGHT, RoundEnd};
+use crate::numeric::simd::each;
+
+/// How a pixel's residual is weighed: Tukey's biweight.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Weighing {
+    /// Standard deviation σ of a pixel \[grey levels\].
+    pub noise_grey: f64,
+    /// Where the weight reaches zero, in σ.
+    pub cutoff: f64,
+}
+
+/// Features and residuals of some pixels, each times the root of its pixel's weight.
+pub(super) type Weighed = [Lanes; COLUMNS];
+/// Equations of the features, in their upper triangle; the right sides stand in their column.
+pub(super) type Equations = [[Doubles; COLUMNS]; COLUMNS];
+
+/// Sums over the pixels of blocks.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Gram {
+    /// Σ w f fᵀ, and Σ w f r.
+    pub equations: Equations,
+    /// How many pixels.
+    pub pixels: Doubles,
+    /// Σ w, Σ w² r² and Σ ψ′, which make the covariance of a robust fit.
+    pub weight: Doubles,
+    pub psi_squared: Doubles,
+    pub psi_slope: Doubles,
+    /// Σ min(r², cutoff² σ²), in σ².
+    pub chi_squared: Doubles,
+    /// Pixels of no weight.
+    pub rejected: Doubles,
+}
+
+impl Gram {
+    /// The sums of blocks whose pixels should look like `profile`, near a round end or clear of it;
+    /// `space` has room for all their chunks.
+    #[inline(always)]
+    pub fn take(
+        &mut self,
+        chunks: &[Chunk],
+        profile: &Profile,
+        end: Option<RoundEnd>,
+        table: BlurTable,
+        weighing: &Weighing,
+        space: &mut [Weighed],
+    ) {
+        let mut tally = PixelTally::new(weighing);
+        let shading = profile.shading();
+        if let Some(end) = end {
+            for (weighed, chunk) in space.iter_mut().zip(chunks) {
+                *weighed = tally.weigh(chunk, &profile.round(&shading, table, chunk, end));
+            }
+        } else {
+            for (weighed, chunk) in space.iter_mut().zip(chunks) {
+                *weighed = tally.weigh(chunk, &profile.straight(&shading, table, chunk));
+            }
+        }
+        let weighed = space.get(..chunks.len()).unwrap_or_default();
+        // The sums of one row fit the registers, those of all do not.
+        row::<0>(weighed, &mut self.equations);
+        row::<1>(weighed, &mut self.equations);
+        row::<2>(weighed, &mut self.equations);
+        row::<3>(weighed, &mut self.equations);
+        row::<4>(weighed, &mut self.equations);
+        row::<5>(weighed, &mut self.equations);
+        row::<6>(weighed, &mut self.equations);
+        row::<7>(weighed, &mut self.equations);
+        tally.report(self);
+    }
+}
+
+/// Row `A` of the equations, from its diagonal on.
+#[inline(always)]
+fn row<const A: usize>(weighed: &[Weighed], equations: &mut Equations) {
+    let mut sums = [[0.0; LANES]; COLUMNS];
+    for columns in weighed {
+        for b in A..COLUMNS {
+            for i in 0..LANES {
+                sums[b][i] += columns[A][i] * columns[b][i];
+            }
+        }
+    }
+    for b in A..COLUMNS {
+        equations[A][b] = doubles(&sums[b]);
+    }
+}
+
+#[inline(always)]
+fn doubles(lanes: &Lanes) -> Doubles {
+    each(|i| f64::from(lanes[i]))
+}
+
+/// The other sums, lane by lane.
+struct PixelTally {
+    per_cut: f32,
+    per_noise2: f32,
+    weight: Lanes,
+    psi_squared: Lanes,
+    psi_slope: Lanes,
+    /// Σ min((r / cut)², 1).
+    capped: Lanes,
+    kept: Lanes,
+    pixels: Lanes,
+    cutoff: f64,
+}
+
+impl PixelTally {
+    #[inline(always)]
+    fn new(weighing: &Weighing) -> Self {
+        let Weighing { noise_grey, cutoff } = *weighing;
+        Self {
+            per_cut: (1.0 / (cutoff * noise_grey)) as f32,
+            per_noise2: (1.0 / (noise_grey * noise_grey)) as f32,
+            weight: [0.0; LANES],
+            psi_squared: [0.0; LANES],
+            psi_slope: [0.0; LANES],
+            capped: [0.0; LANES],
+            kept: [0.0; LANES],
+            pixels: [0.0; LANES],
+            cutoff,
+        }
+    }
+
+    /// Weighs the pixels of a chunk, and counts them.
+    #[inline(always)]
+    fn weigh(&mut self, chunk: &Chunk, predicted: &Prediction) -> Weighed {
+        let mut columns = predicted.columns;
+        let mut roots = [0.0; LANES];
+        for i in 0..LANES {
+            let r = chunk.grey[i] - predicted.grey[i];
+            // A pixel of doubtful background is as noisy as the part of it that shows.
+            let variance = chunk.variance[i] * self.per_noise2;
+            let shown = columns[OUTSIDE][i];
+            let precision = chunk.weight[i] / (1.0 + shown * shown * variance);
+            let t = r * self.per_cut;
+            let t2 = t * t * precision;
+            let left = if t2 < 1.0 { 1.0 - t2 } else { 0.0 };
+            let inside = if t2 < 1.0 { chunk.weight[i] } else { 0.0 };
+            let robust = left * left;
+            let w = robust * precision;
+            columns[RIGHT][i] = r;
+            roots[i] = w.sqrt();
+            self.weight[i] += robust * chunk.weight[i];
+            self.psi_squared[i] += robust * w * r * r;
+            self.psi_slope[i] += inside * left * (1.0 - 5.0 * t2);
+            self.capped[i] += if t2 < 1.0 { t2 } else { 1.0 };
+            self.kept[i] += inside;
+            self.pixels[i] += chunk.weight[i];
+        }
+        for column in &mut columns {
+            for i in 0..LANES {
+                column[i] *= roots[i];
+            }
+        }
+        columns
+    }
+
+    /// The sums of every block.
+    #[inline(always)]
+    fn report(&self, gram: &mut Gram) {
+        let cutoff2 = self.cutoff * self.cutoff;
+        gram.pixels = doubles(&self.pixels);
+        gram.weight = doubles(&self.weight);
+        gram.psi_squared = doubles(&self.psi_squared);
+        gram.psi_slope = doubles(&self.psi_slope);
+        gram.chi_squared = each(|i| f64::from(self.capped[i]) * cutoff2);
+        gram.rejected = each(|i| f64::from(self.pixels[i] - self.kept[i]));
+    }
+}

@@ -1,0 +1,490 @@
+//! The pixels near the flanks, sorted into blocks along the finger.
+//!
+//! Pixels that are clipped (0 or 255) say only that the light was at least or at most so much, and
+//! are left out. A block is a short slab of one flank. [`LANES`] blocks that follow each other are
+//! worked on side by side, one in every lane: sums over a block's pixels, and all that follows from
+//! them, never cross lanes. A block with fewer pixels than its neighbours is padded with pixels of no
+//! weight; the last group, about the round end, is always full, and the first one may have lanes
+//! without a block.
+//!
+//! A known background may lie in the shadow of the hand, or not be what is behind the finger now.
+//! Pixels further out than those that are fitted tell, block by block: their middle ratio to the
+//! background is the light that the shadow leaves, and where they do not agree with the background
+//! even then, the block is left out.
+
+#![expect(
+    clippy::inline_always,
+    reason = "what is inlined into a function with wider instructions is compiled for them"
+)]
+
+use super::sketch::{SIDES, Sketch};
+use super::visible_flanks::VisibleFlank;
+use crate::axis::{KnownBackground, PhotometricOptions, Stretch};
+use crate::image::gray::GrayView;
+use nalgebra::Vector2;
+
+/// How many blocks are worked on at once.
+pub(super) const LANES: usize = 8;
+pub(super) type Lanes = [f32; LANES];
+/// What is made of sums over pixels, which single precision would spoil.
+pub(super) type Doubles = [f64; LANES];
+
+/// The sum of all lanes.
+#[inline(always)]
+pub(super) fn total([a, b, c, d, e, f, g, h]: &Doubles) -> f64 {
+    // Halves first: one addition of vectors each.
+    ((a + e) + (c + g)) + ((b + f) + (d + h))
+}
+
+/// One pixel of every block of a group.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Chunk {
+    /// Along the finger \[px\].
+    pub p: Lanes,
+    /// Across it, outward for the flank's side \[px\].
+    pub v: Lanes,
+    pub grey: Lanes,
+    /// 1, or 0 for padding.
+    pub weight: Lanes,
+    /// The known background, or zero, \[grey levels\] and its first and second derivative outward.
+    pub background: Lanes,
+    pub background_slope: Lanes,
+    pub background_curvature: Lanes,
+    /// Variance of the known background \[grey levels²\].
+    pub variance: Lanes,
+}
+
+/// A slab of one flank.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Block {
+    /// The middle of the slab.
+    pub p: f64,
+    pub pixels: usize,
+    /// Mean level of the known background behind it, or zero \[grey levels\].
+    pub behind: f64,
+    /// How the known background behind it is lit: 1, less in a shadow, 0 if it is not there.
+    background_light: f32,
+    /// Its place among the lanes of all groups.
+    slot: usize,
+}
+
+/// Blocks side by side.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Group {
+    /// The middles of the slabs; that of a neighbour in a lane without a block.
+    pub p: Doubles,
+    /// 1, or 0 in a lane without a block.
+    pub is_block: Doubles,
+    from_chunk: usize,
+    to_chunk: usize,
+}
+
+/// One flank's pixels.
+#[derive(Debug, Clone)]
+pub(super) struct Strip {
+    pub blocks: Vec<Block>,
+    pub groups: Vec<Group>,
+    chunks: Vec<Chunk>,
+    gathered: Vec<StripPixel>,
+    /// The next free chunk of every lane of every group.
+    filled: Vec<usize>,
+    background_pixels: Vec<BackgroundPixel>,
+    ratios: Vec<f32>,
+    usable: f64,
+}
+
+/// A pixel outside the strip, that shows how the background is lit.
+#[derive(Debug, Clone, Copy)]
+struct BackgroundPixel {
+    p: f64,
+    grey: f32,
+    /// The known level and its variance.
+    level: f32,
+    variance: f32,
+}
+
+/// A pixel on its way into a block.
+#[derive(Debug, Clone, Copy)]
+struct StripPixel {
+    block: usize,
+    x: u32,
+    y: u32,
+    p: f32,
+    v: f32,
+    grey: f32,
+    /// The known background, its derivatives and its variance, or zeros: as in [`Chunk`].
+    behind: [f32; 4],
+}
+
+/// A pixel of the image, and where it is in the finger's frame.
+#[derive(Debug, Clone, Copy)]
+struct Pixel {
+    x: u32,
+    y: u32,
+    grey: u8,
+    p: f64,
+    v: f64,
+}
+
+/// A rectangle of the finger's frame: between bounds of p and of v = σ q.
+struct Band {
+    p: [f64; 2],
+    v: [f64; 2],
+}
+
+/// A strip of so many blocks, of so many pixels each, fits without another allocation.
+pub(super) const USUAL_BLOCKS: usize = 128;
+pub(super) const USUAL_PIXELS: usize = 32;
+
+/// Witnesses stand outside the edge from here to there, beyond its blur \[px\],
+const BACKGROUND_DISTANCE_PX: std::ops::RangeInclusive<i32> = 4..=8;
+/// and are heard this far along the finger from the middle of a block \[px\].
+const BACKGROUND_REACH_PX: f64 = 6.0;
+/// Fewer than this tell nothing of a block's light.
+const MIN_BACKGROUND_PIXELS: usize = 12;
+/// A witness agrees within this many standard deviations, and this part of the level: shadows have
+/// soft edges.
+const AGREES_SIGMAS: f32 = 4.0;
+const AGREES_PART: f32 = 0.04;
+/// As many of them agree if the background is what is there.
+const LEAST_AGREEING: f64 = 0.6;
+/// What a shadow leaves of the light; more is none, and this close to 1 it is noise.
+const SHADOWS: std::ops::Range<f32> = 0.25..0.97;
+/// Levels below this tell no ratio \[grey levels\].
+const DARK_GREY: f32 = 8.0;
+
+impl Strip {
+    pub fn new() -> Self {
+        Self {
+            blocks: Vec::with_capacity(USUAL_BLOCKS),
+            groups: Vec::with_capacity(USUAL_BLOCKS.div_ceil(LANES)),
+            chunks: Vec::with_capacity(USUAL_BLOCKS.div_ceil(LANES) * USUAL_PIXELS),
+            gathered: Vec::with_capacity(USUAL_BLOCKS * USUAL_PIXELS),
+            filled: Vec::with_capacity(USUAL_BLOCKS + LANES),
+            background_pixels: Vec::with_capacity(
+                BACKGROUND_DISTANCE_PX.count() * 4 * USUAL_BLOCKS,
+            ),
+            ratios: Vec::with_capacity(BACKGROUND_DISTANCE_PX.count() * 4 * USUAL_BLOCKS),
+            usable: 0.0,
+        }
+    }
+
+    #[inline]
+    pub fn chunks(&self, group: &Group) -> &[Chunk] {
+        self.chunks.get(group.from_chunk..group.to_chunk).unwrap_or_default()
+    }
+
+    /// The most pixels that a block has.
+    pub fn most_pixels(&self) -> usize {
+        self.groups.iter().map(|g| g.to_chunk - g.from_chunk).max().unwrap_or(0)
+    }
+
+    /// The place of the first block among the lanes of all groups; the others follow it.
+    pub fn first_slot(&self) -> usize {
+        self.blocks.first().map_or(0, |b| b.slot)
+    }
+
+    /// The part of the blocks that the frame and what is known of the background leave, 0–1.
+    pub fn usable(&self) -> f64 {
+        self.usable
+    }
+
+    /// How much a finger contrasts with what is behind it, that is `above_grey` above zero where
+    /// nothing is known of that: root mean square over the blocks, with the sign of the mean.
+    pub fn contrast_grey(&self, above_grey: f64) -> f64 {
+        let (mut sum, mut squares) = (0.0, 0.0);
+        for block in &self.blocks {
+            let contrast = above_grey - block.behind;
+            sum += contrast;
+            squares += contrast * contrast;
+        }
+        (squares / self.blocks.len().max(1) as f64).sqrt().copysign(sum)
+    }
+
+    /// All usable pixels in the block.
+    pub fn pixels(&self) -> usize {
+        self.blocks.iter().map(|b| b.pixels).sum()
+    }
+
+    /// Collects the pixels of a flank near where the sketch has it and where it is bare.
+    pub fn gather(
+        &mut self,
+        image: &GrayView<'_>,
+        background: Option<&KnownBackground<'_>>,
+        noise_grey: f64,
+        sketch: &Sketch,
+        flank: &VisibleFlank<'_>,
+        options: &PhotometricOptions,
+    ) {
+        let (visible, flank) = (flank, flank.index);
+        let outer_px = if background.is_some() { options.known_outer_px } else { options.outer_px };
+        self.add_pixel(image, sketch, flank, [options.inner_px, outer_px], options);
+        self.divide(sketch.flanks[flank].from_px, options.block_px);
+        if visible.is_partly_covered() {
+            let Self { blocks, gathered, .. } = self;
+            gathered.retain(|s| visible.is_visible(blocks[s.block].p));
+        }
+        if let Some(known) = background {
+            self.gather_background(image, known, sketch, flank);
+            self.background_light(noise_grey as f32);
+            self.uncover(known, sketch.normal() * SIDES[flank]);
+        }
+        self.group();
+        self.fill();
+    }
+
+    /// Collects the witnesses of a flank.
+    fn gather_background(
+        &mut self,
+        image: &GrayView<'_>,
+        background: &KnownBackground<'_>,
+        sketch: &Sketch,
+        flank: usize,
+    ) {
+        let Stretch { from_px, to_px } = sketch.flanks[flank];
+        self.background_pixels.clear();
+        let mut p = from_px;
+        while p <= to_px {
+            for away in BACKGROUND_DISTANCE_PX {
+                let q = SIDES[flank] * (sketch.half_width_at(p) + f64::from(away));
+                let place = sketch.place(p, q);
+                if !image.contains(place.x, place.y, 0.0) {
+                    continue;
+                }
+                let (x, y) = (place.x.round() as usize, place.y.round() as usize);
+                if let (Some(grey @ 1..=254), Some([level, variance])) =
+                    (image.pixel(x, y), background.level(x, y))
+                {
+                    self.background_pixels.push(BackgroundPixel {
+                        p,
+                        grey: f32::from(grey),
+                        level,
+                        variance,
+                    });
+                }
+            }
+            p += 1.0;
+        }
+    }
+
+    /// Tells how the background behind each block is lit: 1, what a shadow leaves, or 0 if what is
+    /// there is not the background.
+    fn background_light(&mut self, noise_grey: f32) {
+        let Self { blocks, background_pixels, ratios, .. } = self;
+        for block in blocks {
+            let nearby = || {
+                background_pixels.iter().filter(|w| (w.p - block.p).abs() <= BACKGROUND_REACH_PX)
+            };
+            ratios.clear();
+            ratios.extend(nearby().filter(|w| w.level >= DARK_GREY).map(|w| w.grey / w.level));
+            let middle = ratios.len() / 2;
+            let ratio = if ratios.len() < MIN_BACKGROUND_PIXELS {
+                1.0
+            } else {
+                *ratios.select_nth_unstable_by(middle, f32::total_cmp).1
+            };
+            let background_light = if SHADOWS.contains(&ratio) { ratio } else { 1.0 };
+            let agrees = |w: &&BackgroundPixel| {
+                let sigma = (noise_grey * noise_grey + w.variance).sqrt();
+                (w.grey - background_light * w.level).abs()
+                    < AGREES_SIGMAS * sigma + AGREES_PART * w.level
+            };
+            let (all, agreeing) = (nearby().count(), nearby().filter(agrees).count());
+            let is_there = agreeing as f64 >= LEAST_AGREEING * all as f64;
+            block.background_light = if is_there { background_light } else { 0.0 };
+        }
+    }
+
+    /// Finds the usable pixels of the strip: along the straight part up to the middle of the round
+    /// end, and about a part of that.
+    fn add_pixel(
+        &mut self,
+        image: &GrayView<'_>,
+        sketch: &Sketch,
+        flank: usize,
+        [inner, outer]: [f64; 2],
+        options: &PhotometricOptions,
+    ) {
+        let Stretch { from_px, to_px } = sketch.flanks[flank];
+        let side = SIDES[flank];
+        let per_block = options.block_px.recip();
+        let Self { gathered, blocks, .. } = self;
+        gathered.clear();
+        let mut blocks_seen = 0;
+        let mut add_pixel = |Pixel { x, y, grey, p, v }: Pixel, outside: f64| {
+            if outside < -inner || outside > outer {
+                return;
+            }
+            let block = ((p - from_px) * per_block) as u32;
+            blocks_seen = blocks_seen.max(block + 1);
+            if matches!(grey, 1..=254) {
+                let (block, p, v) = (block as usize, p as f32, v as f32);
+                gathered.push(StripPixel {
+                    block,
+                    x,
+                    y,
+                    p,
+                    v,
+                    grey: f32::from(grey),
+                    behind: [0.0; 4],
+                });
+            }
+        };
+        let straight_to = sketch.round_end_px.map_or(to_px, |e| to_px.min(e));
+        if straight_to > from_px {
+            let [a, b] = [from_px, straight_to].map(|p| sketch.half_width_at(p));
+            let v = [(a.min(b) - inner).max(0.0), a.max(b) + outer];
+            let band = Band { p: [from_px, straight_to], v };
+            band.scan(image, sketch, side, |pixel| {
+                add_pixel(pixel, pixel.v - sketch.half_width_at(pixel.p));
+            });
+        }
+        if let (Some(end), Some(radius)) = (sketch.round_end_px, sketch.end_radius_px()) {
+            // The middle itself belongs to the straight part.
+            let p = [from_px.max(end).next_up(), to_px.min(end + options.cap * radius)];
+            if p[1] > p[0] {
+                let band = Band { p, v: [0.0, radius + outer] };
+                band.scan(image, sketch, side, |pixel| {
+                    let (u, v) = (pixel.p - end, pixel.v);
+                    add_pixel(pixel, (u * u + v * v).sqrt() - radius);
+                });
+            }
+        }
+        blocks.clear();
+        blocks.resize(blocks_seen as usize, Block::default());
+    }
+
+    /// Tells the blocks where they are.
+    fn divide(&mut self, from_px: f64, block_px: f64) {
+        for (k, block) in self.blocks.iter_mut().enumerate() {
+            (block.p, block.background_light) = (from_px + (k as f64 + 0.5) * block_px, 1.0);
+        }
+    }
+
+    /// Finds what is known to be behind the pixels, and forgets those behind which nothing is.
+    fn uncover(&mut self, known: &KnownBackground<'_>, outward: Vector2<f64>) {
+        let Self { blocks, gathered, .. } = self;
+        gathered.retain_mut(|s| {
+            let background_light = blocks[s.block].background_light;
+            let Some([level, slope, curvature, variance]) =
+                known.local(s.x as usize, s.y as usize, outward).filter(|_| background_light > 0.0)
+            else {
+                return false;
+            };
+            s.behind = [
+                background_light * level,
+                background_light * slope,
+                background_light * curvature,
+                background_light * background_light * variance,
+            ];
+            true
+        });
+    }
+
+    /// Puts the blocks that have pixels side by side.
+    fn group(&mut self) {
+        let Self { blocks, groups, chunks, gathered, usable, .. } = self;
+        for s in &*gathered {
+            let block = &mut blocks[s.block];
+            block.pixels += 1;
+            block.behind += f64::from(s.behind[0]);
+        }
+        let possible = blocks.len();
+        let left = blocks.iter().filter(|b| b.pixels > 0).count();
+        *usable = left as f64 / possible.max(1) as f64;
+        let count = left.div_ceil(LANES);
+        let first = count * LANES - left;
+        let with_pixels = blocks.iter_mut().filter(|b| b.pixels > 0);
+        for (slot, block) in (first..).zip(with_pixels) {
+            block.slot = slot;
+            block.behind /= block.pixels as f64;
+        }
+        // What was seen says by now where it goes.
+        for s in &mut *gathered {
+            s.block = blocks[s.block].slot;
+        }
+        blocks.retain(|b| b.pixels > 0);
+        groups.clear();
+        groups.resize(count, Group::default());
+        if let (Some(group), Some(block)) = (groups.first_mut(), blocks.first()) {
+            group.p = [block.p; LANES];
+        }
+        for block in &*blocks {
+            let (group, lane) = (&mut groups[block.slot / LANES], block.slot % LANES);
+            (group.p[lane], group.is_block[lane]) = (block.p, 1.0);
+            group.to_chunk = group.to_chunk.max(block.pixels);
+        }
+        let mut total = 0;
+        for group in groups {
+            (group.from_chunk, group.to_chunk) = (total, total + group.to_chunk);
+            total = group.to_chunk;
+        }
+        chunks.clear();
+        chunks.resize(total, Chunk::default());
+    }
+
+    /// Puts the pixels into their blocks.
+    fn fill(&mut self) {
+        let Self { groups, chunks, gathered, filled, .. } = self;
+        filled.clear();
+        filled.extend(groups.iter().flat_map(|group| [group.from_chunk; LANES]));
+        for s in gathered {
+            let (next, lane) = (&mut filled[s.block], s.block % LANES);
+            let chunk = &mut chunks[*next];
+            *next += 1;
+            chunk.p[lane] = s.p;
+            chunk.v[lane] = s.v;
+            chunk.grey[lane] = s.grey;
+            chunk.weight[lane] = 1.0;
+            let [level, slope, curvature, variance] = s.behind;
+            chunk.background[lane] = level;
+            chunk.background_slope[lane] = slope;
+            chunk.background_curvature[lane] = curvature;
+            chunk.variance[lane] = variance;
+        }
+    }
+}
+
+impl Band {
+    /// Calls `at` with every pixel of the image in the band.
+    fn scan(&self, image: &GrayView<'_>, sketch: &Sketch, side: f64, mut at: impl FnMut(Pixel)) {
+        let (e, n, o) = (sketch.along, sketch.normal() * side, sketch.origin);
+        let corner = |p: f64, v: f64| sketch.place(p, side * v).y;
+        let [p, v] = [self.p, self.v];
+        let ys = [corner(p[0], v[0]), corner(p[0], v[1]), corner(p[1], v[0]), corner(p[1], v[1])];
+        let top = ys.iter().copied().fold(f64::INFINITY, f64::min).ceil().max(0.0);
+        let bottom = ys.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+        let bottom = bottom.min(image.height() as f64 - 1.0);
+        if top > bottom {
+            return;
+        }
+        for y in top as u32..=bottom as u32 {
+            let Some(row) = image.row(y as usize) else { return };
+            let dv = f64::from(y) - o.y;
+            // p and v grow linearly along a row: each bound is an interval of x.
+            let (mut from, mut to) = (0.0, image.width() as f64 - 1.0);
+            for (direction, [low, high]) in [(e, p), (n, v)] {
+                let at_zero = dv * direction.y - o.x * direction.x;
+                if direction.x.abs() > 1e-9 {
+                    let per_px = 1.0 / direction.x;
+                    let ends = [(low - at_zero) * per_px, (high - at_zero) * per_px];
+                    from = ends[0].min(ends[1]).max(from);
+                    to = ends[0].max(ends[1]).min(to);
+                } else if !(low..=high).contains(&at_zero) {
+                    to = -1.0;
+                }
+            }
+            let from = from.ceil();
+            if from > to {
+                continue;
+            }
+            let (from, to) = (from as u32, to as u32);
+            let greys = row.get(from as usize..=to as usize).unwrap_or_default();
+            let [at_p, at_v] = [e, n].map(|d| dv * d.y - o.x * d.x);
+            for (x, &grey) in (from..).zip(greys) {
+                let u = f64::from(x);
+                at(Pixel { x, y, grey, p: at_p + u * e.x, v: at_v + u * n.x });
+            }
+        }
+    }
+}

@@ -1,0 +1,362 @@
+//! The axis of a finger that is seen by its shading, where one of its flanks does not show.
+//!
+//! Before a table as bright as one side of it, a finger lit from the other shows where it turns from
+//! the light, and not where it ends: its edges lie on half of it, and so does the line between them. But
+//! a round body is shaded as one, and that tells how wide it is and where its middle lies.
+//!
+//! A [`RoundFinger`] is the straight, tapered body whose shading ([`shading`](super::shading)) explains
+//! the profiles across the finger best. Its levels are eliminated (variable projection: Golub & Pereyra
+//! 1973, The differentiation of pseudo-inverses and nonlinear least squares problems whose variables
+//! separate); what is left, the axis, the half-width and its taper, the blur, and where the light comes
+//! from at every profile, is found by Levenberg–Marquardt with a robust cost, from several bodies that
+//! share either flank with what is known, and once more about the best of them.
+
+use super::shading::{Profile, Residuals, Section};
+use crate::geometry::shape_space::Axis;
+use crate::geometry::template::USUAL_HALF_WIDTH;
+use crate::image::frame::Frame;
+use crate::{Error, Result};
+use nalgebra::{Cholesky, SMatrix, SVector};
+
+/// Profiles along the finger, and where the first and the last are \[units behind the tip\].
+const PROFILES: usize = 8;
+const FIRST: f64 = 1.1;
+const LAST: f64 = 6.0;
+
+/// Growth of a finger's half-width towards the tip, and its standard deviation.
+const TAPER: [f64; 2] = [-0.05, 0.02];
+/// Standard deviation of the logarithm of a picture's blur, which is mostly about 1 px.
+const LOG_BLUR_SIGMA: f64 = 0.3;
+/// By how much the light's angle differs from profile to profile: a finger is no cylinder \[rad\].
+const LIGHT_SIGMA_RAD: f64 = 0.3;
+/// Residuals are alike from place to place: as many as there are count as so many.
+const INDEPENDENT: f64 = 40.0;
+
+/// Bodies to start from: how far aside and how wide \[half-widths that are known\].
+const STARTS: [[f64; 2]; 7] =
+    [[0.0, 1.0], [-0.25, 1.25], [0.25, 1.25], [-0.5, 1.5], [0.5, 1.5], [-0.8, 1.8], [0.8, 1.8]];
+/// Where light may come from at first \[rad\].
+const FIRST_LIGHTS_RAD: [f64; 4] = [-1.3, -0.5, 0.5, 1.3];
+/// So many of the starts are followed, those that explain most, for so many iterations.
+const TRIED: usize = 3;
+const ITERATIONS: usize = 6;
+/// Iterations about the best.
+const LAST_ITERATIONS: usize = 12;
+/// A step that gains less than this part of the cost is the last.
+const SETTLED: f64 = 1e-3;
+/// Steps that gain nothing are shortened so often.
+const SHORTENED: usize = 4;
+/// Differences that derivatives are taken over, in every unknown of a section.
+const DIFFERENCE: f64 = 1e-3;
+
+/// Unknowns: offset and slope of the axis, half-width and its growth, the logarithm of the blur, and
+/// the light's angle at every profile.
+const UNKNOWNS: usize = 5 + PROFILES;
+const OFFSET: usize = 0;
+const SLOPE: usize = 1;
+const HALF_WIDTH: usize = 2;
+const GROWTH: usize = 3;
+const LOG_BLUR: usize = 4;
+const LIGHT: usize = 5;
+/// From where to where each may be; the last is that of every light.
+const BOUNDS: [[f64; 2]; LIGHT + 1] =
+    [[-1.3, 1.3], [-0.25, 0.25], [0.5, 2.2], [-0.3, 0.3], [-0.7, 1.5], [-2.2, 2.2]];
+/// No section is slimmer, whatever the taper \[units\].
+const SLIMMEST: f64 = 0.2;
+
+type Vector = SVector<f64, UNKNOWNS>;
+type Matrix = SMatrix<f64, UNKNOWNS, UNKNOWNS>;
+
+/// The finger whose shading, as a round body's, explains best what is seen about an axis.
+///
+/// ```
+/// use fingerpost_core::nalgebra::Point2;
+/// use fingerpost_core::axis::RoundFinger;
+/// use fingerpost_core::geometry::shape_space::Axis;
+/// use fingerpost_core::{Frame, GrayView};
+///
+/// // A round finger along u that tapers to its tip, 16 px wide and about v = 60 at u = 110, lit from
+/// // above. Its lower flank is as dark as the table: what shows are the upper 13 px.
+/// let pixel = |i: usize| {
+///     let (u, v) = ((i % 160) as f64, (i / 160) as f64);
+///     let y = (v - 60.0) / (8.0 - 0.05 * (u - 110.0));
+///     if u > 140.0 || y.abs() > 1.0 {
+///         return 60;
+///     }
+///     (60.0 + 150.0 * (0.9 * (1.0 - y * y).sqrt() - 0.4 * y).max(0.0)) as u8
+/// };
+/// let pixels: Vec<u8> = (0..160 * 120).map(pixel).collect();
+/// let frame = Frame::gray(GrayView::new(&pixels, 160, 120, 160)?);
+///
+/// let seen = Axis::of_finger(Point2::new(110.0, 58.4), 0.0, 30.0);
+/// let finger = RoundFinger::fit(&frame, &seen, 6.4)?.expect("it is all in the picture");
+/// assert!((58.4 + finger.offset_px - 60.0).abs() < 0.5);
+/// assert!((finger.half_width_px - 8.0).abs() < 0.5);
+/// assert!(finger.misfit_about_given > 1.5 * finger.misfit);
+/// # Ok::<(), fingerpost_core::Error>(())
+/// ```
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct RoundFinger {
+    /// How far beside the anchor of the given axis its own runs, along that one's normal \[px\].
+    pub offset_px: f64,
+    /// By how much its axis is turned against the given one \[rad\].
+    pub turn_rad: f64,
+    /// Half its width at the anchor \[px\].
+    pub half_width_px: f64,
+    /// How much what is seen differs from it: a robust sum over all pixels of profiles across it, in no
+    /// unit.
+    pub misfit: f64,
+    /// The same of the body about the given axis that explains most.
+    pub misfit_about_given: f64,
+}
+
+impl RoundFinger {
+    /// Fits it to what is seen about `axis` of a finger that is `half_width_px` wide, from the middle to
+    /// where edges show. `None` where the profiles across it are not all in the picture.
+    ///
+    /// # Errors
+    /// When a number is not finite, the tip is the anchor, or the half-width is not positive.
+    pub fn fit(frame: &Frame<'_>, axis: &Axis, half_width_px: f64) -> Result<Option<Self>> {
+        Error::finite("angle of the finger [rad]", axis.angle_rad)?;
+        Error::within("half-width of the finger [px]", half_width_px, "positive", |w| w > 0.0)?;
+        let ahead_px = (axis.tip - axis.anchor).norm();
+        Error::within("length of the finger's axis [px]", ahead_px, "positive", |l| l > 0.0)?;
+        Ok(Self::fitted(frame, axis, ahead_px, half_width_px))
+    }
+
+    fn fitted(frame: &Frame<'_>, axis: &Axis, ahead_px: f64, half_width_px: f64) -> Option<Self> {
+        // Half a finger is seen too slim: no unit is shorter than half the usual one's width.
+        let unit_px = half_width_px.max(2.0 * USUAL_HALF_WIDTH * ahead_px);
+        let known = half_width_px / unit_px;
+        let about =
+            Self::best_start(&ObservedProfiles::of(frame, axis, ahead_px, unit_px, known)?, known)?;
+
+        // What is seen about an axis that is aside ends too near on one side.
+        let (lateral, turn_rad) = (about[OFFSET], about[SLOPE].atan());
+        let middle = axis.anchor + axis.normal() * (lateral * unit_px);
+        let middle = Axis::of_finger(middle, axis.angle_rad + turn_rad, ahead_px);
+        let observed = ObservedProfiles::of(frame, &middle, ahead_px, unit_px, about[HALF_WIDTH])?;
+        let mut start = about;
+        start.fixed_rows_mut::<2>(OFFSET).fill(0.0);
+        let (_, mut given) = observed.first([0.0, known]);
+        (given[OFFSET], given[SLOPE]) = (-lateral, -about[SLOPE]);
+        let (misfit_about_given, given) = observed.minimise(given, LAST_ITERATIONS, Axes::Held);
+        let (mut misfit, mut x) = observed.minimise(start, LAST_ITERATIONS, Axes::Free);
+        if misfit_about_given < misfit {
+            (misfit, x) = observed.minimise(given, LAST_ITERATIONS, Axes::Free);
+        }
+        Some(Self {
+            offset_px: (lateral + x[OFFSET]) * unit_px,
+            turn_rad: turn_rad + x[SLOPE].atan(),
+            half_width_px: x[HALF_WIDTH] * unit_px,
+            misfit,
+            misfit_about_given,
+        })
+    }
+
+    /// The body that explains most of those that the likeliest starts lead to.
+    fn best_start(observed: &ObservedProfiles, known: f64) -> Option<Vector> {
+        let mut starts = STARTS.map(|start| observed.first(start.map(|part| part * known)));
+        starts.sort_by(|one, other| one.0.total_cmp(&other.0));
+        let led_to =
+            starts.iter().take(TRIED).map(|s| observed.minimise(s.1, ITERATIONS, Axes::Free));
+        led_to.min_by(|one, other| one.0.total_cmp(&other.0)).map(|(_, x)| x)
+    }
+}
+
+/// Whether the axis is an unknown.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Axes {
+    Free,
+    Held,
+}
+
+/// What is seen about an axis, in units of about a half-width.
+struct ObservedProfiles {
+    profiles: [(f64, Profile); PROFILES],
+    /// How many residuals count as one that is independent of the others: so much more than each of them
+    /// does what is known beforehand count.
+    redundancy: f64,
+}
+
+impl ObservedProfiles {
+    /// What is seen about an axis whose finger is about `half_width` units wide.
+    fn of(
+        frame: &Frame<'_>,
+        axis: &Axis,
+        ahead_px: f64,
+        unit_px: f64,
+        half_width: f64,
+    ) -> Option<Self> {
+        let profile = |j: usize| {
+            let behind = FIRST + (LAST - FIRST) * j as f64 / (PROFILES - 1) as f64;
+            let p = ahead_px / unit_px - behind;
+            Profile::of(frame, axis, p, unit_px).map(|profile| (p, profile))
+        };
+        let mut profiles = [profile(0)?; PROFILES];
+        for (j, known) in profiles.iter_mut().enumerate().skip(1) {
+            *known = profile(j)?;
+        }
+        let mut observed = Self { profiles, redundancy: 1.0 };
+        observed.redundancy = (observed.first([0.0, half_width]).0 / INDEPENDENT).max(1.0);
+        Some(observed)
+    }
+
+    /// A body aside the axis and of a width, under the light that explains it best, after its cost.
+    fn first(&self, [offset, half_width]: [f64; 2]) -> (f64, Vector) {
+        let lit = FIRST_LIGHTS_RAD.map(|light| {
+            let mut x = Vector::from_element(light);
+            (x[OFFSET], x[SLOPE]) = (offset, 0.0);
+            (x[HALF_WIDTH], x[GROWTH]) = (half_width, TAPER[0]);
+            x[LOG_BLUR] = 0.0;
+            (self.cost(&x), x)
+        });
+        lit.iter().fold(lit[0], |best, &one| if one.0 < best.0 { one } else { best })
+    }
+
+    /// The least cost that is found from there, and where.
+    fn minimise(&self, mut x: Vector, iterations: usize, axes: Axes) -> (f64, Vector) {
+        let (mut cost, mut damping) = (self.cost(&x), 1e-2);
+        for _ in 0..iterations {
+            let (mut hessian, mut gradient) = self.linearised(&x);
+            if axes == Axes::Held {
+                for k in [OFFSET, SLOPE] {
+                    hessian.row_mut(k).fill(0.0);
+                    hessian.column_mut(k).fill(0.0);
+                    (hessian[(k, k)], gradient[k]) = (1.0, 0.0);
+                }
+            }
+            let before = cost;
+            for _ in 0..SHORTENED {
+                let mut damped = hessian;
+                for k in 0..UNKNOWNS {
+                    damped[(k, k)] += damping * hessian[(k, k)] + 1e-9;
+                }
+                let Some(factor) = Cholesky::new(damped) else { break };
+                let next = bounded(x - factor.solve(&gradient));
+                let now = self.cost(&next);
+                if now < cost {
+                    (x, cost) = (next, now);
+                    damping *= 0.2;
+                    break;
+                }
+                damping *= 8.0;
+            }
+            if before - cost < SETTLED * before {
+                break;
+            }
+        }
+        (cost, x)
+    }
+
+    /// How much what is seen differs from a body, and the body from what is known of fingers.
+    fn cost(&self, x: &Vector) -> f64 {
+        let differs = |(j, (p, profile)): (usize, &(f64, Profile))| {
+            let residuals = profile.residuals(&section(x, j, *p));
+            residuals.iter().map(|r| (1.0 + r * r).sqrt() - 1.0).sum::<f64>()
+        };
+        let observed: f64 = self.profiles.iter().enumerate().map(differs).sum();
+        let known: f64 = expectations(x).map(|e| 0.5 * (e.differs / e.sigma).powi(2)).sum();
+        observed + self.redundancy * known
+    }
+
+    /// Normal equations of the cost: the matrix and the gradient.
+    fn linearised(&self, x: &Vector) -> (Matrix, Vector) {
+        let (mut hessian, mut gradient) = (Matrix::zeros(), Vector::zeros());
+        for (j, &(p, ref profile)) in self.profiles.iter().enumerate() {
+            let (squares, slopes) = normal_equations(profile, &section(x, j, p));
+            // Which unknown moves which number of the section, and by how much.
+            let moves = [
+                (OFFSET, 0, 1.0),
+                (SLOPE, 0, p),
+                (HALF_WIDTH, 1, 1.0),
+                (GROWTH, 1, p),
+                (LIGHT + j, 2, 1.0),
+                (LOG_BLUR, 3, 1.0),
+            ];
+            for (k, a, by) in moves {
+                gradient[k] += by * slopes[a];
+                for (l, b, other_by) in moves {
+                    hessian[(k, l)] += by * other_by * squares[a][b];
+                }
+            }
+        }
+        for Expectation { of, less, differs, sigma } in expectations(x) {
+            let sure = self.redundancy / (sigma * sigma);
+            for (k, sign) in [(Some(of), 1.0), (less, -1.0)] {
+                let Some(k) = k else { continue };
+                gradient[k] += sign * sure * differs;
+                for (l, other_sign) in [(Some(of), 1.0), (less, -1.0)] {
+                    let Some(l) = l else { continue };
+                    hessian[(k, l)] += sign * other_sign * sure;
+                }
+            }
+        }
+        (hessian, gradient)
+    }
+}
+
+/// Squares and slopes of a profile's cost in the four numbers of a section: its middle, half-width,
+/// light and blur.
+fn normal_equations(profile: &Profile, at: &Section) -> ([[f64; 4]; 4], [f64; 4]) {
+    let Section { middle, half_width, light_rad, log_blur } = *at;
+    let moved: [Residuals; 4] = [
+        Section { middle: middle + DIFFERENCE, ..*at },
+        Section { half_width: half_width + DIFFERENCE, ..*at },
+        Section { light_rad: light_rad + DIFFERENCE, ..*at },
+        Section { log_blur: log_blur + DIFFERENCE, ..*at },
+    ]
+    .map(|section| profile.residuals(&section));
+    let (mut squares, mut slopes) = ([[0.0; 4]; 4], [0.0; 4]);
+    for (i, &residual) in profile.residuals(at).iter().enumerate() {
+        let weight = 1.0 / (1.0 + residual * residual).sqrt();
+        let changes = moved.each_ref().map(|m| (m[i] - residual) / DIFFERENCE);
+        for (a, change) in changes.iter().enumerate() {
+            slopes[a] += weight * change * residual;
+            for (b, other) in changes.iter().enumerate() {
+                squares[a][b] += weight * change * other;
+            }
+        }
+    }
+    (squares, slopes)
+}
+
+/// The body across profile `j`, p units ahead of the anchor.
+fn section(x: &Vector, j: usize, p: f64) -> Section {
+    Section {
+        middle: x[OFFSET] + x[SLOPE] * p,
+        half_width: (x[HALF_WIDTH] + x[GROWTH] * p).max(SLIMMEST),
+        light_rad: x[LIGHT + j],
+        log_blur: x[LOG_BLUR],
+    }
+}
+
+/// What is known beforehand: by how much an unknown, less another one, differs from what it is expected
+/// to be.
+struct Expectation {
+    of: usize,
+    less: Option<usize>,
+    differs: f64,
+    sigma: f64,
+}
+
+fn expectations(x: &Vector) -> impl Iterator<Item = Expectation> {
+    let taper = (GROWTH, x[GROWTH] - TAPER[0], TAPER[1]);
+    let blur = (LOG_BLUR, x[LOG_BLUR], LOG_BLUR_SIGMA);
+    let alone = [taper, blur];
+    let alone = alone.map(|(of, differs, sigma)| Expectation { of, less: None, differs, sigma });
+    alone.into_iter().chain((LIGHT + 1..UNKNOWNS).map(|k| Expectation {
+        of: k,
+        less: Some(k - 1),
+        differs: x[k] - x[k - 1],
+        sigma: LIGHT_SIGMA_RAD,
+    }))
+}
+
+fn bounded(mut x: Vector) -> Vector {
+    for (k, entry) in x.iter_mut().enumerate() {
+        let [low, high] = BOUNDS[k.min(LIGHT)];
+        *entry = entry.clamp(low, high);
+    }
+    x
+}

@@ -1,0 +1,252 @@
+//! Whether a finger is straight: the bisectors of its two halves, each for itself.
+//!
+//! Both flanks of a bent finger turn the same way, and with them the line midway between them. A
+//! joint that bulges, a taper and a shaded limb leave that line where it is. So the halves of the
+//! finger are taken for two straight fingers, and the angle between their axes is the bend. A half
+//! whose edges do not lie on two straight flanks about as far apart as the finger is wide tells
+//! nothing: clutter, a thumb or another finger beside it must not bend the finger.
+//!
+//! Where the half with the knuckle does not lie along the whole finger, it is looked for turned about
+//! the joint; and where both halves lie along it, so is what the finger may go on with beyond its
+//! round end. There a pair of edges alone would prove little: what is between them has to look like
+//! the hand.
+//!
+//! A finger that bends towards the camera or away from it only gets shorter, and no view shows it.
+
+use super::bisector::{Bisector, BisectorFit, STATION_PX};
+use super::sketch::Sketch;
+use super::visible_flanks::VisibleFlanks;
+use crate::Result;
+use crate::axis::{BisectorOptions, BisectorReport, Finger, Stretch};
+use crate::geometry::shape_space::Axis;
+use crate::image::frame::Frame;
+use crate::measure::edge::Polarity;
+use crate::measure::edge_search::Cue;
+use crate::numeric::simd::Isa;
+use nalgebra::Point2;
+
+/// How far a finger is from straight, as its image shows it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Bend {
+    /// Direction of the half with the tip minus that of the half with the knuckle \[rad\].
+    pub angle_rad: f64,
+    /// Its standard deviation, by how the edges of either half scatter, and in what runs \[rad\].
+    pub sigma_rad: f64,
+}
+
+/// A half of the finger that is turned against the whole has its edges this far from where they
+/// are looked for, and is short \[px\].
+const HALF_LENGTH_PX: f64 = 10.0;
+const LEAST_EDGES: usize = 6;
+/// The edges of a half scatter by no more than this about its flanks, in half-widths, or \[px\]:
+/// skin is not smooth, and joints bulge.
+const SCATTER: f64 = 0.1;
+const SCATTER_PX: f64 = 0.25;
+/// The middle joint lies about here, in parts of the finger from the knuckle on: the half with the
+/// knuckle ends before, the one with the tip begins behind.
+const JOINT: [f64; 2] = [0.4, 0.5];
+/// At least this part of the places along its flanks shows an edge there, and at most this part of
+/// those lies off the line: a joint is not always in the middle.
+const SEEN: f64 = 0.85;
+const REJECTED: f64 = 0.35;
+/// Its width differs from the whole finger's by no more than this factor.
+const WIDTH: f64 = 1.25;
+
+/// Where a part does not lie along the whole finger, or the finger does not end with it, these turns
+/// of the next part are tried \[rad\].
+const TURNS_RAD: [f64; 4] = [0.45, -0.45, 0.9, -0.9];
+/// Between its flanks it looks like the hand: the pixels' votes are at least this part of those of
+/// its neighbour, looked at on these lines along it \[half-widths\].
+const HAND_PART: f64 = 0.6;
+const ACROSS: [f64; 3] = [-0.6, 0.0, 0.6];
+/// The joint that the half with the knuckle is turned about is looked for at the beginning of the
+/// half with the tip and so far behind it, and that half from here to there, counted from the joint
+/// \[half-widths\].
+const JOINTS: [f64; 3] = [0.0, 1.2, 2.4];
+const BEHIND: [f64; 2] = [-3.0, -0.6];
+/// A finger that does not end where its round end was thought to be goes on from here to there,
+/// counted from the middle of that end \[half-widths\].
+const AHEAD: [f64; 2] = [0.8, 3.0];
+/// Of the flanks of what may be covered, at least this part is its own.
+const OWN_PART: f64 = 0.5;
+/// The image noise that edges are found with; what counts is how they scatter \[grey levels\].
+const NOISE_GREY: f64 = 1.0;
+
+/// Measures bends; owns the buffers.
+#[derive(Debug, Clone)]
+pub(super) struct Straightness {
+    bisector: Bisector,
+    visible: VisibleFlanks,
+}
+
+/// What a half is looked for in, and how.
+struct HalfSearch<'a> {
+    frame: &'a Frame<'a>,
+    cue: Cue<'a>,
+    polarity: Polarity,
+}
+
+impl Straightness {
+    pub fn new(options: BisectorOptions) -> Result<Self> {
+        let (half_length_px, min_edges) = (HALF_LENGTH_PX, LEAST_EDGES);
+        let bisector = Bisector::new(BisectorOptions { half_length_px, min_edges, ..options })?;
+        Ok(Self { bisector, visible: VisibleFlanks::default() })
+    }
+
+    /// The same with another instruction set.
+    pub fn with_isa(self, isa: Isa) -> Self {
+        Self { bisector: self.bisector.with_isa(isa), ..self }
+    }
+
+    /// The bend of a finger that is believed to be near `finger`; `None` if a half does not tell.
+    ///
+    /// # Errors
+    /// Those of [`Sketch::of`], of either half.
+    pub fn bend(
+        &mut self,
+        frame: &Frame<'_>,
+        cue: Cue<'_>,
+        polarity: Polarity,
+        finger: &Finger,
+    ) -> Result<Option<Bend>> {
+        // The middle of where both flanks may show; on the round end no flank is straight.
+        let [right, left] = finger.flanks;
+        let end_px = finger.round_end_px.unwrap_or(f64::INFINITY);
+        let to_px = right.to_px.min(left.to_px).min(end_px);
+        let from_px = right.from_px.max(left.from_px);
+        let [joint_px, middle_px] = JOINT.map(|part| from_px + part * (to_px - from_px));
+        let knuckle = finger.flanks.map(|s| Stretch { to_px: joint_px, ..s });
+        let tip = finger.flanks.map(|s| Stretch { from_px: middle_px.max(s.from_px), to_px });
+        let search = HalfSearch { frame, cue, polarity };
+        let Some(tip) = self.half(&search, &Finger { flanks: tip, ..*finger })? else {
+            return Ok(None);
+        };
+        if let Some(knuckle) = self.half(&search, &Finger { flanks: knuckle, ..*finger })? {
+            let along = bend(&knuckle, &tip);
+            let ahead = self.ahead(&search, finger, &tip)?.map(|ahead| bend(&tip, &ahead));
+            let is_more = |ahead: &Bend| ahead.angle_rad.abs() > along.angle_rad.abs();
+            return Ok(Some(ahead.filter(is_more).unwrap_or(along)));
+        }
+        let from_px = -tip.sketch.half_length_px;
+        for joint in JOINTS {
+            let joint_px = from_px - joint * finger.half_width_px;
+            let flanks = [BEHIND.map(|part| part * finger.half_width_px); 2]
+                .map(|[from_px, to_px]| Stretch { from_px, to_px });
+            if let Some(knuckle) = self.turned(&search, finger, &tip.sketch, joint_px, flanks)? {
+                return Ok(Some(bend(&knuckle, &tip)));
+            }
+        }
+        Ok(None)
+    }
+
+    /// What the finger goes on with beyond its round end, if it does: a template that has slid back
+    /// lies along the part of a bent finger that is next to the knuckle.
+    fn ahead(
+        &mut self,
+        search: &HalfSearch<'_>,
+        finger: &Finger,
+        tip: &BisectorFit,
+    ) -> Result<Option<BisectorFit>> {
+        let (Some(end_px), Some(radius_px)) = (tip.sketch.round_end_px, tip.sketch.end_radius_px())
+        else {
+            return Ok(None);
+        };
+        let [from_px, to_px] = AHEAD.map(|part| part * radius_px);
+        self.turned(search, finger, &tip.sketch, end_px, [Stretch { from_px, to_px }; 2])
+    }
+
+    /// One of the halves. Of a finger that may be covered in part, enough of it must be its own.
+    fn half(&mut self, search: &HalfSearch<'_>, half: &Finger) -> Result<Option<BisectorFit>> {
+        // The width that is known is that of a straight finger.
+        let found = self.part(search, &Finger { belief: None, ..*half })?;
+        let Some(found) = found else { return Ok(None) };
+        if half.belief.is_none() {
+            return Ok(Some(found));
+        }
+        // Where the half was looked for nothing may be bare: it is bent away from there.
+        let seen = Sketch { belief: half.belief, ..found.sketch };
+        self.visible.measure(search.frame, search.cue.appearance(), &seen);
+        Ok((self.visible.least_part() >= OWN_PART).then_some(found))
+    }
+
+    /// The part of the finger that is turned against another about a joint, where it looks like the
+    /// hand between its flanks. The stretches are counted from the joint.
+    fn turned(
+        &mut self,
+        search: &HalfSearch<'_>,
+        finger: &Finger,
+        other: &Sketch,
+        joint_px: f64,
+        flanks: [Stretch; 2],
+    ) -> Result<Option<BisectorFit>> {
+        let Some(appearance) = search.cue.appearance() else { return Ok(None) };
+        let log_ratio =
+            |part: &Sketch| appearance.mean_log_ratio(search.frame, between_flanks(part));
+        let least = HAND_PART * log_ratio(other);
+        let (joint, half_width_px) = (other.place(joint_px, 0.0), other.half_width_at(joint_px));
+        if half_width_px <= 0.0 {
+            // A taper that closes the finger before its joint describes no finger.
+            return Ok(None);
+        }
+        for turn_rad in TURNS_RAD {
+            let angle_rad = other.along.y.atan2(other.along.x) + turn_rad;
+            let axis = Axis::of_finger(joint, angle_rad, 0.0);
+            let (round_end_px, belief) = (None, None);
+            let part = Finger { axis, half_width_px, flanks, round_end_px, belief, ..*finger };
+            let Some(sketch) = Sketch::of(&part)? else { continue };
+            if least <= 0.0 || log_ratio(&sketch) <= 0.0 {
+                continue;
+            }
+            let found = self.part(search, &part)?;
+            if let Some(found) = found.filter(|found| log_ratio(&found.sketch) > least) {
+                return Ok(Some(found));
+            }
+        }
+        Ok(None)
+    }
+
+    /// The bisector of a part of a finger, if its flanks are those of a finger.
+    fn part(&mut self, search: &HalfSearch<'_>, part: &Finger) -> Result<Option<BisectorFit>> {
+        if part.flanks.iter().any(|s| s.length_px() <= 0.0) {
+            return Ok(None);
+        }
+        let Some(sketch) = Sketch::of(part)? else { return Ok(None) };
+        let HalfSearch { frame, cue, polarity } = *search;
+        let fit = self.bisector.fit(
+            frame,
+            cue,
+            polarity,
+            NOISE_GREY,
+            &sketch,
+            &VisibleFlanks::default(),
+        )?;
+        Ok(fit.filter(|fit| is_finger(&sketch, fit)))
+    }
+}
+
+/// The bend from the part next to the knuckle to the one next to the tip.
+fn bend(knuckle: &BisectorFit, tip: &BisectorFit) -> Bend {
+    let (from, to) = (knuckle.sketch.along, tip.sketch.along);
+    let variance = knuckle.covariance[(1, 1)] + tip.covariance[(1, 1)];
+    Bend { angle_rad: from.perp(&to).atan2(from.dot(&to)), sigma_rad: variance.sqrt() }
+}
+
+/// The places between the flanks.
+fn between_flanks(part: &Sketch) -> impl Iterator<Item = Point2<f64>> {
+    let stations = (2.0 * part.half_length_px / STATION_PX) as usize;
+    (0..=stations).flat_map(move |i| {
+        let p = i as f64 * STATION_PX - part.half_length_px;
+        ACROSS.map(|across| part.place(p, across * part.half_width_at(p)))
+    })
+}
+
+/// Whether the flanks that were found about a sketch are those of a finger like it.
+fn is_finger(sketch: &Sketch, fit: &BisectorFit) -> bool {
+    let BisectorReport { edges, rejected, residual_px } = fit.report;
+    let places: f64 = sketch.flanks.iter().map(|s| s.length_px() / STATION_PX).sum();
+    let width = fit.sketch.half_width_px / sketch.half_width_px;
+    edges as f64 >= SEEN * places
+        && rejected <= REJECTED
+        && residual_px <= SCATTER_PX.max(SCATTER * sketch.half_width_px)
+        && (1.0 / WIDTH..=WIDTH).contains(&width)
+}

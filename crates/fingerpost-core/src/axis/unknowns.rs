@@ -1,0 +1,304 @@
+//! What is fitted, and how it spreads over the features of a block's pixels.
+
+#![expect(
+    clippy::inline_always,
+    reason = "what is inlined into a function with wider instructions is compiled for them"
+)]
+
+use super::gram::Equations;
+use super::pixels::{Doubles, LANES, total};
+use super::profile::{COLUMNS, EDGE, INSIDE, OUTSIDE, Profile, RAMP, RIGHT};
+use super::sketch::{FlankLines, SIDES, Sketch};
+use crate::axis::{PhotometricOptions, profile};
+use crate::numeric::simd::each;
+use nalgebra::{SMatrix, SVector};
+
+/// Unknowns of both flanks: the bisector's and the half-width's coefficients of 1, p and P₂, blur,
+/// middle of the round end and how much further it lies on the right flank, changes of the levels
+/// along the finger.
+pub(super) const OFFSET: usize = 0;
+pub(super) const SLOPE: usize = 1;
+pub(super) const BEND: usize = 2;
+pub(super) const HALF_WIDTH: usize = 3;
+pub(super) const TAPER: usize = 4;
+pub(super) const BULGE: usize = 5;
+pub(super) const BLUR: usize = 6;
+const END: usize = 7;
+const END_SKEW: usize = 8;
+const INSIDE_CHANGE: usize = 9;
+const OUTSIDE_CHANGE: usize = 10;
+/// Unknowns of one flank: inside level a, background level b, slope c, limb l.
+const OWN: usize = 11;
+const OWN_COUNT: usize = 4;
+
+/// How many unknowns there are.
+pub(super) const UNKNOWNS: usize = OWN + 2 * OWN_COUNT;
+pub(super) type Vector = SVector<f64, UNKNOWNS>;
+pub(super) type Information = SMatrix<f64, UNKNOWNS, UNKNOWNS>;
+
+/// Where the sketch is believed \[px\], and its slope and taper.
+const LINE_SIGMA_PX: f64 = 3.0;
+const WIDTH_SIGMA_PX: f64 = 2.0;
+const SLOPE_SIGMA: f64 = 0.1;
+pub(super) const BLUR_SIGMA_PX: f64 = 1.0;
+const END_SIGMA_PX: f64 = 1.0;
+/// A sphere off the optical axis is seen as an ellipse, longer by 1 / cos of the angle between them
+/// in the direction away from the axis. Unless that is along the finger or across it, the round end
+/// begins earlier on one flank than on the other: by about this part of its radius.
+const END_SKEW_SIGMA: f64 = 0.01;
+/// Contrasts below this are taken for it when shading is weighed against them \[grey levels\].
+pub(super) const LEAST_CONTRAST_GREY: f64 = 10.0;
+
+/// A finger's edge may be as dark as what is behind it; this far inside, it shows \[px\].
+const SHADED_PX: f64 = 2.0;
+
+/// What a flank depends on: a coefficient of its edge, the blur, …, each of them one feature times
+/// one function of p.
+const SLOTS: usize = 11;
+const SLOT_FEATURE: [usize; SLOTS] = [
+    EDGE,
+    EDGE,
+    EDGE,
+    INSIDE,
+    INSIDE,
+    OUTSIDE,
+    OUTSIDE,
+    profile::BLUR,
+    RAMP,
+    profile::LIMB,
+    profile::END,
+];
+
+/// The unknowns that a flank sees, and the slots of them: the edge is σ times the bisector plus the
+/// half-width.
+const OBSERVED: usize = OWN + OWN_COUNT;
+const OBSERVED_SLOT: [usize; OBSERVED] = [0, 1, 2, 0, 1, 2, 7, 10, 10, 4, 6, 3, 5, 8, 9];
+
+fn observed_unknown(seen: usize, flank: usize) -> usize {
+    if seen < OWN { seen } else { seen + flank * OWN_COUNT }
+}
+
+fn observed_sign(seen: usize, flank: usize) -> f64 {
+    if seen < HALF_WIDTH || seen == END_SKEW { SIDES[flank] } else { 1.0 }
+}
+
+/// Values of all unknowns.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Unknowns(pub Vector);
+
+/// How the slots change at some blocks: a slot's factor, one of these or 1, times its feature is its
+/// derivative.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Factors {
+    p: Doubles,
+    bend: Doubles,
+    t: Doubles,
+}
+
+impl Factors {
+    /// Of blocks whose middles are at p, with half the length in use h.
+    #[inline(always)]
+    pub fn at(p: &Doubles, h: f64) -> Self {
+        let per_length = 1.0 / h;
+        let t: Doubles = each(|i| p[i] * per_length);
+        Self { p: *p, bend: each(|i| 1.5 * t[i] * t[i] - 0.5), t }
+    }
+
+    /// Some number times the factors of all slots.
+    #[inline(always)]
+    fn times(&self, a: &Doubles) -> [Doubles; SLOTS] {
+        let by = |factor: &Doubles| -> Doubles { each(|i| a[i] * factor[i]) };
+        let t = by(&self.t);
+        [*a, by(&self.p), by(&self.bend), *a, t, *a, t, *a, *a, *a, *a]
+    }
+}
+
+impl Unknowns {
+    /// On the sketch, with the given inside and background level of either flank.
+    pub fn on(sketch: &Sketch, levels: [[f64; 2]; 2], blur_px: f64) -> Self {
+        let mut x = Vector::zeros();
+        x[HALF_WIDTH] = sketch.half_width_px;
+        x[TAPER] = sketch.taper;
+        x[BLUR] = blur_px;
+        x[END] = sketch.round_end_px.unwrap_or(0.0);
+        for (flank, [inside, outside]) in levels.into_iter().enumerate() {
+            x[OWN + flank * OWN_COUNT] = inside;
+            x[OWN + flank * OWN_COUNT + 1] = outside;
+        }
+        Self(x)
+    }
+
+    /// The straight part of the two flanks.
+    pub fn line(&self) -> FlankLines {
+        FlankLines {
+            offset_px: self.0[OFFSET],
+            slope: self.0[SLOPE],
+            half_width_px: self.0[HALF_WIDTH],
+            taper: self.0[TAPER],
+        }
+    }
+
+    pub fn blur_px(&self) -> f64 {
+        self.0[BLUR]
+    }
+
+    /// The middle of the round end as a flank has it.
+    pub fn end_px(&self, flank: usize) -> f64 {
+        self.0[END] + SIDES[flank] * self.0[END_SKEW]
+    }
+
+    /// Finger minus background at a flank \[grey levels\].
+    pub fn contrast_grey(&self, flank: usize) -> f64 {
+        self.0[OWN + flank * OWN_COUNT] - self.0[OWN + flank * OWN_COUNT + 1]
+    }
+
+    /// Finger minus background at a flank, [`SHADED_PX`] inside the edge \[grey levels\].
+    pub fn shaded_contrast_grey(&self, sketch: &Sketch, flank: usize) -> f64 {
+        let depth = SHADED_PX / sketch.half_width_px;
+        let own = OWN + flank * OWN_COUNT;
+        self.contrast_grey(flank) + self.0[own + 2] * depth + self.0[own + 3] * (2.0 * depth).sqrt()
+    }
+
+    /// What blocks of a flank look like whose middles are at p, and whose levels and edges deviate by
+    /// `effects`: inside, outside, edge.
+    #[inline(always)]
+    pub fn profile(
+        &self,
+        sketch: &Sketch,
+        flank: usize,
+        p: &Doubles,
+        effects: &[Doubles; 3],
+    ) -> Profile {
+        let x = &self.0;
+        let h = sketch.half_length_px;
+        let edge = |k: usize| SIDES[flank] * x[OFFSET + k] + x[HALF_WIDTH + k];
+        let own = |k: usize| x[OWN + flank * OWN_COUNT + k];
+        // e₀ + e₁ p + e₂ P₂, in powers of p.
+        let [e0, e1, e2] = [edge(0), edge(1), edge(2)];
+        let (middle, inside, outside) = (e0 - 0.5 * e2, own(0), own(1));
+        Profile {
+            edge: each(|i| (middle + effects[2][i]) as f32),
+            edge_change: [e1, 1.5 * e2 / (h * h)].map(|e| e as f32),
+            blur: x[BLUR] as f32,
+            inside: each(|i| (inside + effects[0][i]) as f32),
+            inside_change: (x[INSIDE_CHANGE] / h) as f32,
+            outside: each(|i| (outside + effects[1][i]) as f32),
+            outside_change: (x[OUTSIDE_CHANGE] / h) as f32,
+            ramp: own(2) as f32,
+            limb: own(3) as f32,
+            half_width: each(|i| sketch.half_width_at(p[i]) as f32),
+        }
+    }
+
+    /// How far a step moves the flanks anywhere in use, at most \[px\].
+    pub fn motion_px(step: &Vector, half_length_px: f64) -> f64 {
+        step[OFFSET].abs()
+            + step[HALF_WIDTH].abs()
+            + half_length_px * (step[SLOPE].abs() + step[TAPER].abs())
+    }
+}
+
+/// What a step of the unknowns changes in the slots of a flank.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct FlankStep([f64; SLOTS]);
+
+impl FlankStep {
+    pub fn of(step: &Vector, flank: usize) -> Self {
+        let mut slots = [0.0; SLOTS];
+        for (seen, &slot) in OBSERVED_SLOT.iter().enumerate() {
+            slots[slot] += observed_sign(seen, flank) * step[observed_unknown(seen, flank)];
+        }
+        Self(slots)
+    }
+
+    /// What it changes in the features of blocks, column by column.
+    pub fn changes(&self, factors: &Factors) -> [Doubles; COLUMNS] {
+        let Factors { p, bend, t } = factors;
+        let [e0, e1, e2, a, a1, b, b1, blur, ramp, limb, end] = self.0;
+        let all = |change: f64| [change; LANES];
+        [
+            each(|i| e0 + p[i] * e1 + bend[i] * e2),
+            each(|i| a + t[i] * a1),
+            each(|i| b + t[i] * b1),
+            all(blur),
+            all(ramp),
+            all(limb),
+            all(0.0),
+            all(end),
+        ]
+    }
+}
+
+/// What the unknowns are expected to be, and how surely: normal distributions, each by itself.
+pub(super) struct Prior {
+    pub mean: Vector,
+    /// One by variance.
+    pub information: Vector,
+}
+
+impl Prior {
+    /// About where the search starts; of a hand that is known, about its width and taper.
+    pub fn about(
+        start: &Unknowns,
+        sketch: &Sketch,
+        contrast_grey: f64,
+        options: &PhotometricOptions,
+    ) -> Self {
+        let PhotometricOptions { bend_px, change, ramp, limb, .. } = options;
+        let contrast = contrast_grey.max(LEAST_CONTRAST_GREY);
+        let (mut mean, mut sigma) = (start.0, Vector::repeat(f64::INFINITY));
+        (sigma[OFFSET], sigma[SLOPE]) = (LINE_SIGMA_PX, SLOPE_SIGMA);
+        (sigma[HALF_WIDTH], sigma[TAPER]) = (WIDTH_SIGMA_PX, SLOPE_SIGMA);
+        (sigma[BEND], sigma[BULGE]) = (*bend_px, *bend_px);
+        (sigma[BLUR], sigma[END]) = (BLUR_SIGMA_PX, END_SIGMA_PX);
+        sigma[END_SKEW] = END_SKEW_SIGMA * sketch.half_width_px;
+        (sigma[INSIDE_CHANGE], sigma[OUTSIDE_CHANGE]) = (change * contrast, change * contrast);
+        for own in [OWN, OWN + OWN_COUNT] {
+            (sigma[own + 2], sigma[own + 3]) = (ramp * contrast, limb * contrast);
+        }
+        if let Some(belief) = sketch.belief {
+            (mean[HALF_WIDTH], mean[TAPER]) = (belief.half_width_px, belief.taper);
+            (sigma[HALF_WIDTH], sigma[TAPER]) = (belief.half_width_sigma_px, belief.taper_sigma);
+        }
+        Self { mean, information: sigma.map(|s| 1.0 / (s * s)) }
+    }
+}
+
+/// Normal equations of one flank, in the upper triangle of its slots, and their right side.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct FlankEquations([[f64; SLOTS + 1]; SLOTS]);
+
+impl FlankEquations {
+    /// Adds those of blocks, which are those of their features.
+    #[inline(always)]
+    pub fn add(&mut self, block_weight: &Doubles, factors: &Factors, equations: &Equations) {
+        let weighted = factors.times(block_weight);
+        for (i, sums) in self.0.iter_mut().enumerate() {
+            let (a, feature) = (&weighted[i], SLOT_FEATURE[i]);
+            for (j, sum) in sums.iter_mut().enumerate().skip(i) {
+                let other = SLOT_FEATURE.get(j).copied().unwrap_or(RIGHT);
+                let b = &equations[feature.min(other)][feature.max(other)];
+                let product: Doubles = each(|l| a[l] * b[l]);
+                *sum += total(&match j {
+                    1 => each(|l| product[l] * factors.p[l]),
+                    2 => each(|l| product[l] * factors.bend[l]),
+                    4 | 6 => each(|l| product[l] * factors.t[l]),
+                    _ => product,
+                });
+            }
+        }
+    }
+
+    /// Adds them to those of all unknowns.
+    pub fn spread(&self, flank: usize, information: &mut Information, right: &mut Vector) {
+        for (a, &i) in OBSERVED_SLOT.iter().enumerate() {
+            let (row, sign) = (observed_unknown(a, flank), observed_sign(a, flank));
+            right[row] += sign * self.0[i][SLOTS];
+            // The lower half, which is all that is looked at.
+            for (b, &j) in OBSERVED_SLOT.iter().enumerate().skip(a) {
+                information[(observed_unknown(b, flank), row)] +=
+                    sign * observed_sign(b, flank) * self.0[i.min(j)][i.max(j)];
+            }
+        }
+    }
+}

@@ -1,0 +1,442 @@
+//! A closer look at one band: its place, and how its inside differs from what is around it.
+
+use crate::appearance::background::ForegroundMap;
+use crate::geometry::template::Thumb;
+use crate::image::frame::{Frame, chromaticity};
+use crate::image::gray::GrayView;
+use nalgebra::Matrix3;
+use nalgebra::Point2;
+use nalgebra::Vector2;
+use nalgebra::Vector3;
+use std::f64::consts::PI;
+use std::f64::consts::TAU;
+
+/// The inside is looked at over so much of the half-width to either side of the axis; a half of it begins
+/// this far from there, in parts of that.
+pub(super) const ACROSS: f64 = 0.55;
+pub(super) const WHOLE: (f64, f64) = (-1.0, 1.0);
+pub(super) const HALF_FROM: f64 = 0.2;
+/// Two candidates are one within this distance \[half-widths\] and angle \[rad\].
+pub(super) const SAME_PLACE: f64 = 1.5;
+pub(super) const SAME_ANGLE_RAD: f64 = 0.5;
+
+/// A thumb's angle to its finger \[rad\], its root behind the fingertip \[finger half-widths\] and its
+/// width in parts of the finger's.
+pub(super) const THUMB_ANGLES_RAD: (f64, f64) = (0.5, 1.95);
+pub(super) const THUMB_ROOTS: (f64, f64) = (5.0, 20.0);
+pub(super) const THUMB_TIPS: (f64, f64) = (2.5, 16.0);
+pub(super) const THUMB_WIDTHS: (f64, f64) = (0.6, 1.7);
+
+/// A place where a pointing hand may be.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Candidate {
+    /// The finger's tip \[px\].
+    pub tip_px: Point2<f64>,
+    /// Direction of pointing \[rad\], from +u (right) towards +v (down).
+    pub angle_rad: f64,
+    /// Visible length of the finger \[px\].
+    pub length_px: f64,
+    /// Half its width \[px\].
+    pub half_width_px: f64,
+    /// Side of a second band that may be its thumb.
+    pub thumb: Thumb,
+    /// Mean colour of its inside, in the order of the frame's channels; a grey level three times.
+    pub colour: [f64; 3],
+    /// How like foreground its inside is, 0–1; 0 while no background is known.
+    pub foreground: f64,
+    /// How like a finger it is by its shape and colours alone, 0–1.
+    pub score: f64,
+}
+
+/// A coarse find.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Band {
+    pub(super) tip: Point2<f64>,
+    pub(super) angle_rad: f64,
+    pub(super) half_width_px: f64,
+    pub(super) score: f64,
+}
+
+/// A band that was looked at closely.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct RefinedCandidate {
+    band: Band,
+    length_px: f64,
+    colour: Vector3<f64>,
+    foreground: f64,
+    pub(super) score: f64,
+}
+
+impl RefinedCandidate {
+    /// The candidate that it is, with a thumb that makes good a part of the missing score.
+    pub(super) fn candidate(&self, thumb: Thumb, bonus: f64) -> Candidate {
+        Candidate {
+            tip_px: self.band.tip,
+            angle_rad: self.band.angle_rad,
+            length_px: self.length_px,
+            half_width_px: self.band.half_width_px,
+            thumb,
+            colour: self.colour.into(),
+            foreground: self.foreground,
+            score: (self.score + bonus * (1.0 - self.score)).min(1.0),
+        }
+    }
+
+    pub(super) fn is_same(&self, other: &Self) -> bool {
+        let (a, b) = (&self.band, &other.band);
+        let apart = (a.angle_rad - b.angle_rad + PI).rem_euclid(TAU) - PI;
+        (a.tip - b.tip).norm() < SAME_PLACE * a.half_width_px.max(b.half_width_px)
+            && apart.abs() < SAME_ANGLE_RAD
+    }
+
+    /// The side on which another band could be this finger's thumb, and how good a band it is.
+    pub(super) fn thumb(&self, other: &Self) -> Option<(Thumb, f64)> {
+        let (a, b) = (&self.band, &other.band);
+        let w = a.half_width_px;
+        let within = |x: f64, (low, high): (f64, f64)| x >= low && x <= high;
+        let (sin, cos) = a.angle_rad.sin_cos();
+        let (e, n) = (Vector2::new(cos, sin), Vector2::new(-sin, cos));
+        let to = b.tip - a.tip;
+        let across = to.dot(&n);
+        let (sin, cos) = b.angle_rad.sin_cos();
+        let direction = Vector2::new(cos, sin);
+        let side = across.signum();
+        // Both directions lead away from where the axes meet.
+        let turned = (side * direction.dot(&n)).atan2(direction.dot(&e));
+        if !within(turned, THUMB_ANGLES_RAD) || !within(b.half_width_px / w, THUMB_WIDTHS) {
+            return None;
+        }
+        let root = across / direction.dot(&n);
+        let meet = -(to - direction * root).dot(&e) / w;
+        let reaches = within(meet, THUMB_ROOTS) && within(root / w, THUMB_TIPS);
+        let thumb = if side < 0.0 { Thumb::Left } else { Thumb::Right };
+        reaches.then_some((thumb, other.score))
+    }
+}
+
+/// A coarse angle is off by up to about that much \[rad\].
+const TURNS_RAD: [f64; 7] = [0.0, -0.1, 0.1, -0.2, 0.2, -0.3, 0.3];
+const TURN_REACH_RAD: f64 = 0.5;
+/// Squared distances from the inside's colours, in standard deviations, from which a pixel is
+/// another colour: three channels and one.
+const UNLIKE_COLOUR: f64 = 6.0;
+const UNLIKE_GREY: f64 = 4.0;
+/// Standard deviation of the inside's colours that is always granted \[grey levels\].
+const COLOUR_FLOOR: f64 = 4.0;
+/// A finger is half-lit if one half of it is darker than this part of the other.
+const HALF_LIT: f64 = 0.75;
+/// A visible finger is this long, in half-widths.
+const LENGTHS: (f64, f64) = (4.6, 12.0);
+/// Flanks that are seen over less than this tell nothing of the length, which is this then.
+const SEEN_LENGTH: f64 = 3.0;
+const UNSEEN_LENGTH: f64 = 7.0;
+/// What a candidate loses without a hand behind it, and the part of the places there that look like
+/// the finger from which nothing is missing.
+const HAND_WEIGHT: f64 = 0.3;
+const HAND_PART: f64 = 0.5;
+
+/// A frame as seen from a band: along its axis and across it, in px from its tip.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct BandFrame<'a> {
+    frame: &'a Frame<'a>,
+    tip: Point2<f64>,
+    e: Vector2<f64>,
+    n: Vector2<f64>,
+    /// Whether it sees chromaticities alone.
+    is_chromatic: bool,
+}
+
+impl<'a> BandFrame<'a> {
+    pub(super) fn new(frame: &'a Frame<'a>, tip: Point2<f64>, angle_rad: f64) -> Self {
+        let e = direction(angle_rad);
+        Self { frame, tip, e, n: Vector2::new(-e.y, e.x), is_chromatic: false }
+    }
+
+    /// The same for chromaticities; none without colours.
+    fn of_chromaticity(&self) -> Option<Self> {
+        self.frame.colour().map(|_| Self { is_chromatic: true, ..*self })
+    }
+
+    fn place(&self, along_px: f64, across_px: f64) -> Point2<f64> {
+        self.tip + self.e * along_px + self.n * across_px
+    }
+
+    /// The colours of the pixel nearest to a place; a grey level three times without colours.
+    fn pixel(&self, along_px: f64, across_px: f64) -> Option<Vector3<f64>> {
+        let at = self.place(along_px, across_px);
+        let image: &GrayView<'_> = self.frame.image();
+        if !image.contains(at.x, at.y, -0.5) {
+            return None;
+        }
+        let (x, y) = ((at.x + 0.5) as usize, (at.y + 0.5) as usize);
+        match self.frame.colour() {
+            Some(colour) => colour.pixel(x, y).map(|p| {
+                if self.is_chromatic { chromaticity(p) } else { Vector3::from(p.map(f64::from)) }
+            }),
+            None => image.pixel(x, y).map(|g| Vector3::repeat(f64::from(g))),
+        }
+    }
+
+    /// The offset of the strongest change of the mean colour, in `from ..= to` px, and how strong it
+    /// is \[grey levels\]. `at(offset, k)` are the places of sample k of the mean at an offset.
+    fn strongest_change(
+        &self,
+        (from, to): (f64, f64),
+        samples: usize,
+        at: impl Fn(f64, usize) -> (f64, f64),
+    ) -> Option<(f64, f64)> {
+        let mean = |offset: f64| -> Option<Vector3<f64>> {
+            let mut sum = Vector3::zeros();
+            for k in 0..samples {
+                let (along, across) = at(offset, k);
+                sum += self.pixel(along, across)?;
+            }
+            Some(sum / samples as f64)
+        };
+        let steps = (to - from).abs().ceil().max(1.0) as usize;
+        let offset = |i: usize| from + (to - from) * i as f64 / steps as f64;
+        let step = (to - from) / steps as f64;
+        let mut best = None;
+        let (mut before, mut here) = (mean(from - step)?, mean(from)?);
+        for i in 0..=steps {
+            let after = mean(offset(i) + step)?;
+            let strength = (after - before).amax();
+            if best.is_none_or(|(_, s)| strength > s) {
+                best = Some((offset(i), strength));
+            }
+            (before, here) = (here, after);
+        }
+        best
+    }
+}
+
+/// How a pixel's colours differ from those inside a finger.
+pub(super) struct Inside {
+    mean: Vector3<f64>,
+    information: Matrix3<f64>,
+    unlike: f64,
+}
+
+impl Inside {
+    /// The colours of a band's core, from so far across it to so far, in parts of the core's half-width;
+    /// None if too little of it lies in the image.
+    pub(super) fn of(
+        band_frame: &BandFrame<'_>,
+        half_width_px: f64,
+        (from, to): (f64, f64),
+    ) -> Option<Self> {
+        const ALONG: usize = 16;
+        const PLACES: usize = 5;
+        let (mut count, mut sum, mut squares) = (0.0, Vector3::zeros(), Matrix3::zeros());
+        for i in 0..ALONG {
+            let along = -half_width_px * (0.6 + 3.0 * i as f64 / (ALONG - 1) as f64);
+            for j in 0..PLACES {
+                let part = from + (to - from) * j as f64 / (PLACES - 1) as f64;
+                let across = half_width_px * ACROSS * part;
+                if let Some(colour) = band_frame.pixel(along, across) {
+                    count += 1.0;
+                    sum += colour;
+                    squares += colour * colour.transpose();
+                }
+            }
+        }
+        if count < 0.7 * (ALONG * PLACES) as f64 {
+            return None;
+        }
+        let mean = sum / count;
+        let floor = Matrix3::identity() * (COLOUR_FLOOR * COLOUR_FLOOR);
+        let coloured = band_frame.frame.colour().is_some();
+        let covariance = squares / count - mean * mean.transpose();
+        if coloured {
+            let information = (covariance + floor).try_inverse()?;
+            return Some(Self { mean, information, unlike: UNLIKE_COLOUR });
+        }
+        let information = Matrix3::from_diagonal(&Vector3::new(
+            1.0 / (covariance[(0, 0)].max(0.0) + COLOUR_FLOOR * COLOUR_FLOOR),
+            0.0,
+            0.0,
+        ));
+        Some(Self { mean, information, unlike: UNLIKE_GREY })
+    }
+
+    fn is_unlike(&self, colour: &Vector3<f64>) -> bool {
+        let d = colour - self.mean;
+        d.dot(&(self.information * d)) > self.unlike
+    }
+
+    /// Part of some places that look different; None if most lie outside the image.
+    fn unlike_part(
+        &self,
+        band_frame: &BandFrame<'_>,
+        places: impl Iterator<Item = (f64, f64)>,
+    ) -> Option<f64> {
+        let (mut all, mut seen, mut unlike) = (0.0, 0.0, 0.0);
+        for (along, across) in places {
+            all += 1.0;
+            if let Some(colour) = band_frame.pixel(along, across) {
+                seen += 1.0;
+                unlike += f64::from(u8::from(self.is_unlike(&colour)));
+            }
+        }
+        (seen > 0.5 * all).then(|| unlike / seen)
+    }
+}
+
+/// Puts a band in its place, and tells how its inside differs from what is around it.
+pub(super) fn refine_candidate(
+    frame: &Frame<'_>,
+    map: &ForegroundMap,
+    band: &Band,
+) -> Option<RefinedCandidate> {
+    const ALONG: usize = 10;
+    const ACROSS: usize = 5;
+    let w = band.half_width_px;
+    let middle = band.tip - direction(band.angle_rad) * w;
+    // The flanks first, at the angle at which they show best; then the end between them.
+    let back = |k: usize| -w * (0.8 + 2.6 * k as f64 / (ALONG - 1) as f64);
+    let mut best: Option<(f64, f64, BandFrame<'_>, [f64; 2])> = None;
+    for turn_rad in TURNS_RAD {
+        let angle_rad = band.angle_rad + turn_rad;
+        let band_frame = BandFrame::new(frame, middle + direction(angle_rad) * w, angle_rad);
+        let flank = |side: f64| {
+            band_frame
+                .strongest_change((0.6 * w, 1.5 * w), ALONG, |offset, k| (back(k), side * offset))
+        };
+        let (Some((left, l)), Some((right, r))) = (flank(-1.0), flank(1.0)) else { continue };
+        let strength = l.min(r) * (1.0 - (turn_rad / TURN_REACH_RAD).powi(2));
+        if best.as_ref().is_none_or(|(s, ..)| strength > *s) {
+            best = Some((strength, angle_rad, band_frame, [left, right]));
+        }
+    }
+    let (_, angle_rad, mut band_frame, [left, right]) = best?;
+    let half_width_px = 0.5 * (left + right);
+    band_frame.tip += band_frame.n * (0.5 * (right - left));
+    let (end, _) = band_frame.strongest_change((-0.9 * w, 0.9 * w), ACROSS, |offset, k| {
+        (offset, half_width_px * (0.2 * k as f64 - 0.4))
+    })?;
+    band_frame.tip += band_frame.e * end;
+
+    let inside = Inside::of(&band_frame, half_width_px, WHOLE)?;
+    let score = band.score * stands_out(&band_frame, &inside, half_width_px)?;
+    let band = Band { tip: band_frame.tip, angle_rad, half_width_px, ..*band };
+    let foreground = inside_foreground(map, &band);
+    let length_px = visible_length(&band_frame, &inside, half_width_px);
+    Some(RefinedCandidate { band, length_px, colour: inside.mean, foreground, score })
+}
+
+/// How far the inside of a band differs from what is beside it and ahead, and not from what is
+/// behind, 0–1.
+pub(super) fn stands_out(band_frame: &BandFrame<'_>, inside: &Inside, w: f64) -> Option<f64> {
+    let unlike = [
+        inside.unlike_part(band_frame, beside(w, -1.0))?,
+        inside.unlike_part(band_frame, beside(w, 1.0))?,
+        inside.unlike_part(band_frame, ahead(w))?,
+    ];
+    Some(finger_before_hand(band_frame, inside, w, unlike))
+}
+
+/// The same of a band that is lit from one side: what is beside it is compared with the half that is next to
+/// it, by colours or by chromaticity, whichever tells more, and what is behind by chromaticity. None if it is
+/// no such band.
+pub(super) fn half_lit_stands_out(
+    band_frame: &BandFrame<'_>,
+    inside: &Inside,
+    w: f64,
+) -> Option<f64> {
+    let chromatic = band_frame.of_chromaticity()?;
+    let halves = [(-1.0, (-1.0, -HALF_FROM)), (1.0, (HALF_FROM, 1.0))];
+    let [left, right] = halves.map(|(_, half)| Inside::of(band_frame, w, half));
+    let (one, other) = (left.as_ref()?.mean.sum(), right.as_ref()?.mean.sum());
+    if one.min(other) > HALF_LIT * one.max(other) {
+        return None;
+    }
+    let [left, right] = halves.map(|(side, half)| {
+        let unlike =
+            |band_frame| Inside::of(band_frame, w, half)?.unlike_part(band_frame, beside(w, side));
+        Some(unlike(band_frame)?.max(unlike(&chromatic)?))
+    });
+    let whole = Inside::of(&chromatic, w, WHOLE)?;
+    let ahead =
+        inside.unlike_part(band_frame, ahead(w))?.max(whole.unlike_part(&chromatic, ahead(w))?);
+    Some(finger_before_hand(&chromatic, &whole, w, [left?, right?, ahead]))
+}
+
+/// Places beside a band's flank.
+pub(super) fn beside(w: f64, side: f64) -> impl Iterator<Item = (f64, f64)> {
+    (0..12).flat_map(move |i| {
+        let along = -w * (1.0 + 2.6 * f64::from(i) / 11.0);
+        (0..4).map(move |j| (along, side * w * (1.35 + 0.16 * f64::from(j))))
+    })
+}
+
+/// Places ahead of its tip.
+pub(super) fn ahead(w: f64) -> impl Iterator<Item = (f64, f64)> {
+    (0..9).flat_map(move |i| {
+        let (sin, cos) = (1.05 * (f64::from(i) / 4.0 - 1.0)).sin_cos();
+        (0..4).map(move |j| {
+            let r = w * (1.35 + 0.16 * f64::from(j));
+            (r * cos - w, r * sin)
+        })
+    })
+}
+
+/// How like a finger a band is of which such parts of what is on its left, on its right and ahead are
+/// unlike it, 0–1: behind a finger is a hand.
+pub(super) fn finger_before_hand(
+    band_frame: &BandFrame<'_>,
+    inside: &Inside,
+    w: f64,
+    unlike: [f64; 3],
+) -> f64 {
+    let least = unlike.iter().copied().fold(1.0, f64::min);
+    let mean = unlike.iter().sum::<f64>() / 3.0;
+    let behind = 1.0 - inside.unlike_part(band_frame, hand_places(w)).unwrap_or(1.0);
+    let hand = 1.0 - HAND_WEIGHT * (1.0 - behind / HAND_PART).max(0.0);
+    (0.3 + 0.4 * least + 0.3 * mean) * hand
+}
+
+/// Places where a hand is, behind its finger.
+pub(super) fn hand_places(w: f64) -> impl Iterator<Item = (f64, f64)> {
+    (0..8).flat_map(move |i| {
+        let along = -w * (5.0 + 5.0 * f64::from(i) / 7.0);
+        (0..7).map(move |j| (along, w * (2.5 * (f64::from(j) / 3.0 - 1.0))))
+    })
+}
+
+/// How far back both flanks show, in the range of what a finger has; where the colours do not tell
+/// even beside the tip, a middle length.
+pub(super) fn visible_length(band_frame: &BandFrame<'_>, inside: &Inside, w: f64) -> f64 {
+    let differs = |along: f64, side: f64| {
+        (0..3).any(|j| {
+            let across = side * w * (1.3 + 0.2 * f64::from(j));
+            band_frame.pixel(along, across).is_some_and(|c| inside.is_unlike(&c))
+        })
+    };
+    let (mut seen, mut back, mut misses) = (0.0, 1.0, 0);
+    while back <= LENGTHS.1 && misses < 2 {
+        if differs(-back * w, -1.0) && differs(-back * w, 1.0) {
+            (seen, misses) = (back, 0);
+        } else {
+            misses += 1;
+        }
+        back += 0.5;
+    }
+    w * if seen < SEEN_LENGTH { UNSEEN_LENGTH } else { seen.clamp(LENGTHS.0, LENGTHS.1) }
+}
+
+/// Mean foreground along the axis of a band.
+pub(super) fn inside_foreground(map: &ForegroundMap, band: &Band) -> f64 {
+    const SAMPLES: usize = 6;
+    if map.cells.is_empty() {
+        return 0.0;
+    }
+    let (sin, cos) = band.angle_rad.sin_cos();
+    let along = Vector2::new(cos, sin) * band.half_width_px;
+    let at = |k: usize| band.tip - along * (0.7 + 0.5 * k as f64);
+    (0..SAMPLES).map(|k| map.at(at(k).x, at(k).y)).sum::<f64>() / SAMPLES as f64
+}
+
+/// The unit vector at an angle.
+pub(super) fn direction(angle_rad: f64) -> Vector2<f64> {
+    Vector2::new(angle_rad.cos(), angle_rad.sin())
+}

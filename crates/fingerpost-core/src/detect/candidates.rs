@@ -1,0 +1,309 @@
+//! Where in an image a pointing hand may be.
+//!
+//! A finger is a band with a round end. Such bands are looked for at every place, angle and size at
+//! once, coarsely: in a pyramid in which a finger of each size is five cells wide, the orientation of
+//! the strongest gradient of any channel (colours, and the foreground where a background is known)
+//! is quantised, spread over its neighbours, and a template of round end and flanks is scored by how
+//! many of its normals meet an edge of their orientation, whichever side is brighter. The best
+//! places are then looked at closely: where exactly the band ends, whether its inside differs from
+//! what lies to its left, to its right and ahead, how far back that holds, whether it is foreground,
+//! and whether a second band nearby could be its thumb.
+//!
+//! What comes out are *candidates*, ranked; many of them are pens, cables and other fingers. Only a
+//! fit, and the other views, can tell.
+//!
+//! Sources: Hinterstoisser et al. 2012 (LINEMOD) for spread orientations and their fast sums.
+
+pub use super::band::Candidate;
+use super::band::{
+    Band, BandFrame, Inside, RefinedCandidate, WHOLE, half_lit_stands_out, inside_foreground,
+    refine_candidate, stands_out,
+};
+use super::orientation::{
+    ANGLES, BandTemplate, CAP_SAMPLES, HALF_WIDTH_CELLS, LEVEL_RATIO, Level, MEETS, Octave,
+};
+use crate::appearance::background::{Background, ForegroundMap};
+use crate::geometry::template::Thumb;
+use crate::image::frame::Frame;
+use crate::{Error, Result};
+use nalgebra::Point2;
+use std::f64::consts::TAU;
+
+/// What is looked for.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct FinderOptions {
+    /// Half-width of the slimmest finger, in parts of the image's longer side, 0.003–0.1.
+    pub min_half_width: f64,
+    /// Half-width of the stoutest finger, in the same parts, above the least and up to 0.2.
+    pub max_half_width: f64,
+    /// The least change of brightness from one cell to the next that is an edge \[grey levels\],
+    /// 1–100; a sharp step is spread over two cells.
+    pub min_gradient_grey: f64,
+    /// The most candidates that are given, 1–100.
+    pub candidates: usize,
+}
+
+impl Default for FinderOptions {
+    fn default() -> Self {
+        Self {
+            min_half_width: 0.008,
+            max_half_width: 0.032,
+            min_gradient_grey: 4.0,
+            candidates: 40,
+        }
+    }
+}
+
+/// Bands that are looked at closely, per level.
+const REFINED_CANDIDATES: usize = 48;
+/// How much of the foreground's edge strength counts, so that it outweighs the texture of what is
+/// before and behind it.
+const FOREGROUND_GAIN: f64 = 0.6;
+
+/// Finds candidates, frame by frame. Its buffers grow with the first frame of a size and are used
+/// again.
+///
+/// ```
+/// use fingerpost_core::detect::candidates::{FinderOptions, HandFinder};
+/// use fingerpost_core::{Frame, GrayView};
+///
+/// // A bright finger of 14 px that points right, its tip at (200, 120).
+/// let pixels: Vec<u8> = (0..320 * 240)
+///     .map(|i| {
+///         let (x, y) = ((i % 320) as f64, (i / 320) as f64);
+///         let inside = 7.0 - (x.max(193.0) - 193.0).hypot(y - 120.0);
+///         (60.0 + 100.0 * (0.5 + inside).clamp(0.0, 1.0)) as u8
+///     })
+///     .collect();
+/// let mut finder = HandFinder::new(FinderOptions::default())?;
+/// let frame = Frame::gray(GrayView::new(&pixels, 320, 240, 320)?);
+/// let best = finder.find(&frame, None)[0];
+/// assert!((best.tip_px.x - 200.0).abs() < 4.0 && (best.tip_px.y - 120.0).abs() < 4.0);
+/// assert!(best.angle_rad.abs() < 0.2);
+/// # Ok::<(), fingerpost_core::Error>(())
+/// ```
+#[derive(Debug, Clone)]
+pub struct HandFinder {
+    options: FinderOptions,
+    /// Template samples by angle.
+    templates: Vec<BandTemplate>,
+    size: (usize, usize),
+    channels: usize,
+    /// The frame's channels, plane after plane, and the same halved again and again.
+    octaves: Vec<Octave>,
+    foreground: ForegroundMap,
+    level: Level,
+    bands: Vec<Band>,
+    refined: Vec<RefinedCandidate>,
+    found: Vec<Candidate>,
+}
+
+impl HandFinder {
+    /// A finder with the given options.
+    ///
+    /// # Errors
+    /// When an option is outside its documented range.
+    pub fn new(options: FinderOptions) -> Result<Self> {
+        let FinderOptions { min_half_width, max_half_width, min_gradient_grey, candidates } =
+            options;
+        Error::within("least half-width", min_half_width, "0.003 to 0.1", |w| {
+            (0.003..=0.1).contains(&w)
+        })?;
+        Error::within("greatest half-width", max_half_width, "above the least, to 0.2", |w| {
+            w > min_half_width && w <= 0.2
+        })?;
+        Error::within("least gradient [grey levels]", min_gradient_grey, "1 to 100", |g| {
+            (1.0..=100.0).contains(&g)
+        })?;
+        Error::within("most candidates", candidates as f64, "1 to 100", |n| {
+            (1.0..=100.0).contains(&n)
+        })?;
+        let angle_rad = |k: usize| k as f64 / ANGLES as f64 * TAU;
+        Ok(Self {
+            options,
+            templates: (0..ANGLES).map(|k| BandTemplate::new(angle_rad(k))).collect(),
+            size: (0, 0),
+            channels: 0,
+            octaves: Vec::new(),
+            foreground: ForegroundMap::default(),
+            level: Level::default(),
+            bands: Vec::new(),
+            refined: Vec::new(),
+            found: Vec::new(),
+        })
+    }
+
+    /// The options in force.
+    #[must_use]
+    pub fn options(&self) -> &FinderOptions {
+        &self.options
+    }
+
+    /// The candidates in a frame, the likeliest first. A `background` that is known and of the
+    /// frame's size tells what has come into view; without one the frame alone has to do.
+    pub fn find(&mut self, frame: &Frame<'_>, background: Option<&Background>) -> &[Candidate] {
+        let background = background.filter(|b| b.is_known());
+        match background {
+            Some(background) => background.foreground_map(frame, &mut self.foreground),
+            None => self.foreground.cells.clear(),
+        }
+        self.split(frame, background.is_some());
+        self.bands.clear();
+        let side = self.size.0.max(self.size.1) as f64;
+        let mut half_width_px = self.options.min_half_width * side;
+        while half_width_px <= self.options.max_half_width * side {
+            self.search(half_width_px);
+            half_width_px *= LEVEL_RATIO;
+        }
+        self.refine(frame);
+        self.rank();
+        &self.found
+    }
+
+    /// How like a finger the inside of a band is by how it differs from what is about it, 0–1; its
+    /// edges, a fit has found. None if too little of that lies in the image. Each half of one that is lit
+    /// from one side may differ by its colours, or by their chromaticity alone.
+    ///
+    /// # Errors
+    /// A place or direction that is not finite, a half-width that is not above 0.
+    pub fn likeness(
+        frame: &Frame<'_>,
+        tip: Point2<f64>,
+        angle_rad: f64,
+        half_width_px: f64,
+    ) -> Result<Option<f64>> {
+        Error::finite("tip u [px]", tip.x)?;
+        Error::finite("tip v [px]", tip.y)?;
+        Error::finite("angle [rad]", angle_rad)?;
+        Error::within("half-width [px]", half_width_px, "above 0", |w| w > 0.0)?;
+        let band_frame = BandFrame::new(frame, tip, angle_rad);
+        Ok(Inside::of(&band_frame, half_width_px, WHOLE).and_then(|inside| {
+            let likeness = stands_out(&band_frame, &inside, half_width_px)?;
+            let half_lit = half_lit_stands_out(&band_frame, &inside, half_width_px);
+            Some(half_lit.map_or(likeness, |half_lit| half_lit.max(likeness)))
+        }))
+    }
+
+    /// Takes the frame apart into channels, and halves them until the coarsest level has one.
+    fn split(&mut self, frame: &Frame<'_>, with_foreground: bool) {
+        let image = frame.image();
+        self.size = (image.width(), image.height());
+        let colours = if frame.colour().is_some() { 3 } else { 1 };
+        self.channels = colours + usize::from(with_foreground);
+        if self.octaves.is_empty() {
+            self.octaves.push(Octave::default());
+        }
+        let full = &mut self.octaves[0];
+        (full.width, full.height) = self.size;
+        let pixels = full.width * full.height;
+        full.planes.clear();
+        full.planes.resize(self.channels * pixels, 0);
+        for (y, row) in (0..full.height).filter_map(|y| Some((y, image.row(y)?))) {
+            let at = y * full.width;
+            if let Some(colour) = frame.colour() {
+                for x in 0..full.width {
+                    for (c, level) in colour.pixel(x, y).unwrap_or_default().iter().enumerate() {
+                        full.planes[c * pixels + at + x] = *level;
+                    }
+                }
+            } else {
+                full.planes[at..at + full.width].copy_from_slice(row);
+            }
+            if with_foreground {
+                let map = &self.foreground;
+                let cells = &map.cells[y / map.step * map.width..];
+                for (x, out) in
+                    full.planes[colours * pixels + at..][..full.width].iter_mut().enumerate()
+                {
+                    *out = (FOREGROUND_GAIN * f64::from(cells[x / map.step])) as u8;
+                }
+            }
+        }
+        let side = self.size.0.max(self.size.1) as f64;
+        let coarsest = self.options.max_half_width * side / HALF_WIDTH_CELLS;
+        let mut octave = 0;
+        while 2_f64.powi(octave as i32 + 1) <= coarsest {
+            octave += 1;
+            if self.octaves.len() == octave {
+                self.octaves.push(Octave::default());
+            }
+            let (before, after) = self.octaves.split_at_mut(octave);
+            after[0].halve(&before[octave - 1], self.channels);
+        }
+    }
+
+    /// Looks for bands of about one half-width.
+    fn search(&mut self, half_width_px: f64) {
+        let cell_px = half_width_px / HALF_WIDTH_CELLS;
+        let octave = cell_px.log2().floor().clamp(0.0, (self.octaves.len() - 1) as f64) as usize;
+        let level = &mut self.level;
+        level.sample(&self.octaves[octave], self.channels, cell_px / 2_f64.powi(octave as i32));
+        level.orient(self.channels, self.options.min_gradient_grey);
+        for (k, template) in self.templates.iter().enumerate() {
+            level.score(template, k as u8);
+        }
+        let first = self.bands.len();
+        for (x, y, score, angle) in level.peaks() {
+            let place = |i: usize| (i as f64 + 0.5) * cell_px - 0.5;
+            self.bands.push(Band {
+                tip: Point2::new(place(x), place(y)),
+                angle_rad: self.templates[usize::from(angle)].angle_rad,
+                half_width_px,
+                score: f64::from(score) / f64::from(MEETS * CAP_SAMPLES as u8),
+            });
+        }
+        let level_bands = &mut self.bands[first..];
+        // Of equal scores the one in the foreground goes first.
+        let map = &self.foreground;
+        let weight = |band: &Band| band.score + FOREGROUND_WEIGHT * inside_foreground(map, band);
+        level_bands.sort_by(|a, b| weight(b).total_cmp(&weight(a)));
+        self.bands.truncate(first + REFINED_CANDIDATES);
+    }
+
+    /// Looks at every band closely.
+    fn refine(&mut self, frame: &Frame<'_>) {
+        self.refined.clear();
+        for band in &self.bands {
+            if let Some(looked) = refine_candidate(frame, &self.foreground, band) {
+                self.refined.push(looked);
+            }
+        }
+        self.refined.sort_by(|a, b| b.score.total_cmp(&a.score));
+    }
+
+    /// Keeps the best of those that are one, and pairs fingers with thumbs.
+    fn rank(&mut self) {
+        self.found.clear();
+        let mut kept = 0;
+        for k in 0..self.refined.len() {
+            let looked = self.refined[k];
+            if self.refined[..kept].iter().all(|other| !other.is_same(&looked)) {
+                self.refined[kept] = looked;
+                kept += 1;
+            }
+        }
+        let distinct = &self.refined[..kept];
+        for looked in distinct {
+            let thumb = distinct
+                .iter()
+                .filter_map(|other| looked.thumb(other))
+                .max_by(|a, b| a.1.total_cmp(&b.1));
+            let (side, bonus) =
+                thumb.map_or((Thumb::None, 0.0), |(side, score)| (side, THUMB_WEIGHT * score));
+            self.found.push(looked.candidate(side, bonus));
+        }
+        // Something that was there before may be the hand, but one that has come is likelier.
+        let knows = !self.foreground.cells.is_empty();
+        let least = if knows { BACKGROUND_WEIGHT } else { 1.0 };
+        let weight = |c: &Candidate| c.score * (least + (1.0 - least) * c.foreground);
+        self.found.sort_by(|a, b| weight(b).total_cmp(&weight(a)));
+        self.found.truncate(self.options.candidates);
+    }
+}
+
+/// What being foreground adds to the score of a coarse band.
+const FOREGROUND_WEIGHT: f64 = 0.5;
+/// What a candidate in the background is worth beside one in the foreground.
+const BACKGROUND_WEIGHT: f64 = 0.5;
+/// What part of the missing score a perfect thumb makes good.
+const THUMB_WEIGHT: f64 = 0.3;

@@ -1,0 +1,190 @@
+//! One captured frame: its grey image, and its colours where the camera has them.
+
+use super::gray::{GrayView, pixel_data};
+use crate::{Error, Result};
+use nalgebra::{Point2, Vector2, Vector3};
+
+/// A borrowed view of interleaved 8-bit colours, three channels in any order that does not change
+/// from frame to frame. Never copies.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct ColourView<'a> {
+    data: &'a [u8],
+    width: usize,
+    height: usize,
+    stride: usize,
+}
+
+impl<'a> ColourView<'a> {
+    /// A view of `width` × `height` pixels of three bytes, `stride` bytes from one row to the next.
+    ///
+    /// # Errors
+    /// As for [`GrayView::new`], with rows of 3 · `width` bytes.
+    pub fn new(data: &'a [u8], width: usize, height: usize, stride: usize) -> Result<Self> {
+        pixel_data::<3>(data, width, height, stride)?;
+        Ok(Self { data, width, height, stride })
+    }
+
+    /// Bytes from one row to the next.
+    #[must_use]
+    pub fn stride(&self) -> usize {
+        self.stride
+    }
+
+    /// The bytes from the first pixel on, padding between rows included.
+    pub(crate) fn data(&self) -> &'a [u8] {
+        self.data
+    }
+
+    /// The three channels of a pixel, if it lies in the image.
+    #[must_use]
+    pub fn pixel(&self, x: usize, y: usize) -> Option<[u8; 3]> {
+        if x >= self.width || y >= self.height {
+            return None;
+        }
+        let at = y * self.stride + 3 * x;
+        self.data.get(at..at + 3)?.try_into().ok()
+    }
+
+    /// The bilinear values of the three channels at (u, v), as [`GrayView::sample_f64`] has them.
+    #[must_use]
+    pub fn sample_f64(&self, u: f64, v: f64) -> Option<[f64; 3]> {
+        let (right, bottom) = ((self.width - 1) as f64, (self.height - 1) as f64);
+        if !(u >= 0.0 && v >= 0.0 && u <= right && v <= bottom) {
+            return None;
+        }
+        let (x, y) = (u as usize, v as usize);
+        let (fraction_u, fraction_v) = (u - x as f64, v - y as f64);
+        let mut channels = [0.0; 3];
+        for (below, part_v) in [(0, 1.0 - fraction_v), (1, fraction_v)] {
+            for (right, part_u) in [(0, 1.0 - fraction_u), (1, fraction_u)] {
+                // The last column and the last row have none beyond, and give it no part.
+                let at = ((x + right).min(self.width - 1), (y + below).min(self.height - 1));
+                for (channel, level) in channels.iter_mut().zip(self.pixel(at.0, at.1)?) {
+                    *channel += part_u * part_v * f64::from(level);
+                }
+            }
+        }
+        Some(channels)
+    }
+
+    /// The mean colour of those of some pixels that lie in the image; `None` if none does.
+    pub(crate) fn mean(&self, pixels: impl Iterator<Item = SidedPixel>) -> Option<Vector3<f64>> {
+        let colours = pixels.filter_map(|p| self.pixel(p.x as usize, p.y as usize));
+        let (sum, count) = colours.fold((Vector3::zeros(), 0.0), |(sum, count), colour| {
+            (sum + Vector3::from(colour.map(f64::from)), count + 1.0)
+        });
+        (count > 0.0).then(|| sum / count)
+    }
+
+    /// The bytes of row `y` without padding; `None` outside the image.
+    #[must_use]
+    pub fn row(&self, y: usize) -> Option<&'a [u8]> {
+        if y < self.height { self.data.get(y * self.stride..)?.get(..3 * self.width) } else { None }
+    }
+}
+
+/// Channels of a chromaticity add up to this \[grey levels\], as those of a middle grey do.
+pub(crate) const CHROMATICITY_SUM: f64 = 384.0;
+/// What is darker, three channels together, has less of all of them: rounding would be most of it
+/// \[grey levels\].
+const DARKEST_SUM: u32 = 24;
+
+/// A colour as bright as a middle grey: its chromaticity.
+pub(crate) fn chromaticity(colour: [u8; 3]) -> Vector3<f64> {
+    let sum = colour.iter().map(|&channel| u32::from(channel)).sum::<u32>();
+    Vector3::from(colour.map(f64::from)) * (CHROMATICITY_SUM / f64::from(sum.max(DARKEST_SUM)))
+}
+
+/// What one view captured at one time.
+#[derive(Debug, Clone, Copy)]
+pub struct Frame<'a> {
+    gray: GrayView<'a>,
+    colour: Option<ColourView<'a>>,
+}
+
+impl<'a> Frame<'a> {
+    /// A frame of a monochrome camera.
+    #[must_use]
+    pub fn gray(gray: GrayView<'a>) -> Self {
+        Self { gray, colour: None }
+    }
+
+    /// A frame with its colours; edges are measured in `gray`, the hand is told from what is
+    /// behind it by `colour`.
+    ///
+    /// # Errors
+    /// [`Error::SizesDiffer`] when the two are not of one size.
+    pub fn coloured(gray: GrayView<'a>, colour: ColourView<'a>) -> Result<Self> {
+        let (g, c) = ((gray.width(), gray.height()), (colour.width, colour.height));
+        if g == c {
+            Ok(Self { gray, colour: Some(colour) })
+        } else {
+            Err(Error::SizesDiffer { gray: g, colour: c })
+        }
+    }
+
+    /// The grey image.
+    #[must_use]
+    pub fn image(&self) -> &GrayView<'a> {
+        &self.gray
+    }
+
+    /// The colours.
+    #[must_use]
+    pub fn colour(&self) -> Option<&ColourView<'a>> {
+        self.colour.as_ref()
+    }
+}
+
+impl<'a> From<GrayView<'a>> for Frame<'a> {
+    fn from(gray: GrayView<'a>) -> Self {
+        Self::gray(gray)
+    }
+}
+
+/// A pixel, which may lie outside the frame, and whether it is the hand's.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct SidedPixel {
+    pub x: u32,
+    pub y: u32,
+    pub is_hand: bool,
+}
+
+impl SidedPixel {
+    /// Its middle; one left of the frame, or above it, wraps round to what no frame has.
+    pub fn middle(&self) -> Point2<f64> {
+        Point2::new(f64::from(self.x as i32), f64::from(self.y as i32))
+    }
+
+    /// The pixel nearest to a place; none outside of all frames.
+    #[inline]
+    pub fn at(u: f64, v: f64, is_hand: bool) -> Option<Self> {
+        // Through i32, which a float becomes in fewer instructions.
+        let whole = |x: f64| (x + 0.5) as i32 as u32;
+        (u > -0.5 && v > -0.5).then(|| Self { x: whole(u), y: whole(v), is_hand })
+    }
+
+    /// The pixels nearest to places 1 px apart on a ray, from so far from its beginning on; outside of
+    /// all frames they have coordinates that no frame has.
+    #[inline]
+    pub fn along(
+        from: Point2<f64>,
+        direction: Vector2<f64>,
+        first_px: f64,
+        last_px: f64,
+        is_hand: bool,
+    ) -> impl ExactSizeIterator<Item = Self> + Clone {
+        // Fixed point, 32.32: what is negative has the largest whole part when it is read unsigned.
+        const ONE: f64 = (1_u64 << 32) as f64;
+        let fixed = |x: f64| (x * ONE) as i64;
+        let first = from + direction * first_px;
+        let [mut x, mut y] = [first.x, first.y].map(|x| fixed(x + 0.5));
+        let (dx, dy) = (fixed(direction.x), fixed(direction.y));
+        let count = (last_px - first_px + 1.0).max(0.0) as u16;
+        (0..count).map(move |_| {
+            let pixel = Self { x: (x >> 32) as u32, y: (y >> 32) as u32, is_hand };
+            (x, y) = (x.wrapping_add(dx), y.wrapping_add(dy));
+            pixel
+        })
+    }
+}

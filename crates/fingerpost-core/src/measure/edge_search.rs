@@ -1,0 +1,521 @@
+//! Edge search along the normals of a contour.
+//!
+//! Every search line samples the image at whole pixels along an outward normal, correlates the
+//! profile with the derivative of a Gaussian and reports where the response peaks, to a fraction
+//! of a pixel. With kernel scale s, edge blur σ_b, S² = s² + σ_b², contrast A and white noise σ_n
+//! the offset of the peak has the variance
+//!
+//! ```text
+//! Var(offset) = (3 √π / 4) · σ_n² S⁶ / (A² s⁵)        [px²]
+//! ```
+//!
+//! per independent pixel of contour: the noise of the response's slope, ∫ g″² · σ_n², over the
+//! squared curvature of the blurred step's response at its peak.
+//!
+//! Source: Canny 1986 for the operator; Cipolla & Blake 1992 for the search along normals.
+
+mod lanes;
+
+use super::edge::{Edge, EdgeMeasurement, MAX_HALF_LENGTH_PX, Miss, Polarity, Scale, SearchLine};
+use crate::appearance::histogram::{HistogramModel, LogRatioImage};
+use crate::geometry::shape_space::PlacedSample;
+use crate::image::frame::{ColourView, Frame};
+use crate::image::gray::GrayView;
+use crate::numeric::simd::{BASELINE_LANES, Isa, Work};
+use crate::{Error, Result};
+use lanes::{Lanes, Peak, Scoring, Starts};
+use nalgebra::Vector2;
+use std::f64::consts::PI;
+
+/// How edges are looked for.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SearchOptions {
+    /// Scale s of the derivative of Gaussian \[px\], 0.5–8.
+    pub scale_px: f64,
+    /// Blur σ_b of the edges in the image \[px\], 0–8; only contrast and variance depend on it.
+    pub blur_px: f64,
+    /// Standard deviation σ_n of the image noise \[grey levels\], 0.1–64.
+    pub noise_grey: f64,
+    /// The least contrast that counts as an edge \[grey levels\], 0–255.
+    pub min_contrast_grey: f64,
+}
+
+impl Default for SearchOptions {
+    fn default() -> Self {
+        Self { scale_px: 1.6, blur_px: 1.0, noise_grey: 2.0, min_contrast_grey: 8.0 }
+    }
+}
+
+/// What a search line looks for.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Cue<'a> {
+    /// The strongest edge.
+    Edges,
+    /// The edge that best separates the hand from what is behind it.
+    HandEdges(&'a HistogramModel),
+    /// The place where the pixels' votes change sides, edge or none: coarse, but the same from any
+    /// distance and under any motion blur.
+    LogRatio(&'a HistogramModel),
+}
+
+impl<'a> Cue<'a> {
+    /// What is known of the hand's looks.
+    pub(crate) fn appearance(self) -> Option<&'a HistogramModel> {
+        match self {
+            Self::Edges => None,
+            Self::HandEdges(appearance) | Self::LogRatio(appearance) => Some(appearance),
+        }
+    }
+}
+
+/// Samples keep this far from the image's border, so that rounding to fixed point, of the first
+/// coordinate and of every step, cannot put one outside \[px\].
+const BORDER_MARGIN_PX: f64 = 1.0 / 64.0;
+
+/// A derivative of a Gaussian.
+#[derive(Debug, Clone)]
+struct Kernel {
+    /// Weights at +1, +2, … px, out to 3 s, times 2¹⁶; the weight at −k is the opposite, at 0 it is
+    /// zero. They sum to one, so a sharp step of contrast A answers with A.
+    weights: Vec<u16>,
+    /// The least answer that counts \[1/128 grey level\].
+    least: i16,
+    /// The contrast of a blurred step that answers with one unit.
+    contrast_per_answer: f64,
+    /// Var(offset) of the module's head times the squared contrast.
+    variance_at_one_grey: f64,
+}
+
+/// A coarse kernel is this much larger than the fine one.
+const COARSE: f64 = 2.5;
+/// Lines that are searched side by side: 16-bit numbers in a vector of AVX2, and in one of the
+/// baseline.
+const WIDE: usize = 2 * NARROW;
+const NARROW: usize = BASELINE_LANES;
+
+/// The kernels, and the buffers that a search reuses: nothing is allocated while searching.
+#[derive(Debug, Clone)]
+pub struct EdgeSearch {
+    kernels: [Kernel; 2],
+    options: SearchOptions,
+    isa: Isa,
+    wide: Lanes<WIDE>,
+    narrow: Lanes<NARROW>,
+    alone: Lanes<1>,
+}
+
+impl EdgeSearch {
+    /// A search with the given options.
+    ///
+    /// # Errors
+    /// When an option is not finite or outside its documented range.
+    pub fn new(options: SearchOptions) -> Result<Self> {
+        let SearchOptions { scale_px, blur_px, noise_grey, min_contrast_grey } = options;
+        Error::within("search scale [px]", scale_px, "0.5 to 8", |s| (0.5..=8.0).contains(&s))?;
+        Error::within("edge blur [px]", blur_px, "0 to 8", |b| (0.0..=8.0).contains(&b))?;
+        Error::within("image noise [grey levels]", noise_grey, "0.1 to 64", |n| {
+            (0.1..=64.0).contains(&n)
+        })?;
+        Error::within("least contrast [grey levels]", min_contrast_grey, "0 to 255", |c| {
+            (0.0..=255.0).contains(&c)
+        })?;
+        let kernels = [1.0, COARSE].map(|factor| Kernel::new(factor * scale_px, &options));
+        let reach = kernels.iter().map(Kernel::reach).max().unwrap_or(0);
+        let samples = 2 * (MAX_HALF_LENGTH_PX + reach) + 1;
+        Ok(Self {
+            kernels,
+            options,
+            isa: Isa::detect(),
+            wide: Lanes::with_capacity(samples),
+            narrow: Lanes::with_capacity(samples),
+            alone: Lanes::with_capacity(samples),
+        })
+    }
+
+    /// The same search with another instruction set than the processor's widest: slower, with the
+    /// same results to the last bit.
+    #[must_use]
+    pub fn with_isa(self, isa: Isa) -> Self {
+        Self { isa, ..self }
+    }
+
+    /// The options in force.
+    #[must_use]
+    pub fn options(&self) -> &SearchOptions {
+        &self.options
+    }
+
+    /// Searches every line for `cue`; `measurements` is refilled, one entry a line, in the same
+    /// order.
+    ///
+    /// Lines of one length and polarity are searched side by side, if no more than one other length is
+    /// in between. A line that leaves the image is searched alone, as far as it is inside, which takes
+    /// several times as long; an image of one row or one column has no edges.
+    ///
+    /// # Errors
+    /// When a line's half-length is not finite, not positive or above [`MAX_HALF_LENGTH_PX`], or
+    /// its sample is not finite; when a side of the image exceeds 32 767 px or a row 131 071 bytes.
+    pub fn search(
+        &mut self,
+        frame: &Frame<'_>,
+        cue: Cue<'_>,
+        scale: Scale,
+        lines: &[SearchLine],
+        measurements: &mut Vec<EdgeMeasurement>,
+    ) -> Result<()> {
+        let image = frame.image();
+        check_size(frame)?;
+        let Self { kernels, options, isa, wide, narrow, alone } = self;
+        let kernel = &kernels[scale as usize];
+        let log_ratio_image = cue.appearance().map(|appearance| appearance.log_ratio_image(frame));
+        let by_log_ratio = matches!(cue, Cue::LogRatio(_));
+        let variance_px2 = kernel.variance_at_one_grey * options.noise_grey.powi(2);
+        let pass = Pass { kernel, variance_px2, isa: *isa, image, log_ratio_image, by_log_ratio };
+        measurements.clear();
+        measurements.resize(lines.len(), Err(Miss::OutOfImage));
+        match isa {
+            Isa::Avx2 => pass.measure_all(wide, lines, measurements)?,
+            Isa::Baseline => pass.measure_all(narrow, lines, measurements)?,
+            Isa::Scalar => pass.measure_all(alone, lines, measurements)?,
+        }
+        if measurements.contains(&Err(Miss::OutOfImage)) {
+            pass.measure_visible(alone, lines, measurements)?;
+        }
+        Ok(())
+    }
+}
+
+/// Refuses a frame that no search takes: coordinates are 16.16 fixed point, places in memory 32 bits.
+pub(crate) fn check_size(frame: &Frame<'_>) -> Result<()> {
+    let image = frame.image();
+    let (width, height) = (image.width(), image.height());
+    if width.max(height) > lanes::MAX_SIDE_PX {
+        return Err(Error::ImageTooLarge { width, height, limit: lanes::MAX_SIDE_PX });
+    }
+    let stride = frame.colour().map_or(0, ColourView::stride).max(image.stride());
+    Error::within("row of the image [bytes]", stride as f64, "at most 131071", |s| {
+        s <= lanes::MAX_STRIDE as f64
+    })?;
+    Ok(())
+}
+
+/// The whole pixels that a line reaches to either side.
+fn whole_half_length(half_length_px: f64) -> Result<i32> {
+    Error::within("search half-length [px]", half_length_px, "positive and at most 128", |l| {
+        l > 0.0 && l <= MAX_HALF_LENGTH_PX as f64
+    })?;
+    let whole = half_length_px as i32;
+    Ok(whole + i32::from(f64::from(whole) < half_length_px))
+}
+
+/// Refuses a line that begins or leads nowhere.
+fn check_sample(PlacedSample { position, normal }: &PlacedSample) -> Result<()> {
+    if !(position.x + position.y + normal.x + normal.y).is_finite() {
+        Error::finite("search position [px]", position.x + position.y)?;
+        Error::finite("search normal", normal.x + normal.y)?;
+    }
+    Ok(())
+}
+
+/// The whole offsets of a line's samples, both ends included.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct Span {
+    from: i32,
+    to: i32,
+}
+
+impl Span {
+    fn samples(self) -> usize {
+        (self.to - self.from + 1) as usize
+    }
+
+    /// Whether the kernel fits at zero and at three places or more.
+    fn holds_answers(self, reach: i32) -> bool {
+        let (first, last) = (self.from + reach, self.to - reach);
+        last - first >= 2 && first <= 0 && last >= 0
+    }
+}
+
+/// Lines to be searched side by side.
+#[derive(Debug, Clone, Copy)]
+struct Batch<const N: usize> {
+    /// What all of them have in common: at which offsets their samples are, and what edges they look for.
+    key: (Span, Polarity),
+    starts: Starts<N>,
+    /// Which lines they are.
+    lines: [usize; N],
+    count: usize,
+}
+
+impl<const N: usize> Batch<N> {
+    fn of(key: (Span, Polarity)) -> Self {
+        Self { key, starts: Starts::default(), lines: [0; N], count: 0 }
+    }
+
+    #[inline]
+    fn push(&mut self, line: usize, sample: &PlacedSample) {
+        let PlacedSample { position, normal } = sample;
+        let j = self.count;
+        for (axis, (p, n)) in
+            [(position.x, normal.x), (position.y, normal.y)].into_iter().enumerate()
+        {
+            self.starts.positions[axis][j] = p;
+            self.starts.normals[axis][j] = n;
+        }
+        self.lines[j] = line;
+        self.count = j + 1;
+    }
+}
+
+/// What all lines of one search share.
+struct Pass<'a> {
+    kernel: &'a Kernel,
+    /// Var(offset) of the module's head times the squared contrast.
+    variance_px2: f64,
+    isa: Isa,
+    image: &'a GrayView<'a>,
+    log_ratio_image: Option<LogRatioImage<'a>>,
+    by_log_ratio: bool,
+}
+
+impl Pass<'_> {
+    /// Searches all lines, those that can be side by side. The measurement of a line that leaves the
+    /// image says so.
+    fn measure_all<const N: usize>(
+        &self,
+        lanes: &mut Lanes<N>,
+        lines: &[SearchLine],
+        measurements: &mut [EdgeMeasurement],
+    ) -> Result<()> {
+        let reach = self.kernel.reach() as i32;
+        // Along a contour, lengths that a motion asks for go to and fro between two.
+        let [mut one, mut another] =
+            [Batch::<N>::of((Span { from: 0, to: 0 }, Polarity::Unknown)); 2];
+        let (mut open, mut other) = (&mut one, &mut another);
+        let mut last = None;
+        for (i, line) in lines.iter().enumerate() {
+            // Most lines are as long as the one before.
+            let asked = Some((line.half_length_px.to_bits(), line.polarity));
+            if last != asked || open.count == N {
+                last = asked;
+                let wanted = whole_half_length(line.half_length_px)? + reach;
+                let key = (Span { from: -wanted, to: wanted }, line.polarity);
+                if open.key != key {
+                    std::mem::swap(&mut open, &mut other);
+                }
+                if open.key != key || open.count == N {
+                    self.measure(lanes, open, measurements);
+                    (open.key, open.count) = (key, 0);
+                }
+            }
+            check_sample(&line.sample)?;
+            open.push(i, &line.sample);
+        }
+        self.measure(lanes, open, measurements);
+        self.measure(lanes, other, measurements);
+        Ok(())
+    }
+
+    /// Searches those lines that leave the image as far as they are inside.
+    fn measure_visible(
+        &self,
+        alone: &mut Lanes<1>,
+        lines: &[SearchLine],
+        measurements: &mut [EdgeMeasurement],
+    ) -> Result<()> {
+        let reach = self.kernel.reach() as i32;
+        for (i, line) in lines.iter().enumerate() {
+            if matches!(measurements[i], Err(Miss::OutOfImage)) {
+                let wanted = whole_half_length(line.half_length_px)? + reach;
+                if let Some(span) = visible_span(self.image, &line.sample, wanted)
+                    .filter(|visible| visible.holds_answers(reach))
+                {
+                    let mut batch = Batch::of((span, line.polarity));
+                    batch.push(i, &line.sample);
+                    self.measure(alone, &batch, measurements);
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Searches the lines of a batch, if there are any, and notes what they find.
+    fn measure<const N: usize>(
+        &self,
+        lanes: &mut Lanes<N>,
+        batch: &Batch<N>,
+        measurements: &mut [EdgeMeasurement],
+    ) {
+        if batch.count > 0 {
+            self.isa.run(Search { pass: self, lanes, batch });
+            for (j, &line) in batch.lines[..batch.count].iter().enumerate() {
+                measurements[line] = self.found(lanes, j, batch.key);
+            }
+        }
+    }
+
+    /// What the last search found on line `j`; nothing where the line leaves the image.
+    #[inline]
+    fn found<const N: usize>(
+        &self,
+        lanes: &Lanes<N>,
+        j: usize,
+        (span, polarity): (Span, Polarity),
+    ) -> EdgeMeasurement {
+        if !lanes.is_inside(j) {
+            Err(Miss::OutOfImage)
+        } else if self.by_log_ratio {
+            self.log_ratio_change(lanes, j, span)
+        } else {
+            self.edge(lanes, j, span, polarity)
+        }
+    }
+
+    #[inline]
+    fn edge<const N: usize>(
+        &self,
+        lanes: &Lanes<N>,
+        j: usize,
+        span: Span,
+        polarity: Polarity,
+    ) -> EdgeMeasurement {
+        let (kernel, reach) = (self.kernel, self.kernel.reach());
+        let Peak { at, answers } = lanes.peak(j, &kernel.looking_for(polarity))?;
+        let contrast_grey = kernel.contrast(answers[1]);
+        Ok(Edge {
+            offset_px: f64::from(span.from + (reach + at) as i32) + parabola_peak(answers),
+            contrast_grey,
+            variance_px2: self.variance_px2 / (contrast_grey * contrast_grey),
+            separation: self.log_ratio_image.map(|_| f64::from(lanes.separation(j, at, reach))),
+        })
+    }
+
+    /// The most likely place of the contour if every pixel votes for itself: the votes inside it,
+    /// less those outside, are largest where the sum from the inner end is.
+    fn log_ratio_change<const N: usize>(
+        &self,
+        lanes: &Lanes<N>,
+        j: usize,
+        span: Span,
+    ) -> EdgeMeasurement {
+        let (at, separation) = lanes.log_ratio_change(j, self.kernel.reach())?;
+        if separation < MIN_SEPARATION {
+            return Err(Miss::NoContrast);
+        }
+        Ok(Edge {
+            // The sum up to sample i ends half a pixel before that sample.
+            offset_px: f64::from(span.from) + at as f64 - 0.5,
+            contrast_grey: 0.0,
+            variance_px2: LOG_RATIO_VARIANCE_PX2,
+            separation: Some(f64::from(separation)),
+        })
+    }
+}
+
+/// A batch's way through the lanes, for any instruction set.
+struct Search<'a, const N: usize> {
+    pass: &'a Pass<'a>,
+    lanes: &'a mut Lanes<N>,
+    batch: &'a Batch<N>,
+}
+
+impl<const N: usize> Work for Search<'_, N> {
+    #[expect(clippy::inline_always, reason = "so that it is compiled for every instruction set")]
+    #[inline(always)]
+    fn run(self) {
+        let Self { pass: Pass { kernel, image, log_ratio_image, by_log_ratio, .. }, lanes, batch } =
+            self;
+        let Batch { key: (span, polarity), starts, count, .. } = batch;
+        let size = [image.width(), image.height()];
+        lanes.set(starts, *count, span.from, span.samples(), size);
+        let log_ratio_image = log_ratio_image.as_ref();
+        if let (true, Some(log_ratio_image)) = (*by_log_ratio, log_ratio_image) {
+            lanes.sum_log_ratios(log_ratio_image);
+            return;
+        }
+        let kernel = kernel.looking_for(*polarity);
+        lanes.find_edges(
+            image,
+            &kernel,
+            log_ratio_image.map(|log_ratio_image| (log_ratio_image, &SCORING)),
+        );
+    }
+}
+
+impl Kernel {
+    fn new(scale_px: f64, options: &SearchOptions) -> Self {
+        let reach = (3.0 * scale_px).ceil() as usize;
+        let raw = |k: usize| {
+            let x = k as f64 / scale_px;
+            x * (-0.5 * x * x).exp()
+        };
+        let sum: f64 = (1..=reach).map(raw).sum();
+        let unit = f64::from(1_u32 << 16) / sum;
+        let blurred_scale_px = scale_px.hypot(options.blur_px);
+        let contrast_per_answer = blurred_scale_px / (scale_px * lanes::ANSWER_UNIT);
+        let least = (options.min_contrast_grey / contrast_per_answer).ceil();
+        Self {
+            weights: (1..=reach).map(|k| (unit * raw(k)).round() as u16).collect(),
+            // Of no contrast at all there is no edge.
+            least: least.max(1.0) as i16,
+            contrast_per_answer,
+            variance_at_one_grey: 0.75 * PI.sqrt() * blurred_scale_px.powi(6) / scale_px.powi(5),
+        }
+    }
+
+    /// What lanes look for.
+    fn looking_for(&self, polarity: Polarity) -> lanes::Kernel<'_> {
+        lanes::Kernel { weights: &self.weights, least: self.least, polarity }
+    }
+
+    /// How many pixels it covers on either side.
+    fn reach(&self) -> usize {
+        self.weights.len()
+    }
+
+    /// The contrast of a blurred step that answers with `answer`.
+    fn contrast(&self, answer: i16) -> f64 {
+        f64::from(answer) * self.contrast_per_answer
+    }
+}
+
+/// An edge whose two sides vote less differently than this is not the hand's; votes go to ±3.
+const MIN_SEPARATION: f32 = 1.0;
+/// How well a change of votes tells where the contour is \[px²\].
+const LOG_RATIO_VARIANCE_PX2: f64 = 1.0;
+/// What an e-fold of strength adds to the score of an edge, in units of separation.
+const STRENGTH_WEIGHT: f32 = 0.5;
+
+/// What lines whose pixels vote believe.
+const SCORING: Scoring =
+    Scoring { min_separation: MIN_SEPARATION, strength_weight: STRENGTH_WEIGHT };
+
+/// The whole offsets from −`half` to `half` whose samples lie in the image, if zero is among them.
+fn visible_span(image: &GrayView<'_>, sample: &PlacedSample, half: i32) -> Option<Span> {
+    let PlacedSample { position, normal } = sample;
+    let size = Vector2::new(image.width() as f64 - 1.0, image.height() as f64 - 1.0);
+    let (mut from, mut to) = (-f64::from(half), f64::from(half));
+    for (p, n, last) in [(position.x, normal.x, size.x), (position.y, normal.y, size.y)] {
+        if !(0.0..=last).contains(&p) {
+            return None;
+        }
+        if n != 0.0 {
+            let (a, b) = ((BORDER_MARGIN_PX - p) / n, (last - BORDER_MARGIN_PX - p) / n);
+            from = from.max(a.min(b));
+            to = to.min(a.max(b));
+        }
+    }
+    // Where nothing is visible the ends may be infinite.
+    let (from, to) = (from.min(1.0).ceil(), to.max(-1.0).floor());
+    Some(Span { from: from as i32, to: to as i32 })
+}
+
+/// The peak of the parabola through three neighbours, from the middle one \[samples\], in ±1/2.
+fn parabola_peak(answers: [i16; 3]) -> f64 {
+    let [before, at, after] = answers.map(f64::from);
+    let curvature = before - 2.0 * at + after;
+    if curvature == 0.0 {
+        return 0.0;
+    }
+    (0.5 * (before - after) / curvature).clamp(-0.5, 0.5)
+}

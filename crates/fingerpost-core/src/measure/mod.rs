@@ -1,0 +1,4 @@
+//! Edge measurements along the normals of a contour.
+
+pub mod edge;
+pub mod edge_search;

@@ -1,0 +1,444 @@
+//! Weighted least squares for the step of a shape vector.
+//!
+//! Every equation says that a step δ of the shape vector should move the contour by the measured
+//! offset along one normal: rowᵀ δ = offset, with the offset's variance. Robust weights (Tukey) are
+//! found by iterated reweighting; the scale of the residual offsets is estimated from themselves.
+//! The solver reports what the equations determine: when they leave a direction of the shape
+//! space open it says so and returns no step, instead of choosing one.
+//!
+//! The two-stage solve is that of the 1994 tracker: translation first, then the deformations from
+//! what the translation leaves over (Hollinghurst & Cipolla 1994; the *residual offsets* of
+//! section 3.3 of the paper). It is no optimum when the two are correlated.
+//!
+//! This module never sees a pixel.
+
+#![expect(
+    clippy::inline_always,
+    reason = "what is inlined into a function with wider instructions is compiled for them"
+)]
+
+mod equations;
+mod factor;
+mod lanes;
+
+pub use equations::{EquationBuffer, Equations};
+
+use super::fit::equations::{LANES, Lanes};
+use super::fit::factor::{Factor, NormalEquations, determined, two_stage};
+use super::fit::lanes::{
+    Accumulate, INLIER_WEIGHT, LeftOver, Select, Statistics, Tally, Weigh, total,
+};
+use crate::numeric::simd::{Isa, each};
+use crate::{Error, Result};
+use nalgebra::{SMatrix, SVector};
+
+/// How gross errors are kept from the solution.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Loss {
+    /// Plain least squares.
+    None,
+    /// Tukey's biweight: equations whose residual exceeds `cutoff` robust standard deviations have
+    /// no say. 4.685 keeps 95 % efficiency on clean Gaussian offsets. Range: above 1.
+    Tukey {
+        /// Where the weight reaches zero \[robust standard deviations\].
+        cutoff: f64,
+    },
+}
+
+/// In which order the unknowns are solved for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Solve {
+    /// All components of the shape vector at once.
+    Joint,
+    /// The two components of translation first, then the others from the residual offsets, as the
+    /// 1994 tracker did.
+    TwoStage,
+}
+
+/// Options of [`Fitter`].
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct FitOptions {
+    /// Robust loss.
+    pub loss: Loss,
+    /// Order of the solve.
+    pub solve: Solve,
+    /// At most this many reweighted solutions, 1–100.
+    pub max_iterations: usize,
+    /// The robust scale of the residual offsets is never taken below this \[px\], 0–10: it covers
+    /// what image noise does not, a hand that is not quite the template.
+    pub min_scale_px: f64,
+}
+
+impl Default for FitOptions {
+    fn default() -> Self {
+        Self {
+            loss: Loss::Tukey { cutoff: 4.685 },
+            solve: Solve::Joint,
+            max_iterations: 10,
+            min_scale_px: 0.05,
+        }
+    }
+}
+
+/// Where the residual offsets' root mean square exceeds their robust scale this much, gross errors
+/// pull at the plain solution. The first weighting cannot trust it then, so its cutoff is so much
+/// wider.
+const GROSS_RMS: f64 = 1.5;
+const FIRST_CUTOFF_FACTOR: f64 = 3.0;
+/// A step is lengthened by no more than this: where gross errors abound, the loss is not convex.
+const MOST_RELAXED: f64 = 1.5;
+/// Turns the median absolute deviation of a normal distribution into its standard deviation.
+const MAD_TO_SIGMA: f64 = 1.4826;
+/// Reweighting has settled when the step moves by less than this part of its own sigma. The moves
+/// shrink: what is left is a thousandth of the variance on average, and next to never a fifth of
+/// the sigma (`tests/fit.rs`). A contour that is searched for again goes on from there.
+const SETTLED: f64 = 0.2;
+
+const SIZES: usize = 64;
+
+/// A Gaussian belief about the step, from prediction or from what cannot change.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Prior<const D: usize> {
+    /// Expected step.
+    pub mean: SVector<f64, D>,
+    /// Inverse covariance of the belief; zero where nothing is believed.
+    pub information: SMatrix<f64, D, D>,
+}
+
+/// Whether the equations gave a step.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Outcome {
+    /// The step and its covariance are determined.
+    Determined,
+    /// There are fewer equations than unknowns, and no prior.
+    TooFewEquations,
+    /// The equations and the prior leave `D − rank` directions of the shape space open, or hold
+    /// numbers that are none.
+    Undetermined,
+}
+
+/// What a fit found, and how well.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct FitReport<const D: usize> {
+    /// Whether `step` and `covariance` mean anything.
+    pub outcome: Outcome,
+    /// The step δ; zero unless determined.
+    pub step: SVector<f64, D>,
+    /// Σ w row rowᵀ / variance, plus the prior's.
+    pub information: SMatrix<f64, D, D>,
+    /// Covariance of the step, scaled by the residuals; zero unless determined.
+    pub covariance: SMatrix<f64, D, D>,
+    /// How many directions of the shape space the information determines.
+    pub rank: usize,
+    /// Solutions computed until the weights settled.
+    pub iterations: usize,
+    /// Equations given.
+    pub equations: usize,
+    /// Equations with more than a tenth of their full weight.
+    pub inliers: usize,
+    /// Root mean square of the inliers' residual offsets \[px\].
+    pub residual_rms_px: f64,
+    /// Robust standard deviation of the residual offsets \[px\].
+    pub residual_scale_px: f64,
+}
+
+/// Solves for steps; owns the buffers, so that solving allocates nothing once they have grown.
+#[derive(Debug, Clone)]
+pub struct Fitter {
+    options: FitOptions,
+    /// Variance of the residual offsets beyond that of the measurements.
+    misfit_px2: f64,
+    count: usize,
+    weights: Vec<Lanes>,
+    /// Weights over variances: what the equations count.
+    precisions: Vec<Lanes>,
+    residuals: Vec<Lanes>,
+    /// Sizes of the residuals, as the upper halves of bit patterns in single precision: they have
+    /// the same order.
+    sizes: Vec<[i16; SIZES]>,
+    isa: Isa,
+}
+
+/// Equations of this many samples fit without another allocation.
+const USUAL_EQUATIONS: usize = 1024;
+
+impl Fitter {
+    /// A solver with the given options.
+    ///
+    /// # Errors
+    /// When an option is not finite or outside its documented range.
+    pub fn new(options: FitOptions) -> Result<Self> {
+        if let Loss::Tukey { cutoff } = options.loss {
+            Error::within("Tukey cutoff [robust sigma]", cutoff, "above 1", |c| c > 1.0)?;
+        }
+        Error::within("most iterations", options.max_iterations as f64, "1 to 100", |n| {
+            (1.0..=100.0).contains(&n)
+        })?;
+        Error::within("least residual scale [px]", options.min_scale_px, "0 to 10", |s| {
+            (0.0..=10.0).contains(&s)
+        })?;
+        let groups = USUAL_EQUATIONS.div_ceil(LANES);
+        let buffer = || Vec::with_capacity(groups);
+        Ok(Self {
+            options,
+            misfit_px2: 0.0,
+            count: 0,
+            weights: buffer(),
+            precisions: buffer(),
+            residuals: buffer(),
+            sizes: Vec::with_capacity(USUAL_EQUATIONS.div_ceil(SIZES)),
+            isa: Isa::detect(),
+        })
+    }
+
+    /// The same solver with another instruction set than the processor's widest: slower, with the
+    /// same results to the last bit.
+    #[must_use]
+    pub fn with_isa(self, isa: Isa) -> Self {
+        Self { isa, ..self }
+    }
+
+    /// The options in force.
+    #[must_use]
+    pub fn options(&self) -> &FitOptions {
+        &self.options
+    }
+
+    /// Residual offsets of the last solution \[px\], in the order of its equations.
+    #[must_use]
+    pub fn residuals(&self) -> &[f64] {
+        &self.residuals.as_flattened()[..self.count]
+    }
+
+    /// Robust weights of the last solution, 0–1, in the order of its equations.
+    #[must_use]
+    pub fn weights(&self) -> &[f64] {
+        &self.weights.as_flattened()[..self.count]
+    }
+
+    /// Whether each equation agrees with the last solution, in their order: the inliers.
+    #[must_use]
+    pub fn agreeing(&self) -> impl ExactSizeIterator<Item = bool> {
+        self.weights().iter().map(|&weight| weight > INLIER_WEIGHT)
+    }
+
+    /// The step that the equations, and the prior if there is one, agree on.
+    ///
+    /// The variances of the equations are those of their measurements; what the residual offsets
+    /// scatter beyond that is misfit of the model, the same for all, and is added to each.
+    pub fn solve<const D: usize>(
+        &mut self,
+        equations: &Equations<'_, D>,
+        prior: Option<&Prior<D>>,
+    ) -> FitReport<D> {
+        self.solve_with_scale(equations, prior, (self.options.min_scale_px, f64::INFINITY))
+    }
+
+    /// [`solve`](Self::solve) with the scale of the residual offsets kept between two \[px\], none
+    /// negative; the least counts where it is above the largest. While a contour is still far from
+    /// its edges, the few that tell how far must not pass for gross errors; and where its edges are
+    /// known to lie close, gross errors must not pass for a contour that fits badly.
+    pub fn solve_with_scale<const D: usize>(
+        &mut self,
+        equations: &Equations<'_, D>,
+        prior: Option<&Prior<D>>,
+        (min_scale_px, max_scale_px): (f64, f64),
+    ) -> FitReport<D> {
+        let least_misfit_px2 = self.options.min_scale_px * self.options.min_scale_px;
+        self.misfit_px2 = least_misfit_px2;
+        self.count = equations.len();
+        self.residuals.clear();
+        self.residuals.extend_from_slice(&equations.0.offsets_px);
+        self.weights.resize(self.residuals.len(), [0.0; LANES]);
+        self.precisions.resize(self.residuals.len(), [0.0; LANES]);
+        self.sizes.clear();
+        self.sizes.resize(self.count.div_ceil(SIZES), [0; SIZES]);
+        self.weigh(equations, f64::INFINITY);
+        if prior.is_none() && equations.len() < D {
+            return self.undetermined(equations, Outcome::TooFewEquations, SMatrix::zeros(), 0);
+        }
+        let measured_px2 = mean_variance(equations);
+        let mut step = SVector::zeros();
+        let (mut iteration, mut relaxation, mut is_final) = (0, 1.0, false);
+        loop {
+            iteration += 1;
+            let normal = self.normal_equations(equations, prior);
+            let factor = match determined(&normal.information) {
+                Ok(factor) => factor,
+                Err(rank) => {
+                    let outcome = Outcome::Undetermined;
+                    return self.undetermined(equations, outcome, normal.information, rank);
+                }
+            };
+            let solution = match self.options.solve {
+                Solve::Joint => factor.solve(&normal.right),
+                Solve::TwoStage => two_stage(&normal),
+            };
+            let moved = (solution - step) * relaxation;
+            step += moved;
+            if !step.iter().all(|s| s.is_finite()) {
+                let outcome = Outcome::Undetermined;
+                return self.undetermined(equations, outcome, normal.information, 0);
+            }
+            let rms_px = self.update_residuals(equations, &step);
+            let settled = moved.dot(&(normal.information * moved)) < SETTLED * SETTLED * D as f64;
+            if self.options.loss == Loss::None
+                || (is_final && settled)
+                || iteration >= self.options.max_iterations
+            {
+                return self.determined(equations, step, &factor, normal.information, iteration);
+            }
+            let scale_px = self.residual_scale();
+            self.misfit_px2 = (scale_px * scale_px - measured_px2).max(least_misfit_px2);
+            let scale_px = scale_px.min(max_scale_px).max(min_scale_px);
+            is_final = iteration > 1 || rms_px <= GROSS_RMS * scale_px;
+            let widened = if is_final { 1.0 } else { FIRST_CUTOFF_FACTOR };
+            relaxation = self.weigh(equations, widened * scale_px);
+        }
+    }
+
+    fn normal_equations<const D: usize>(
+        &self,
+        equations: &Equations<'_, D>,
+        prior: Option<&Prior<D>>,
+    ) -> NormalEquations<D> {
+        let (mut products, mut offsets) = ([[[0.0; LANES]; D]; D], [[0.0; LANES]; D]);
+        self.isa.run(Accumulate {
+            equations,
+            precisions: &self.precisions,
+            products: &mut products,
+            offsets: &mut offsets,
+        });
+        let mut information = SMatrix::from_fn(|a, b| total(&products[a.min(b)][a.max(b)]));
+        let mut right = SVector::from_fn(|a, _| total(&offsets[a]));
+        if let Some(prior) = prior {
+            information += prior.information;
+            right += prior.information * prior.mean;
+        }
+        NormalEquations { information, right }
+    }
+
+    /// Takes over what a step leaves of the offsets; its root mean square \[px\].
+    fn update_residuals<const D: usize>(
+        &mut self,
+        equations: &Equations<'_, D>,
+        step: &SVector<f64, D>,
+    ) -> f64 {
+        let Self { residuals, sizes, .. } = self;
+        let mut squares_px2 = [0.0; LANES];
+        let sizes = sizes.as_flattened_mut();
+        let squares = &mut squares_px2;
+        self.isa.run(LeftOver { equations, step, residuals, sizes, squares_px2: squares });
+        (total(&squares_px2) / equations.len().max(1) as f64).sqrt()
+    }
+
+    /// Robust standard deviation of the residual offsets \[px\].
+    fn residual_scale(&self) -> f64 {
+        if self.count == 0 {
+            return 0.0;
+        }
+        // Places without an equation have the smallest size there is.
+        let empty = self.sizes.len() * SIZES - self.count;
+        let rank = empty + self.count / 2;
+        let mut median = 0.0;
+        let sizes = self.sizes.as_flattened();
+        self.isa.run(Select { sizes, rank, selected: &mut median });
+        MAD_TO_SIGMA * f64::from(median)
+    }
+
+    /// Weighs the equations by their residual offsets, for these have such a scale \[px\]. How many
+    /// times farther than the solution of the weighted equations is the loss's least value, if it is
+    /// about what a parabola would make of it.
+    fn weigh<const D: usize>(&mut self, equations: &Equations<'_, D>, scale_px: f64) -> f64 {
+        let limit_px = match self.options.loss {
+            Loss::None => f64::INFINITY,
+            Loss::Tukey { cutoff } => cutoff * scale_px,
+        };
+        let Self { misfit_px2, residuals, weights, precisions, .. } = self;
+        let misfit_px2 = *misfit_px2;
+        // Of a scale of zero, which exact data may have, zero residuals are within.
+        let per_limit = limit_px.recip().min(f64::MAX);
+        let (mut weight, mut within) = ([0.0; LANES], [0.0; LANES]);
+        let sums = (&mut weight, &mut within);
+        self.isa.run(Weigh {
+            equations,
+            misfit_px2,
+            residuals,
+            per_limit,
+            weights,
+            precisions,
+            sums,
+        });
+        // Reweighting takes w for the slope of ψ(r) = w r, which is w (5 √w − 4) / √w. Lanes without
+        // an equation have weights of one.
+        let empty = (residuals.len() * LANES - equations.len()) as f64;
+        let (weight, within) = (total(&weight) - empty, total(&within) - empty);
+        let slope = 5.0 * weight - 4.0 * within;
+        if slope * MOST_RELAXED > weight { weight / slope } else { MOST_RELAXED }
+    }
+
+    fn determined<const D: usize>(
+        &mut self,
+        equations: &Equations<'_, D>,
+        step: SVector<f64, D>,
+        factor: &Factor<D>,
+        information: SMatrix<f64, D, D>,
+        iterations: usize,
+    ) -> FitReport<D> {
+        let statistics = self.statistics(equations);
+        FitReport {
+            outcome: Outcome::Determined,
+            step,
+            information,
+            covariance: factor.inverse() * statistics.variance_factor(D),
+            rank: D,
+            iterations,
+            equations: equations.len(),
+            inliers: statistics.inliers as usize,
+            residual_rms_px: statistics.rms_px(),
+            residual_scale_px: self.residual_scale(),
+        }
+    }
+
+    fn undetermined<const D: usize>(
+        &mut self,
+        equations: &Equations<'_, D>,
+        outcome: Outcome,
+        information: SMatrix<f64, D, D>,
+        rank: usize,
+    ) -> FitReport<D> {
+        let statistics = self.statistics(equations);
+        FitReport {
+            outcome,
+            step: SVector::zeros(),
+            information,
+            covariance: SMatrix::zeros(),
+            rank,
+            iterations: 0,
+            equations: equations.len(),
+            inliers: statistics.inliers as usize,
+            residual_rms_px: statistics.rms_px(),
+            residual_scale_px: self.residual_scale(),
+        }
+    }
+
+    fn statistics<const D: usize>(&self, equations: &Equations<'_, D>) -> Statistics {
+        let mut statistics = Statistics::default();
+        let Self { weights, precisions, residuals, .. } = self;
+        self.isa.run(Tally { weights, precisions, residuals, statistics: &mut statistics });
+        // Lanes without an equation agree with every solution.
+        let empty = residuals.len() * LANES - equations.len();
+        statistics.weight -= empty as f64;
+        statistics.inliers -= empty as f64;
+        statistics
+    }
+}
+
+/// Mean variance of the offsets \[px²\].
+fn mean_variance<const D: usize>(equations: &Equations<'_, D>) -> f64 {
+    let (variances_px2, count) = (&equations.0.variances_px2, equations.len());
+    let sums = variances_px2.iter().fold([0.0; LANES], |sums, lanes| each(|j| sums[j] + lanes[j]));
+    // Lanes without an equation have a variance of one.
+    let empty = variances_px2.len() * LANES - count;
+    (total(&sums) - empty as f64) / count.max(1) as f64
+}

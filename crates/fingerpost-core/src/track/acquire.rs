@@ -1,0 +1,339 @@
+//! *Acquiring*, for the first time or after a loss: a hand at the waiting template is moulded,
+//! settled on, looked at anew in its own colours, and followed from there.
+
+use super::appearance::EdgeCue;
+use super::axis_curvature::AxisCurvature;
+use super::fit_result::{FitResult, Refusal};
+use super::foreground_test::ForegroundTest;
+use super::hand::{LastKnown, MOST_COVERED_FRAMES, SearchPlan};
+use super::hypotheses::Selection;
+use super::initialise::TemplateInitialiser;
+use super::motion_prediction::misfit;
+use super::motion_prior::MotionPrior;
+use super::options::{AcceptOptions, AcquireOptions, Model};
+use super::outcome::{Track, track};
+use super::scene::Scene;
+use super::separation::stands_out;
+use super::shape::Shape;
+use super::silhouette::Shaft;
+use super::status::Status;
+use super::tracker::{ContourTracker, LOST_REACH, NEAR_PX, Phase};
+use super::validation::BendState;
+use super::variance_factor::VarianceFactor;
+use crate::Result;
+use crate::geometry::planar::AffineMap;
+use crate::geometry::ribbon::{RIBBON_DOF, RibbonVector};
+use crate::geometry::shape_space::{Pose, ShapeSpace};
+use crate::geometry::template::{Limb, Part};
+use crate::measure::edge::Scale;
+use crate::solve::dynamics::Dynamics;
+use nalgebra::Vector2;
+
+/// How often the settled hand is looked at anew in its own colours, and how much more freely than
+/// while it is tracked.
+const COLOUR_REFIT_ROUNDS: usize = 3;
+const COLOUR_REFIT_SLACK: f64 = 4.0;
+/// A hand that settled has turned by no more than this once its looks are known \[rad\], and slid
+/// aside by no more than this part of its half-width: the line does not hang on how it is looked for.
+const MOST_TURNED_RAD: f64 = 0.2;
+const MAX_LATERAL: f64 = 0.5;
+/// And it has slid by no more than this part of the template's length, or what the template reaches.
+const MOST_SLID: f64 = 0.5;
+/// By these edges, its inside is still told from its outside and its contour is explained to this part
+/// of how well they were.
+const KEPT_SEPARATION: f64 = 0.9;
+
+impl ContourTracker {
+    /// One frame of looking for a lost hand: where it was last, then at the waiting template.
+    pub(super) fn recover(
+        &mut self,
+        frame: &Scene<'_>,
+        time_s: f64,
+        settled: usize,
+        last: LastKnown,
+    ) -> Result<Track> {
+        let LastKnown { shape, kind, measure } = last;
+        let settling = std::mem::replace(&mut self.hand.kind, kind);
+        self.hand.measure = measure;
+        let reach_px = LOST_REACH * self.largeness() * self.options.track.half_length_px;
+        let accept = self.options.acquire.accept;
+        let Selection { found, likeness, .. } = self.find(frame, shape, reach_px, None)?;
+        let validation = self.validation(&accept, None);
+        if let (Ok(()), Some(fit)) = (validation.judge(&found, likeness), &found.fit) {
+            let min_inliers = validation.min_agreement(fit, likeness);
+            let accept = AcceptOptions { min_inliers, ..accept };
+            let bend = self.bend(frame, &found)?;
+            let bend_state = self.hand.bend_state.after(bend.as_ref(), &found);
+            if !bend_state.is_bent() {
+                self.hand.shape = found.shape;
+                self.start(time_s, &found, bend_state)?;
+                self.hand.is_back = true;
+                let track = self.tracked(frame, time_s, &found, &accept)?;
+                return Ok(track.bent(bend.as_ref()));
+            }
+        }
+        self.hand.kind = settling;
+        self.hand.measure = self.initial.measure;
+        self.acquire(frame, time_s, settled, Some(last))
+    }
+
+    /// One frame of acquisition, for the first time or after a loss.
+    pub(super) fn acquire(
+        &mut self,
+        frame: &Scene<'_>,
+        time_s: f64,
+        settled: usize,
+        lost: Option<LastKnown>,
+    ) -> Result<Track> {
+        let AcquireOptions { accept, settle_frames, settle_change, .. } = self.options.acquire;
+        let width_before = self.hand.shape.width();
+        let (mut found, mut refusal) = self.search_initial(frame, settled)?;
+        if refusal.is_some() && (1..settle_frames).contains(&settled) {
+            // It has moved on farther than edges lead: the template still waits there.
+            (found, refusal) = self.search_initial(frame, 0)?;
+        }
+        let accepted = refusal.is_none();
+        let change = (found.shape.width() / width_before - 1.0).abs();
+        let settled = match (accepted, settled) {
+            (false, _) => 0,
+            (true, 0) => 1,
+            (true, n) if change <= settle_change => n + 1,
+            (true, _) => 1,
+        };
+        if accepted {
+            self.hand.shape = found.shape;
+        } else {
+            self.hand.shape = self.initial.shape(&self.template);
+            self.hand.kind = self.initial.kind(&self.options);
+        }
+        self.hand.measure = self.initial.measure;
+        let mut misfit_bend = None;
+        if settled >= settle_frames {
+            let before = self.hand.clone();
+            if let Some(acquired) = self.freeze(frame, &found)? {
+                let bend = self.bend(frame, &acquired)?;
+                let bend_state = BendState::Straight.after(bend.as_ref(), &acquired);
+                if !bend_state.is_bent() {
+                    let accept = self.options.track.accept;
+                    self.start(time_s, &acquired, bend_state)?;
+                    let track = self.tracked(frame, time_s, &acquired, &accept)?;
+                    return Ok(track.bent(bend.as_ref()));
+                }
+                (refusal, misfit_bend) = (Some(Refusal::Misfit), bend);
+                self.hand = before;
+            } else {
+                self.hand = before;
+            }
+        }
+        let (phase, status) = lost
+            .map_or((Phase::Acquiring { settled }, Status::Acquiring), |last| {
+                (Phase::Lost { last, settled }, Status::Lost)
+            });
+        self.phase = phase;
+        Ok(track(time_s, status, &found, &accept, refusal).bent(misfit_bend.as_ref()))
+    }
+
+    /// What is found without what is known of the background, or else with it, and why it is no hand.
+    pub(super) fn search_initial(
+        &mut self,
+        frame: &Scene<'_>,
+        settled: usize,
+    ) -> Result<(FitResult, Option<Refusal>)> {
+        let alone = self.settled(&frame.alone(), settled)?;
+        if alone.1.is_none() || frame.background().is_none() {
+            return Ok(alone);
+        }
+        self.settled(frame, settled)
+    }
+
+    /// What is found at the waiting template or where it was, and why it is no hand. What lies on the
+    /// table is none, nor is the inside of a hand: a finger shows foreground inside its outline and
+    /// less of it outside, as far as what is behind it is known. A thumb may lie before the hand.
+    fn settled(
+        &mut self,
+        frame: &Scene<'_>,
+        settled: usize,
+    ) -> Result<(FitResult, Option<Refusal>)> {
+        let found = self.initialise(frame, settled)?;
+        let refusal = found.refusal(&self.options.acquire.accept);
+        let is_table = || self.stands_free(frame, &found.shape) == Some(false);
+        let refusal = refusal.or_else(|| is_table().then_some(Refusal::Background));
+        Ok((found, refusal))
+    }
+
+    /// Whether a finger stands free of the table; `None` where that is not known.
+    fn stands_free(&self, frame: &Scene<'_>, shape: &Shape) -> Option<bool> {
+        let mut foreground_test = ForegroundTest::before(frame.table()?, shape.width());
+        self.hand.outline(shape, &self.samples, |part, placed| {
+            if part != Part::Thumb {
+                foreground_test.add(&placed);
+            }
+        });
+        foreground_test.is_free()
+    }
+
+    /// The hand at the waiting template, or where an earlier frame has found it.
+    fn initialise(&mut self, frame: &Scene<'_>, settled: usize) -> Result<FitResult> {
+        let initialise = TemplateInitialiser {
+            options: &self.options,
+            samples: &self.samples,
+            initial: &self.initial.ribbon,
+            measure: self.initial.measure,
+        };
+        let initialised = match self.hand.shape {
+            _ if self.template.proportions().is_none() => {
+                let half_length_px = self.options.acquire.reach_px(self.initial.ribbon[3]);
+                return self.affine(frame, self.initial.map, half_length_px);
+            }
+            Shape::Ribbon(x) if settled > 0 => {
+                initialise.refit(&mut self.convergence, frame, &x, self.hand.kind)?
+            }
+            _ => initialise.find(&mut self.convergence, frame)?,
+        };
+        self.hand.kind = initialised.kind;
+        Ok(initialised.hand.into())
+    }
+
+    /// Keeps the settled hand's dimensions and looks: tracking starts from them. None if they are not
+    /// those of one finger, or the paper's template cannot take them on or explains them badly.
+    fn freeze(&mut self, frame: &Scene<'_>, settled: &FitResult) -> Result<Option<FitResult>> {
+        self.hand.shaded = None;
+        self.refit_in_colours(frame, settled)?;
+        self.find_shaded_flank(frame)?;
+        let takes_length = self.takes_length && self.options.model == Model::Ribbon;
+        if takes_length && !self.take_length(frame, settled)? {
+            return Ok(None);
+        }
+        let ahead_px = self.initial.measure.round_end_px - self.hand.measure.round_end_px;
+        if let Some(appearance) = &mut self.hand.appearance {
+            appearance.anchor();
+        }
+        let frozen = match (self.hand.shape, self.options.model) {
+            (Shape::Ribbon(x), Model::Ribbon) => {
+                self.hand.acquired = x;
+                self.fit_stages(frame, (self.hand.shape, Scale::Fine, None, EdgeCue::HandEdges))?
+            }
+            (Shape::Ribbon(x), Model::Paper) => {
+                self.hand.acquired = x;
+                let length_px = self.hand.measure.length_px;
+                // A thumb that the image shows nearly along the finger makes no pistol; the finger
+                // does without it.
+                let with_thumb = self.hand.kind.has_thumb;
+                let pistol = self.template.fitted(&x, length_px, with_thumb);
+                self.hand.kind.has_thumb = with_thumb && pistol.is_ok();
+                let Ok(template) = pistol.or_else(|_| self.template.fitted(&x, length_px, false))
+                else {
+                    return Ok(None);
+                };
+                self.hand.fitted = template.samples(self.options.samples)?;
+                let tip = self.ribbon::<RIBBON_DOF>(&x)?.pose(&x).axis().tip;
+                self.affine(frame, AffineMap::upright(tip, x[2], length_px)?, NEAR_PX)?
+            }
+            (Shape::Planar(map), _) => self.affine(frame, map, NEAR_PX)?,
+        };
+        // A hand that stays has not slid along what is behind it.
+        let slid = frozen.shape.placement() - settled.shape.ahead(ahead_px).placement();
+        let length_px = self.initial.measure.length_px;
+        let most_px =
+            self.options.acquire.reach_px(self.initial.ribbon[3]).max(MOST_SLID * length_px);
+        let (sin, cos) = settled.shape.placement()[2].sin_cos();
+        let lateral_px = (slid.y * cos - slid.x * sin).abs();
+        // One that has left the shade has become wider on one side.
+        let widened_px =
+            self.hand.shaded.map_or(0.0, |_| frozen.shape.width() - settled.shape.width());
+        let stays = slid.xy().norm() <= most_px
+            && lateral_px <= MAX_LATERAL * settled.shape.width() + widened_px.max(0.0)
+            && slid[2].sin().abs() <= MOST_TURNED_RAD;
+        let accepted = stays
+            && frozen.is_accepted(&self.options.track.accept)
+            && stands_out(self.finger_separation(frame), frozen.explains_finger(), || {
+                self.stands_free(frame, &frozen.shape)
+            });
+        if accepted {
+            self.hand.shape = frozen.shape;
+        }
+        Ok(accepted.then_some(frozen))
+    }
+
+    /// Learns what the settled hand looks like, and looks at it once more in the mixture of colours
+    /// that shows it best: a shaded flank or the tip, which grey may have hidden, comes out now.
+    fn refit_in_colours(&mut self, frame: &Scene<'_>, settled: &FitResult) -> Result<()> {
+        let mut explained_before = settled.explains_finger();
+        let mut separation_before = self.finger_separation(frame);
+        for _ in 0..COLOUR_REFIT_ROUNDS {
+            self.hand.appearance = None;
+            self.learn_appearance(frame, 1)?;
+            let (Shape::Ribbon(x), true) = (self.hand.shape, self.hand.is_mixed()) else {
+                return Ok(());
+            };
+            let half_length_px = self.options.acquire.reach_px(self.initial.ribbon[3]);
+            let plan =
+                SearchPlan { edge_cue: EdgeCue::AnyEdge, ..SearchPlan::edges(half_length_px) };
+            let turned = self.run_ribbon::<3>(frame, &x, Limb::Finger, plan, None)?;
+            self.hand.acquired = x;
+            let held = self.held::<5>(&x, COLOUR_REFIT_SLACK);
+            let finger = self.run_ribbon::<5>(frame, &turned.x, Limb::Finger, plan, Some(&held))?;
+            let found = FitResult::from(finger);
+            if found.is_accepted(&self.options.acquire.accept) {
+                self.hand.shape = Shape::Ribbon(with_thumb_of(&x, &finger.x));
+                let now = self.finger_separation(frame);
+                let explained = found.explains_finger();
+                if now < KEPT_SEPARATION * separation_before
+                    || explained < KEPT_SEPARATION * explained_before
+                {
+                    self.hand.shape = Shape::Ribbon(x);
+                    return Ok(());
+                }
+                (separation_before, explained_before) = (now, explained);
+            }
+        }
+        Ok(())
+    }
+
+    /// How well the last search's contour tells the inside of the finger from its outside.
+    pub(super) fn finger_separation(&mut self, frame: &Scene<'_>) -> f64 {
+        let Self { hand, samples, convergence, .. } = self;
+        let shaft = match &hand.shape {
+            Shape::Ribbon(x) => Some(Shaft::of_band(x, hand.measure.length_px)),
+            Shape::Planar(_) => None,
+        };
+        convergence.finger_separation(
+            hand.fingers(samples),
+            frame,
+            &hand.shape.silhouette(),
+            shaft.as_ref(),
+        )
+    }
+
+    /// A hand that was found is followed from here.
+    fn start(&mut self, time_s: f64, found: &FitResult, bend_state: BendState) -> Result<()> {
+        let large = self.largeness();
+        self.gate = self.options.gate(large)?;
+        let options = &self.options.track.dynamics;
+        let (components, gap_s) = (options.components(large), options.longest_gap_s);
+        let at = found.shape.placement();
+        self.dynamics = Some(Dynamics::start(components, gap_s, time_s, &at, &misfit())?);
+        self.motion_prior = MotionPrior::unknown();
+        self.line_filter.forget();
+        self.axis_curvature = AxisCurvature::default();
+        self.variance_factor = VarianceFactor::default();
+        self.hand.usual_px = found.fit.map_or(f64::INFINITY, |fit| fit.residual_rms_px);
+        self.hand.partly_frames = MOST_COVERED_FRAMES;
+        self.hand.is_covered = false;
+        self.hand.count_partly(found);
+        self.hand.thumb_missed = 0;
+        self.hand.bend_state = bend_state;
+        self.hand.is_back = false;
+        (self.hand.bent_frames, self.hand.straight_frames) = (0, 0);
+        self.phase = Phase::Tracking { missed: 0 };
+        Ok(())
+    }
+}
+
+/// A finger that was fitted alone, its thumb where that of the hand was.
+pub(super) fn with_thumb_of(hand: &RibbonVector, finger: &RibbonVector) -> RibbonVector {
+    let slid = finger.fixed_rows::<2>(0) - hand.fixed_rows::<2>(0);
+    let mut together = *finger;
+    together[5] -= slid.dot(&Vector2::new(hand[2].cos(), hand[2].sin()));
+    together
+}

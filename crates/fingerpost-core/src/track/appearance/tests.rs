@@ -1,0 +1,91 @@
+//! What is taught is private to the tracker, and what it must agree with is what was painted.
+
+use super::super::convergence::UNSEEN_FRAMES;
+use super::*;
+use crate::image::frame::ColourView;
+use crate::image::gray::GrayView;
+use nalgebra::{Point2, Vector2};
+
+const SIDE: usize = 80;
+/// The hand ends here, before paper above and before something else below \[px\].
+const EDGE: f64 = 40.0;
+const SKIN: [f64; 3] = [124.0, 139.0, 175.0];
+const PAPER: [f64; 3] = [191.0, 184.0, 178.0];
+const WOOD: [f64; 3] = [104.0, 124.0, 141.0];
+const BLUE: [f64; 3] = [170.0, 90.0, 60.0];
+
+/// For how long the paper was seen, and how long that is remembered.
+const SEEN_FRAMES: usize = 30;
+const KEEP: f64 = 0.8;
+
+/// Looks of a hand that was seen before paper for long, after a frame in which its lower half shows
+/// no edge: what that half is of, and what is behind it.
+fn taught(inside: [f64; 3], behind: [f64; 3]) -> [AppearanceModel; 2] {
+    let colour_at = |i: usize| {
+        let (x, y) = (i % SIDE, i / SIDE);
+        let below = 2 * y >= SIDE;
+        let colour = match (x < EDGE as usize, below) {
+            (true, false) => SKIN,
+            (true, true) => inside,
+            (false, false) => PAPER,
+            (false, true) => behind,
+        };
+        // Shades are many, and noise is of every channel's own.
+        let shade = 1.0 - 0.03 * ((3 * x + 7 * y) % 11) as f64;
+        let noise = |k: usize| ((5 * x + 3 * y + 4 * k * (x + 1)) % 7) as f64 - 3.0;
+        [0, 1, 2].map(|k| (shade * colour[k] + noise(k)) as u8)
+    };
+    let colours: Vec<[u8; 3]> = (0..SIDE * SIDE).map(colour_at).collect();
+    let greys: Vec<u8> = colours.iter().map(|[_, g, _]| *g).collect();
+    let gray = GrayView::new(&greys, SIDE, SIDE, SIDE).unwrap();
+    let colour = ColourView::new(colours.as_flattened(), SIDE, SIDE, 3 * SIDE).unwrap();
+    let frame = Frame::coloured(gray, colour).unwrap();
+    let at = |y: usize| PlacedSample {
+        position: Point2::new(EDGE - 0.5, y as f64),
+        normal: Vector2::x(),
+    };
+    let edges: Vec<_> = (4..SIDE / 2 - 2).map(at).collect();
+    let unseen: Vec<_> = (SIDE / 2 + 2..SIDE - 4).map(at).collect();
+    let finger = Silhouette { ahead: Vector2::y(), half_width_px: 8.0 };
+    let mut image = DiscriminantImage::default();
+    let mut before = AppearanceModel::new(true);
+    let contour = Contour { edges: &edges, unseen: &[] };
+    for _ in 0..SEEN_FRAMES {
+        before.learn(&frame, &mut image, &contour, &finger, (KEEP, 1.0)).unwrap();
+    }
+    let mut after = before.clone();
+    let contour = Contour { edges: &[], unseen: &unseen };
+    after.learn(&frame, &mut image, &contour, &finger, (1.0, UNSEEN_FRAMES)).unwrap();
+    [before, after]
+}
+
+/// How much brighter skin is than wood as a mixture shows them \[grey levels\].
+fn contrast(appearance: &AppearanceModel) -> f64 {
+    let colours = [SKIN, WOOD].map(|colour| colour.map(|c| c as u8));
+    let gray = GrayView::new(&[0; 2], 2, 1, 2).unwrap();
+    let colour = ColourView::new(colours.as_flattened(), 2, 1, 6).unwrap();
+    let frame = Frame::coloured(gray, colour).unwrap();
+    let mut image = DiscriminantImage::default();
+    let mixture = appearance.discriminant.mixture().unwrap();
+    let shown = image.of(&frame, mixture, [0.0, 2.0, 0.0, 1.0]).unwrap();
+    let [texture, wood] = [0, 1].map(|x| f64::from(shown.image().pixel(x, 0).unwrap()));
+    texture - wood
+}
+
+#[test]
+fn what_is_behind_a_hand_is_learned_where_no_edge_shows_it() {
+    let [before, after] = taught(SKIN, WOOD);
+    // Half of the least contrast of a hand is that of an edge that counts.
+    assert!(contrast(&before) < 9.0, "{}", contrast(&before));
+    assert!(contrast(&after) >= 17.0, "{}", contrast(&after));
+    assert!(after.plain.separation() > 2.0);
+}
+
+#[test]
+fn a_hand_behind_it_and_what_covers_it_teach_nothing() {
+    for (inside, behind) in [(SKIN, SKIN), (BLUE, WOOD), (BLUE, BLUE)] {
+        let [before, after] = taught(inside, behind);
+        assert_eq!(after.discriminant.mixture(), before.discriminant.mixture());
+        assert_eq!(after.plain, before.plain);
+    }
+}

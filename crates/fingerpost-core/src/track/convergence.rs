@@ -1,0 +1,540 @@
+//! Gauss–Newton in one shape space: measure, linearise, solve, move, until nothing moves.
+
+use super::appearance::{AppearanceModel, Contour, EdgeCue, SearchModel};
+use super::design_effect::design_effect;
+use super::estimate::{MAX_DOF, ShapeEstimate};
+use super::normals::{KERNEL_REACH_PX, Normals, SearchedLine, at_edge};
+use super::options::{MIN_HALF_LENGTH_PX, TrackerOptions};
+use super::pyramid::PyramidLevel;
+use super::scene::Scene;
+use super::silhouette::{Shaft, Silhouette};
+use super::stage::{Converged, EdgeCounts, Fit, FitStage, SUPPORT_PX, SURE, StageEnd, Support};
+use crate::Result;
+use crate::appearance::discriminant::{DiscriminantImage, Mixture, region_about};
+use crate::axis::Finger;
+use crate::geometry::shape_space::{PlacedSample, Pose, ShapeSpace};
+use crate::geometry::template::{Part, TemplateSample};
+use crate::image::frame::{Frame, SidedPixel};
+use crate::measure::edge::{EdgeMeasurement, Miss, Polarity, SearchLine};
+use crate::numeric::simd::Isa;
+use crate::solve::fit::{EquationBuffer, Equations, FitReport, Fitter, Outcome, Prior};
+use nalgebra::{Point2, SMatrix, SVector};
+
+/// What the search lines shrink by once a step stays well inside them, and how short they get.
+const SHRINK: f64 = 0.7;
+/// Within a window, the next lines need be no longer than this many steps.
+const LEFT: f64 = 3.0;
+/// Beyond that length the residual offsets' scale is not taken below this part of it: only a few
+/// samples at the tip tell how far the finger has slid along itself, and must be heard.
+const FAR_SCALE: f64 = 0.2;
+/// How sharp the edges of a flank are is told by how much of the change across them, so far to either
+/// side, is there already this near \[px\].
+const NEAR_EDGE_PX: [f64; 2] = [1.0, 2.0];
+const ABOUT_EDGE_PX: [f64; 2] = [5.0, 6.0];
+
+/// What is behind a hand where it shows no edge counts as if it had been seen in so many frames, if the
+/// frame teaches nothing else: about as many are remembered.
+pub(super) const UNSEEN_FRAMES: f64 = 5.0;
+
+/// The stages of one view and the buffers between them.
+#[derive(Debug, Clone)]
+pub(super) struct Convergence {
+    /// What was searched last.
+    normals: Normals,
+    fitter: Fitter,
+    max_iterations: usize,
+    correlation: f64,
+    /// Which samples are not hidden by another limb: the line of each, in order.
+    visible: Vec<usize>,
+    /// How far the edge of each line is from the fit to them \[px\], infinite where it does not agree with
+    /// it; none does without a fit.
+    left_px: Vec<f64>,
+    equations: EquationBuffer,
+    /// Where edges agree with the fit, and which of them look like the hand inside; where none was found.
+    agreeing: Vec<PlacedSample>,
+    own: Vec<bool>,
+    unseen: Vec<PlacedSample>,
+    /// Residual offsets of those along the contour, part by part of the outline.
+    left_over: Vec<(Part, f64)>,
+    /// Looks of a hand of which nothing is known: those that are judged, and those that lead, unless they
+    /// are lent.
+    unknown: AppearanceModel,
+    leading: Option<AppearanceModel>,
+    /// The present frame as the hand's discriminant shows it.
+    image: DiscriminantImage,
+}
+
+impl Convergence {
+    pub fn new(options: &TrackerOptions) -> Result<Self> {
+        let mut leading = AppearanceModel::new(false).with_flank_levels();
+        leading.reserve(options.samples);
+        Ok(Self {
+            normals: Normals::new(options)?,
+            fitter: Fitter::new(options.fit)?,
+            max_iterations: options.max_iterations,
+            correlation: options.correlation,
+            visible: Vec::with_capacity(options.samples),
+            left_px: Vec::with_capacity(options.samples),
+            equations: EquationBuffer::with_capacity(options.samples, MAX_DOF),
+            agreeing: Vec::with_capacity(options.samples),
+            own: Vec::with_capacity(options.samples),
+            unseen: Vec::with_capacity(options.samples),
+            left_over: Vec::with_capacity(options.samples),
+            unknown: AppearanceModel::new(false),
+            leading: Some(leading),
+            image: DiscriminantImage::default(),
+        })
+    }
+
+    /// The same stages with another instruction set.
+    pub fn with_isa(self, isa: Isa) -> Self {
+        Self { normals: self.normals.with_isa(isa), fitter: self.fitter.with_isa(isa), ..self }
+    }
+
+    /// Forgets the last frame.
+    pub fn begin_frame(&mut self) {
+        self.image.clear();
+    }
+
+    /// The last search, what each line found, and whether that agrees with the fit.
+    pub fn search_lines(&self) -> impl ExactSizeIterator<Item = SearchedLine<'_>> {
+        let searched = self.normals.lines().iter().zip(self.normals.found());
+        let found = searched.zip(&self.left_px);
+        found.map(|((line, found), px)| SearchedLine { line, found, agrees: px.is_finite() })
+    }
+
+    /// Tells the last search of a picture in its frame.
+    pub fn enlarge(&mut self, pyramid_level: PyramidLevel) {
+        self.normals.enlarge(pyramid_level);
+    }
+
+    /// Shows the finger's samples of the last search whose edges agree with the fit, each moved to
+    /// its edge, and those without an edge, to the looks of the hand; see [`AppearanceModel::learn`]. The finger's
+    /// are the first `samples` of all. A thumb may be lit quite differently, and it is the finger that
+    /// points.
+    pub fn teach(
+        &mut self,
+        appearance: &mut AppearanceModel,
+        samples: usize,
+        frame: &Scene<'_>,
+        finger: &Silhouette,
+        weights: (f64, f64),
+    ) -> Result<()> {
+        if appearance.is_coloured() {
+            self.image.reserve(frame);
+        }
+        self.gather_agreeing(samples);
+        self.leave_out_covered(appearance, frame)?;
+        self.gather_unseen(samples);
+        let contour = Contour { edges: &self.agreeing, unseen: &self.unseen };
+        appearance.learn(frame, &mut self.image, &contour, finger, weights)
+    }
+
+    /// The same of those without an edge alone, of a hand that something may cover elsewhere.
+    pub fn teach_unseen(
+        &mut self,
+        appearance: &mut AppearanceModel,
+        samples: usize,
+        frame: &Scene<'_>,
+        finger: &Silhouette,
+    ) -> Result<()> {
+        self.gather_unseen(samples);
+        let contour = Contour { edges: &[], unseen: &self.unseen };
+        appearance.learn(frame, &mut self.image, &contour, finger, (1.0, UNSEEN_FRAMES))
+    }
+
+    /// Looks that know nothing yet, to be [given back](Self::take_back).
+    pub fn lend_appearance(&mut self, frame: &Frame<'_>) -> AppearanceModel {
+        let coloured = frame.colour().is_some();
+        let kept = self.leading.take().filter(|appearance| appearance.is_coloured() == coloured);
+        let mut appearance =
+            kept.unwrap_or_else(|| AppearanceModel::new(coloured).with_flank_levels());
+        appearance.forget();
+        appearance
+    }
+
+    /// Keeps looks that were lent.
+    pub fn take_back(&mut self, appearance: AppearanceModel) {
+        self.leading = Some(appearance);
+    }
+
+    /// Shows a contour to looks where it is placed, whatever edges are there; they forget all else.
+    /// Tells whether what is inside of it differs at all from what is outside.
+    pub fn teach_at(
+        &mut self,
+        appearance: &mut AppearanceModel,
+        frame: &Scene<'_>,
+        contour: impl Iterator<Item = PlacedSample>,
+        finger: &Silhouette,
+    ) -> Result<bool> {
+        self.agreeing.clear();
+        self.agreeing.extend(contour);
+        if appearance.finger_separation(frame, &self.agreeing, finger, None) <= 0.0 {
+            return Ok(false);
+        }
+        appearance.forget();
+        let contour = Contour { edges: &self.agreeing, unseen: &[] };
+        appearance.learn(frame, &mut self.image, &contour, finger, (0.0, 1.0))?;
+        Ok(true)
+    }
+
+    /// How well the inside of a finger of which nothing is known differs from its outside, by the edges
+    /// of the last search that agree; see [`AppearanceModel::finger_separation`].
+    pub fn finger_separation(
+        &mut self,
+        samples: usize,
+        frame: &Scene<'_>,
+        finger: &Silhouette,
+        shaft: Option<&Shaft>,
+    ) -> f64 {
+        self.gather_agreeing(samples);
+        let coloured = frame.colour().is_some();
+        if self.unknown.is_coloured() != coloured {
+            self.unknown = AppearanceModel::new(coloured);
+        }
+        self.unknown.finger_separation(frame, &self.agreeing, finger, shaft)
+    }
+
+    /// How sharp the edges of the last search that agree are on the flank where they are softer, 0–1: 0.8
+    /// where a step is blurred by 1 px, 0.5 by 2 px and 0.35 by 4 px.
+    pub fn sharpness(&mut self, samples: usize, frame: &Frame<'_>, finger: &Silhouette) -> f64 {
+        self.gather_agreeing(samples);
+        let [left, right] = finger.flanks(&self.agreeing).map(|edges| {
+            let (mut near, mut about) = (0.0, 0.0);
+            for edge in edges {
+                let [step, change] =
+                    [NEAR_EDGE_PX, ABOUT_EDGE_PX].map(|px| change_across(frame, edge, px));
+                if let (Some(step), Some(change)) = (step, change) {
+                    near += step * change.signum();
+                    about += change.abs();
+                }
+            }
+            if about > 0.0 { (near / about).clamp(0.0, 1.0) } else { 1.0 }
+        });
+        left.min(right)
+    }
+
+    /// Of the finger's samples of the last search, the first `samples` of all, those whose edges agree
+    /// with the fit, each moved to its edge.
+    fn gather_agreeing(&mut self, samples: usize) {
+        self.agreeing.clear();
+        let hits = self.visible.iter().zip(self.normals.lines()).zip(self.normals.found());
+        let agreeing = hits
+            .filter_map(|((&i, line), found)| found.as_ref().ok().map(|edge| (i, line, edge)))
+            .zip(self.fitter.weights())
+            .filter(|&((i, ..), &weight)| i < samples && weight > 0.5)
+            .map(|((_, line, edge), _)| at_edge(line, edge));
+        self.agreeing.extend(agreeing);
+    }
+
+    /// Of the finger's samples of the last search, the first `samples` of all, those on whose lines there
+    /// is no edge.
+    fn gather_unseen(&mut self, samples: usize) {
+        self.unseen.clear();
+        let searched = self.visible.iter().zip(self.normals.lines()).zip(self.normals.found());
+        let unseen = searched
+            .filter(|&((&i, _), found)| i < samples && matches!(found, Err(Miss::NoContrast)))
+            .map(|((_, line), _)| line.sample);
+        self.unseen.extend(unseen);
+    }
+
+    /// Of the agreeing edges, forgets those that do not look like the hand inside, as long as most do:
+    /// they are those of what covers it. In another light none looks like it did.
+    fn leave_out_covered(&mut self, appearance: &AppearanceModel, frame: &Scene<'_>) -> Result<()> {
+        let Some(search_model) =
+            appearance.search_model(frame, EdgeCue::HandEdges, Polarity::Unknown)
+        else {
+            return Ok(());
+        };
+        let edges = self.agreeing.iter().map(|edge| (edge.position, KERNEL_REACH_PX));
+        let shown = self.image.shown(frame, search_model.mixture, || region_about(edges))?;
+        self.own.clear();
+        self.own.extend(self.agreeing.iter().map(|edge| search_model.is_own(frame, &shown, edge)));
+        if 2 * self.own.iter().filter(|&&own| own).count() >= self.agreeing.len() {
+            let mut own = self.own.iter();
+            self.agreeing.retain(|_| own.next().is_some_and(|&own| own));
+        }
+        Ok(())
+    }
+
+    /// Where along its limb each visible sample of a part of the outline is in the last search, in units
+    /// of the template, and how far its edge is from the fit \[px\]: infinitely, if it does not agree.
+    /// None without an edge.
+    pub fn edges_along(
+        &self,
+        samples: &[TemplateSample],
+        part: Part,
+    ) -> impl DoubleEndedIterator<Item = (f64, Option<f64>)> {
+        let measured = self.normals.found().iter().zip(&self.left_px);
+        let searched = self.visible.iter().zip(measured);
+        searched.filter_map(move |(&i, (found, &px))| {
+            let sample = samples.get(i).filter(|s| s.part() == part)?;
+            Some((sample.along, found.is_ok().then_some(px)))
+        })
+    }
+
+    /// The frame about a finger, as a mixture shows it.
+    pub fn shown<'a>(
+        &'a mut self,
+        frame: &Frame<'a>,
+        mixture: Option<&Mixture>,
+        finger: &Finger,
+    ) -> Result<Frame<'a>> {
+        self.image.shown(frame, mixture, || finger_region(finger))
+    }
+
+    /// The frame about some pixels, as a mixture shows it.
+    pub fn shown_about<'a>(
+        &'a mut self,
+        frame: &Frame<'a>,
+        mixture: Option<&Mixture>,
+        pixels: impl Iterator<Item = Point2<f64>>,
+        reach_px: f64,
+    ) -> Result<Frame<'a>> {
+        self.image.shown(frame, mixture, || region_about(pixels.map(|p| (p, reach_px))))
+    }
+
+    /// From `x`, where the image takes it in this space. `believed` is a prior on the shape vector
+    /// itself.
+    pub fn run<S: ShapeSpace<D>, const D: usize>(
+        &mut self,
+        frame: &Scene<'_>,
+        space: &S,
+        x: SVector<f64, D>,
+        stage: &FitStage<'_>,
+        believed: Option<&Prior<D>>,
+    ) -> Result<Converged<D>> {
+        let mut half_length_px = stage.half_length_px;
+        let mut at = Converged::at(x);
+        let mut last = None;
+        while at.iterations < self.max_iterations {
+            at.iterations += 1;
+            let pose = space.pose(&at.x);
+            let searched_px = half_length_px.min(stage.edges_within_px);
+            self.measure(frame, &pose, stage, searched_px)?;
+            let prior = believed.map(|b| Prior { mean: b.mean - at.x, information: b.information });
+            let samples = self.visible.iter().map(|&i| &stage.samples[i]);
+            let measured = samples.zip(self.normals.lines()).zip(self.normals.found());
+            let equations = linearise(space, &pose, measured, &mut self.equations)?;
+            let far_px = (half_length_px - MIN_HALF_LENGTH_PX).max(0.0) * FAR_SCALE;
+            let least_px = self.fitter.options().min_scale_px.max(far_px);
+            let scales_px = (least_px, stage.most_scale_px);
+            let fit = self.fitter.solve_with_scale(&equations, prior.as_ref(), scales_px);
+            if fit.outcome != Outcome::Determined {
+                return Ok(Converged { fit: None, ..at });
+            }
+            let moved_px = equations.largest_motion(&fit.step);
+            at.x += fit.step;
+            last = Some(fit);
+            if moved_px < stage.rest.px() {
+                at.edges_within_px = self.edges_within_px(moved_px);
+                break;
+            }
+            if moved_px < half_length_px / 2.0 {
+                let shrunk_px = half_length_px * SHRINK;
+                // In its window, one step brings the contour most of the way.
+                let left_px = stage.window.map_or(shrunk_px, |_| LEFT * moved_px);
+                half_length_px = shrunk_px.min(left_px).max(MIN_HALF_LENGTH_PX);
+            }
+        }
+        if stage.rest != StageEnd::TakenOver {
+            self.mark_agreeing();
+            at.fit = last.map(|fit| self.summarise(space, &at.x, &fit, stage));
+        }
+        Ok(at)
+    }
+
+    /// No edge that the last search found is further than this from its solution, whose step moved the
+    /// contour so far; infinite where so many lines found none that theirs may be beyond them.
+    fn edges_within_px(&self, moved_px: f64) -> f64 {
+        let residuals = self.fitter.residuals();
+        if (residuals.len() as f64) < SURE * self.normals.lines().len() as f64 {
+            return f64::INFINITY;
+        }
+        let furthest_px = residuals.iter().fold(0.0, |px: f64, r| px.max(r.abs()));
+        (furthest_px + LEFT * moved_px).max(MIN_HALF_LENGTH_PX)
+    }
+
+    /// As how many edge measurements that are independent the last ones count once.
+    fn design_effect(&mut self, samples: &[TemplateSample]) -> f64 {
+        let Self { visible, normals, fitter, left_over, .. } = self;
+        let hits = visible.iter().zip(normals.found()).filter(|(_, found)| found.is_ok());
+        let measured = hits.zip(fitter.residuals()).zip(fitter.agreeing());
+        let agreeing = measured.filter(|(_, agrees)| *agrees);
+        left_over.clear();
+        left_over.extend(agreeing.map(|(((&i, _), &px), _)| (samples[i].part(), px)));
+        design_effect(left_over)
+    }
+
+    /// The samples of the contour at `x` that nothing hides, in order, and the offsets of the edges that
+    /// they find, without fitting anything.
+    pub fn offsets<S: ShapeSpace<D>, const D: usize>(
+        &mut self,
+        frame: &Scene<'_>,
+        space: &S,
+        x: &SVector<f64, D>,
+        stage: &FitStage<'_>,
+    ) -> Result<impl Iterator<Item = (usize, Option<f64>)>> {
+        self.measure(frame, &space.pose(x), stage, stage.half_length_px)?;
+        let offsets = self.normals.found().iter().map(|found| Some(found.as_ref().ok()?.offset_px));
+        Ok(self.visible.iter().copied().zip(offsets))
+    }
+
+    /// Searches the image along the normals of the contour as `pose` places it.
+    fn measure<P: Pose>(
+        &mut self,
+        frame: &Scene<'_>,
+        pose: &P,
+        stage: &FitStage<'_>,
+        half_length_px: f64,
+    ) -> Result<()> {
+        self.visible.clear();
+        self.normals.clear();
+        for (i, sample) in stage.samples.iter().enumerate().step_by(stage.every) {
+            let placed = pose.place(sample);
+            if !pose.is_hidden(sample, &placed) {
+                self.visible.push(i);
+                let line = SearchLine {
+                    sample: placed,
+                    half_length_px: stage
+                        .window
+                        .map_or(half_length_px, |w| w.length(&placed).min(half_length_px)),
+                    polarity: stage.search_model.polarity,
+                };
+                self.normals.push(sample.part(), line);
+            }
+        }
+        self.left_px.clear();
+        self.left_px.resize(self.visible.len(), f64::INFINITY);
+        let FitStage { search_model, scale, own_only, .. } = stage;
+        let shown = self.image.shown(frame, search_model.mixture, || self.normals.region())?;
+        self.normals.search(frame, &shown, search_model, *scale, *own_only)
+    }
+
+    /// The part of the visible contour of the first `samples` whose edges the last fit explains to
+    /// within so much, and which look like the hand inside, 0–1.
+    pub fn own_share(
+        &mut self,
+        frame: &Scene<'_>,
+        search_model: &SearchModel<'_>,
+        samples: usize,
+        within_px: f64,
+    ) -> Result<f64> {
+        let shown = self.image.shown(frame, search_model.mixture, || self.normals.region())?;
+        let mut residuals = self.fitter.residuals().iter();
+        let (mut own, mut visible) = (0_usize, 0_usize);
+        for (line, (&i, found)) in self.visible.iter().zip(self.normals.found()).enumerate() {
+            let is_near = found.is_ok() && residuals.next().is_some_and(|r| r.abs() < within_px);
+            if i < samples {
+                visible += 1;
+                own +=
+                    usize::from(is_near && self.normals.is_own(line, frame, &shown, search_model));
+            }
+        }
+        Ok(own as f64 / visible.max(1) as f64)
+    }
+
+    /// Notes how far edges are from the last solution, if they agree with it.
+    fn mark_agreeing(&mut self) {
+        let hits = self.left_px.iter_mut().zip(self.normals.found()).filter(|(_, m)| m.is_ok());
+        let fitted = self.fitter.residuals().iter().zip(self.fitter.agreeing());
+        for ((left_px, _), (residual_px, agrees)) in hits.zip(fitted) {
+            if agrees {
+                *left_px = residual_px.abs();
+            }
+        }
+    }
+
+    /// Which samples the last solution explains: those whose edge it leaves close by.
+    fn support(&self, samples: &[TemplateSample]) -> Support {
+        let mut support = Support::default();
+        let mut fitted = self.fitter.residuals().iter().zip(self.fitter.agreeing());
+        for (&i, found) in self.visible.iter().zip(self.normals.found()) {
+            let part = samples[i].part() as usize;
+            support.visible[part] += 1;
+            if let Some((residual_px, agrees)) = found.as_ref().ok().and_then(|_| fitted.next()) {
+                support.supported[part] += usize::from(residual_px.abs() < SUPPORT_PX);
+                support.agreeing[part] += usize::from(agrees);
+            }
+        }
+        support
+    }
+
+    fn summarise<S: ShapeSpace<D>, const D: usize>(
+        &mut self,
+        space: &S,
+        x: &SVector<f64, D>,
+        fit: &FitReport<D>,
+        stage: &FitStage<'_>,
+    ) -> Fit {
+        // Counted already: that neighbours share pixels.
+        let design_effect = (self.design_effect(stage.samples) / self.correlation).max(1.0);
+        let covariance = fit.covariance * self.correlation;
+        let pose = space.pose(x);
+        let j = space.axis_jacobian(&pose);
+        let mut shape = ShapeEstimate {
+            names: &S::NAMES,
+            vector: SVector::zeros(),
+            covariance: SMatrix::zeros(),
+        };
+        shape.vector.rows_mut(0, D).copy_from(x);
+        shape.covariance.view_mut((0, 0), (D, D)).copy_from(&covariance);
+        Fit {
+            shape,
+            axis: pose.axis(),
+            line_covariance: j * covariance * j.transpose() * design_effect,
+            counts: EdgeCounts {
+                visible: self.visible.len(),
+                hits: fit.equations,
+                inliers: fit.inliers,
+            },
+            agreement: fit.inliers as f64 / self.visible.len().max(1) as f64,
+            support: self.support(stage.samples),
+            residual_rms_px: fit.residual_rms_px,
+            rank: fit.rank,
+            own_only: stage.own_only,
+            edge_cue: stage.search_model.edge_cue,
+            by_appearance: stage.search_model.cue.appearance().is_some(),
+        }
+    }
+}
+
+/// By how many grey levels what is inside of an edge differs from what is outside, the mean of so far to
+/// either side; none where that is outside of the image.
+fn change_across(frame: &Frame<'_>, edge: &PlacedSample, px: [f64; 2]) -> Option<f64> {
+    let level = |px: f64| {
+        let at = SidedPixel::at(
+            edge.position.x + edge.normal.x * px,
+            edge.position.y + edge.normal.y * px,
+            true,
+        )?;
+        frame.image().pixel(at.x as usize, at.y as usize).map(f64::from)
+    };
+    let [first, second] = px.map(|px| Some(level(-px)? - level(px)?));
+    Some(0.5 * (first? + second?))
+}
+
+/// One equation for every edge that a search found.
+fn linearise<'a, S: ShapeSpace<D>, const D: usize>(
+    space: &S,
+    pose: &S::Pose,
+    measured: impl Iterator<Item = ((&'a TemplateSample, &'a SearchLine), &'a EdgeMeasurement)>,
+    buffer: &'a mut EquationBuffer,
+) -> Result<Equations<'a, D>> {
+    let mut equations = buffer.clear::<D>();
+    for ((sample, line), measurement) in measured {
+        if let Ok(edge) = measurement {
+            let row = space.normal_row(pose, sample, &line.sample.normal);
+            equations.push(&row, edge.offset_px, edge.variance_px2)?;
+        }
+    }
+    Ok(equations)
+}
+
+/// The part of the image that a finger is refined in.
+pub(super) fn finger_region(finger: &Finger) -> [f64; 4] {
+    let (axis, reach) = (finger.axis, 2.0 * finger.half_width_px + KERNEL_REACH_PX);
+    let from = finger.flanks[0].from_px.min(finger.flanks[1].from_px);
+    let ends = [axis.tip, axis.anchor + axis.direction() * from];
+    region_about(ends.iter().map(|end| (*end, reach)))
+}

@@ -1,0 +1,118 @@
+//! How much neighbours along a contour tell the same.
+//!
+//! A finger is not quite its template: a knuckle, a nail, a shaded stretch of flank move the edges
+//! of many samples in a row to one side. Where residual offsets keep their sign so, the samples are
+//! no independent witnesses, and a covariance that takes them for such promises far too much. The
+//! variance of a mean of n residuals with autocorrelation ρ_k is 1 + 2 Σ (1 − k / n) ρ_k times that
+//! of n independent ones; with a triangular window in place of 1 − k / n, what few residuals tell
+//! of distant neighbours has no say, and the factor cannot become negative.
+//!
+//! Source: Newey & West 1987, A simple, positive semi-definite, heteroskedasticity and
+//! autocorrelation consistent covariance matrix.
+
+use crate::geometry::template::Part;
+
+/// Neighbours up to this part of the contour away are compared: farther ones are few, and what is
+/// alike over half a flank the fit has taken for a finger.
+const WITHIN: f64 = 0.1;
+
+/// As how many independent residual offsets those of a contour count once, at least 1: given in their
+/// order \[px\], with the part of the outline that each belongs to.
+pub(super) fn design_effect(residuals: &[(Part, f64)]) -> f64 {
+    let square: f64 = residuals.iter().map(|(_, r)| r * r).sum();
+    if square <= 0.0 {
+        return 1.0;
+    }
+    let window = (WITHIN * residuals.len() as f64).round() as usize + 1;
+    // Two residuals are together in the more of the windows, the nearer they are: the triangle.
+    let parts = residuals.chunk_by(|(part, _), (next, _)| part == next);
+    let together: f64 = parts.map(|part| squared_sums(part, window)).sum();
+    (together / (window as f64 * square)).max(1.0)
+}
+
+/// Squares of the sums of so many neighbours, over all places that such a window may have; what it
+/// covers beyond the ends is nothing.
+fn squared_sums(part: &[(Part, f64)], window: usize) -> f64 {
+    let mut sum = 0.0;
+    let mut squares = 0.0;
+    let mut slide = |step: f64| {
+        sum += step;
+        squares += sum * sum;
+    };
+    let within = window.min(part.len());
+    part[..within].iter().for_each(|(_, last)| slide(*last));
+    (within..window).for_each(|_| slide(0.0));
+    part.iter().zip(&part[within..]).for_each(|((_, first), (_, last))| slide(last - first));
+    part[part.len() - within..].iter().for_each(|(_, first)| slide(-first));
+    squares
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const COUNT: usize = 60;
+    const DRAWS: usize = 400;
+
+    /// Noise whose neighbours are alike by `rho`, along two flanks; the same for the same seed.
+    fn flanks(rho: f64, seed: usize) -> Vec<(Part, f64)> {
+        let mut state = 0x9E37_79B9_7F4A_7C15_u64.wrapping_mul(seed as u64 + 1);
+        let mut uniform = || {
+            state ^= state << 13;
+            state ^= state >> 7;
+            state ^= state << 17;
+            (state >> 11) as f64 / (1_u64 << 53) as f64 - 0.5
+        };
+        let mut last = 0.0;
+        let mut draw = |i: usize| {
+            let fresh: f64 = (0..6).map(|_| uniform()).sum();
+            let keep = if i.is_multiple_of(COUNT / 2) { 0.0 } else { rho };
+            last = keep * last + (1.0 - keep * keep).sqrt() * fresh;
+            last
+        };
+        let part = |i| if i < COUNT / 2 { Part::LeftFlank } else { Part::RightFlank };
+        (0..COUNT).map(|i| (part(i), draw(i))).collect()
+    }
+
+    /// Variance of the mean of the residuals, in units of what independent ones would have.
+    fn observed(rho: f64) -> f64 {
+        let means = (0..DRAWS).map(|seed| {
+            let sum: f64 = flanks(rho, seed).iter().map(|(_, r)| r).sum();
+            sum / COUNT as f64
+        });
+        // Six uniform numbers of variance 1/12.
+        means.map(|mean| mean * mean).sum::<f64>() / DRAWS as f64 * COUNT as f64 / 0.5
+    }
+
+    fn estimated(rho: f64) -> f64 {
+        (0..DRAWS).map(|seed| design_effect(&flanks(rho, seed))).sum::<f64>() / DRAWS as f64
+    }
+
+    #[test]
+    fn independent_residuals_count_in_full() {
+        assert!((observed(0.0) - 1.0).abs() < 0.15, "{}", observed(0.0));
+        assert!(estimated(0.0) < 1.3, "{}", estimated(0.0));
+    }
+
+    #[test]
+    fn residuals_that_follow_each_other_count_for_the_fewer_that_they_are() {
+        for rho in [0.4, 0.7] {
+            let ratio = estimated(rho) / observed(rho);
+            assert!(
+                (0.6..=1.1).contains(&ratio),
+                "ρ {rho}: {} of {}",
+                estimated(rho),
+                observed(rho)
+            );
+        }
+    }
+
+    #[test]
+    fn nothing_counts_twice() {
+        let jagged: Vec<_> =
+            (0..COUNT).map(|i| (Part::Tip, if i % 2 == 0 { 1.0 } else { -1.0 })).collect();
+        for residuals in [&[], &[(Part::Tip, 0.0); 30][..], &jagged] {
+            assert!((design_effect(residuals) - 1.0).abs() < 1e-12);
+        }
+    }
+}

@@ -1,0 +1,132 @@
+//! How the light of the frames changes: a lamp, a cloud, a camera that sets its exposure anew.
+//!
+//! What is known of a hand's colours is known in one light. Colours that are learned slowly follow a
+//! slow change only as long as the contour is seen on both sides; when it drops faster than they
+//! follow, skin looks like the wood of before, its edges count no more, and nothing is learned that
+//! could tell. So the light is judged by the whole picture: by the median of how many times as
+//! bright its pixels are as they were, which half of them may contradict.
+
+use crate::image::gray::GrayView;
+
+/// Pixels that are compared: columns and rows of a grid.
+const GRID: [usize; 2] = [24, 18];
+/// A change of the brightness by this factor is one of the light: colours are told apart by more, and
+/// neither noise nor a camera that moves makes the median change so much.
+const BRIGHTER: f32 = 1.0618;
+/// Levels beyond these are clipped, or noise for the most part.
+const LEVELS: std::ops::RangeInclusive<u8> = 12..=243;
+/// Fewer pixels than this part of the grid tell nothing.
+const ENOUGH: f64 = 0.25;
+
+/// The light in which colours were learned.
+#[derive(Debug, Clone)]
+pub(super) struct Exposure {
+    size: (usize, usize),
+    grid: Vec<u8>,
+    now: Vec<u8>,
+    ratios: Vec<f64>,
+}
+
+impl Exposure {
+    pub fn new() -> Self {
+        let pixels = GRID[0] * GRID[1];
+        Self {
+            size: (0, 0),
+            grid: Vec::with_capacity(pixels),
+            now: Vec::with_capacity(pixels),
+            ratios: Vec::with_capacity(pixels),
+        }
+    }
+
+    /// How many times as bright a frame is as the one by which the light was last told; none if
+    /// that is no other light.
+    pub fn changed(&mut self, image: &GrayView<'_>) -> Option<f64> {
+        let size = (image.width(), image.height());
+        let [columns, rows] = GRID;
+        self.now.clear();
+        for row in 0..rows {
+            let y = (2 * row + 1) * size.1 / (2 * rows);
+            let pixels = image.row(y).unwrap_or_default();
+            let place = |column: usize| (2 * column + 1) * size.0 / (2 * columns);
+            let seen = (0..columns).map(|column| pixels.get(place(column)).copied().unwrap_or(0));
+            self.now.extend(seen);
+        }
+        if self.grid.is_empty() || self.size != size {
+            self.size = size;
+            std::mem::swap(&mut self.grid, &mut self.now);
+            return None;
+        }
+        let usable_pairs = || {
+            let pairs = self.grid.iter().zip(&self.now);
+            pairs.filter(|&(then, now)| LEVELS.contains(then) && LEVELS.contains(now))
+        };
+        // Whether the median tells a change is counted; only then is it looked for.
+        let (mut count, mut brighter, mut darker) = (0, 0, 0);
+        for (&then, &now) in self.grid.iter().zip(&self.now) {
+            let reports = LEVELS.contains(&then) & LEVELS.contains(&now);
+            let (then, now) = (f32::from(then), f32::from(now));
+            count += u32::from(reports);
+            brighter += u32::from(reports) * u32::from(now >= BRIGHTER * then);
+            darker += u32::from(reports) * u32::from(now <= then / BRIGHTER);
+        }
+        // Of an even number the upper one of the two in the middle is meant.
+        let is_changed = 2 * brighter >= count || 2 * darker > count;
+        if !is_changed || f64::from(count) < ENOUGH * (columns * rows) as f64 {
+            return None;
+        }
+        self.ratios.clear();
+        self.ratios.extend(usable_pairs().map(|(&then, &now)| f64::from(now) / f64::from(then)));
+        let middle = self.ratios.len() / 2;
+        let (_, &mut gain, _) = self.ratios.select_nth_unstable_by(middle, f64::total_cmp);
+        std::mem::swap(&mut self.grid, &mut self.now);
+        Some(gain)
+    }
+}
+
+#[cfg(test)]
+#[expect(clippy::unwrap_used, reason = "a test may panic")]
+mod tests {
+    use super::*;
+
+    const SIZE: (usize, usize) = (120, 90);
+
+    fn texture(i: usize) -> f64 {
+        60.0 + ((i * 7919) % 101) as f64
+    }
+
+    fn changed(exposure: &mut Exposure, level: impl Fn(usize) -> f64) -> Option<f64> {
+        let pixels: Vec<u8> = (0..SIZE.0 * SIZE.1).map(|i| level(i).round() as u8).collect();
+        exposure.changed(&GrayView::new(&pixels, SIZE.0, SIZE.1, SIZE.0).unwrap())
+    }
+
+    #[test]
+    fn a_change_of_light_is_told_once_it_matters() {
+        let mut exposure = Exposure::new();
+        assert_eq!(changed(&mut exposure, texture), None);
+        assert_eq!(changed(&mut exposure, |i| 0.97 * texture(i)), None);
+        let gain = changed(&mut exposure, |i| 0.7 * texture(i)).unwrap();
+        assert!((gain - 0.7).abs() < 0.01, "{gain}");
+        assert_eq!(changed(&mut exposure, |i| 0.71 * texture(i)), None);
+        // Slowly it adds up.
+        let usable_pairs: Vec<f64> = (1..=20)
+            .filter_map(|k| changed(&mut exposure, |i| (0.7 + 0.02 * f64::from(k)) * texture(i)))
+            .collect();
+        let product: f64 = usable_pairs.iter().product();
+        assert!(usable_pairs.len() >= 4 && (product - 1.1 / 0.7).abs() < 0.1, "{usable_pairs:?}");
+    }
+
+    #[test]
+    fn what_covers_less_than_half_of_the_picture_is_no_light() {
+        let mut exposure = Exposure::new();
+        changed(&mut exposure, texture);
+        let covered = |i: usize| if i % SIZE.0 < SIZE.0 * 2 / 5 { 30.0 } else { texture(i) };
+        assert_eq!(changed(&mut exposure, covered), None);
+    }
+
+    #[test]
+    fn a_black_frame_tells_nothing() {
+        let mut exposure = Exposure::new();
+        changed(&mut exposure, texture);
+        assert_eq!(changed(&mut exposure, |_| 0.0), None);
+    }
+}

@@ -1,0 +1,255 @@
+//! From nearby by edges: what each model leaves free, fitted in stages.
+
+use super::appearance::EdgeCue;
+use super::fit_result::FitResult;
+use super::hand::SearchPlan;
+use super::limbs::finger_samples;
+use super::scene::Scene;
+use super::shape::Shape;
+use super::stage::{Converged, Fit, StageEnd, Window};
+use super::tracker::{ContourTracker, PINNED_SIGMA};
+use crate::Result;
+use crate::axis::Belief;
+use crate::geometry::planar::{
+    Affine, AffineMap, PlanarSpace, Rigid, RigidShear, Similarity, Translation,
+};
+use crate::geometry::ribbon::{RIBBON_DOF, Ribbon, RibbonVector};
+use crate::geometry::template::{Limb, Part};
+use crate::measure::edge::Scale;
+use crate::solve::fit::Prior;
+use nalgebra::{Matrix2, SMatrix, SVector};
+
+/// How far what a hand cannot change may stray while it is tracked: standard deviations of the
+/// band template, in parts of the finger's half-width, of 1 for the taper, and of its length. The
+/// thumb may move, and foreshortening moves its root.
+const HELD_WIDTH_SIGMA: f64 = 0.06;
+const HELD_TAPER_SIGMA: f64 = 0.03;
+const HELD_THUMB_SIGMA: f64 = 0.1;
+/// A thumb has grown or shrunk by no more than this factor since the hand was acquired, and this
+/// part of it is explained.
+const THUMB_CHANGE: f64 = 1.7;
+const THUMB_SEEN: f64 = 0.4;
+/// Before all samples tell the shear of the paper's template, one in so many is enough to place and turn
+/// it. Bands get a width of their own by theirs, and would miss one frame in thirty of a fast hand.
+const ENOUGH_TO_TURN: usize = 2;
+
+/// How a hand is settled on: from which shape, at which scale, in which window, led by what.
+pub(super) type Path = (Shape, Scale, Option<Window>, EdgeCue);
+
+impl ContourTracker {
+    /// From nearby, or as far as the window says, by edges: everything that the model leaves a
+    /// tracked hand. The paper's leans its thumb, if it has one to show the shear; the band model
+    /// takes up what a hand can change.
+    pub(super) fn fit_stages(
+        &mut self,
+        frame: &Scene<'_>,
+        (from, scale, window, edge_cue): Path,
+    ) -> Result<FitResult> {
+        let near_px = window.map_or(self.near_px(), |w| w.near_px);
+        let own_only = window.is_some_and(|w| w.own_only);
+        let plan = SearchPlan { edge_cue, scale, own_only, ..SearchPlan::edges(near_px) };
+        let first = match window {
+            Some(Window { gate, .. }) => {
+                SearchPlan { window, half_length_px: gate.longest_px(), ..plan }
+            }
+            None => plan,
+        };
+        let before_others = SearchPlan { rest: StageEnd::TakenOver, ..first };
+        Ok(match from {
+            Shape::Planar(map) if self.shows_shear() => {
+                let near = SearchPlan { every: ENOUGH_TO_TURN, ..before_others };
+                let turned = self.planar::<Rigid, 3>(frame, map, near)?;
+                // Bands search all of their lines: cut short, their point was worse on grey footage.
+                let within = SearchPlan { edges_within_px: turned.edges_within_px, ..plan };
+                self.planar::<RigidShear, 4>(frame, turned.shape, within)?.into()
+            }
+            Shape::Planar(map) => self.planar::<Rigid, 3>(frame, map, first)?.into(),
+            Shape::Ribbon(x) => {
+                let belief = window.and_then(|w| w.belief());
+                let turned =
+                    self.run_ribbon::<3>(frame, &x, Limb::Finger, before_others, belief.as_ref())?;
+                let slack = if own_only { self.hand.slack() } else { 1.0 };
+                let mut held = self.held::<5>(&x, slack);
+                if let Some(Prior { mean, information }) = belief {
+                    held.mean.fixed_rows_mut::<3>(0).copy_from(&mean);
+                    held.information.fixed_view_mut::<3, 3>(0, 0).copy_from(&information);
+                }
+                let finger =
+                    self.run_ribbon::<5>(frame, &turned.x, Limb::Finger, plan, Some(&held))?;
+                match &finger.fit {
+                    Some(fit) if self.hand.kind.has_thumb => {
+                        self.lean_thumb(frame, &finger, fit, plan)?.into()
+                    }
+                    _ => finger.into(),
+                }
+            }
+        })
+    }
+
+    /// The paper's acquisition: the template moves, turns, then deforms affinely; a finger alone,
+    /// which shows neither length nor shear, only grows.
+    pub(super) fn affine(
+        &mut self,
+        frame: &Scene<'_>,
+        from: AffineMap,
+        half_length_px: f64,
+    ) -> Result<FitResult> {
+        let plan = SearchPlan::edges(half_length_px);
+        let moved = self.planar::<Translation, 2>(frame, from, plan)?;
+        let turned = self.planar::<Rigid, 3>(frame, moved.shape, plan)?;
+        Ok(if self.shows_shear() {
+            self.planar::<Affine, 6>(frame, turned.shape, plan)?.into()
+        } else {
+            self.planar::<Similarity, 4>(frame, turned.shape, plan)?.into()
+        })
+    }
+
+    /// One planar shape space; a fit that mirrors or flattens the template is none.
+    pub(super) fn planar<S: PlanarSpace<D>, const D: usize>(
+        &mut self,
+        frame: &Scene<'_>,
+        from: AffineMap,
+        plan: SearchPlan,
+    ) -> Result<FitResult<AffineMap>> {
+        let Ok((space, x)) = S::through(&from) else {
+            return Ok(FitResult {
+                shape: from,
+                fit: None,
+                iterations: 0,
+                edges_within_px: f64::INFINITY,
+            });
+        };
+        let samples = self.hand.planar(&self.samples);
+        let stage = self.hand.stage(samples, frame, plan, self.options.polarity);
+        let found = self.convergence.run(frame, &space, x, &stage, None)?;
+        let map = space.pose(&found.x);
+        let sound = map.decompose().is_ok();
+        Ok(FitResult {
+            shape: if sound { map } else { from },
+            fit: found.fit.filter(|_| sound),
+            iterations: found.iterations,
+            edges_within_px: found.edges_within_px,
+        })
+    }
+
+    /// Whether the planar template has a thumb that shows length and shear; a traced outline is
+    /// taken to be no mere finger.
+    fn shows_shear(&self) -> bool {
+        self.hand.kind.has_thumb || self.template.proportions().is_none()
+    }
+
+    /// The thumb of a finger that was fitted. A thumb bends and leans; it must not turn the finger,
+    /// whose line and covariance stay as they are.
+    fn lean_thumb(
+        &mut self,
+        frame: &Scene<'_>,
+        finger: &Converged<RIBBON_DOF>,
+        fit: &Fit,
+        plan: SearchPlan,
+    ) -> Result<Converged<RIBBON_DOF>> {
+        let mut held = self.held::<RIBBON_DOF>(&finger.x, 1.0);
+        // While the thumb is fitted, the finger stays where it is.
+        for i in 0..5 {
+            held.mean[i] = finger.x[i];
+            held.information[(i, i)] = PINNED_SIGMA.powi(-2);
+        }
+        let plan = SearchPlan { rest: StageEnd::Thumb, ..plan };
+        let whole = self.run_ribbon(frame, &finger.x, Limb::Thumb, plan, Some(&held))?;
+        let Some(with_thumb) = whole.fit else { return Ok(*finger) };
+        if !self.is_thumb(&whole.x, &with_thumb) {
+            // It stays where it was.
+            return Ok(Converged {
+                fit: Some(Fit { counts: with_thumb.counts, ..*fit }),
+                ..*finger
+            });
+        }
+        let mut shape = with_thumb.shape;
+        for i in 0..5 {
+            shape.vector[i] = finger.x[i];
+        }
+        shape
+            .covariance
+            .view_mut((0, 0), (5, 5))
+            .copy_from(&fit.shape.covariance.view((0, 0), (5, 5)));
+        let iterations = finger.iterations + whole.iterations;
+        Ok(Converged {
+            x: shape.vector,
+            fit: Some(Fit { shape, rank: with_thumb.rank, counts: with_thumb.counts, ..*fit }),
+            iterations,
+            ..whole
+        })
+    }
+
+    /// Whether what was fitted is still a thumb: about as long and as wide as it was when the hand
+    /// was acquired, and seen. A thumb that has gone astray would hide the finger.
+    fn is_thumb(&self, x: &RibbonVector, fit: &Fit) -> bool {
+        let spine = |x: &RibbonVector| x.fixed_rows::<2>(6).norm();
+        let acquired = &self.hand.acquired;
+        let within = |ratio: f64| (1.0 / THUMB_CHANGE..=THUMB_CHANGE).contains(&ratio);
+        within(spine(x) / spine(acquired))
+            && within(x[8] / acquired[8])
+            && fit.support.of(Part::Thumb) >= THUMB_SEEN
+    }
+
+    /// One prefix of the band template's shape vector, by the samples of the finger or of all of
+    /// the hand, down to the thumb.
+    pub(super) fn run_ribbon<const D: usize>(
+        &mut self,
+        frame: &Scene<'_>,
+        from: &RibbonVector,
+        down_to: Limb,
+        plan: SearchPlan,
+        held: Option<&Prior<D>>,
+    ) -> Result<Converged<RIBBON_DOF>> {
+        let space = self.ribbon::<D>(from)?;
+        let samples = match down_to {
+            Limb::Finger => finger_samples(&self.samples),
+            Limb::Thumb => self.hand.bands(&self.samples),
+        };
+        let stage = self.hand.stage(samples, frame, plan, self.options.polarity);
+        let x = Ribbon::<D>::free(from);
+        let found = self.convergence.run_bands(frame, &space, x, &stage, held)?;
+        let Converged { x, fit, iterations, edges_within_px } = found;
+        Ok(Converged { x: space.full(&x), fit, iterations, edges_within_px })
+    }
+
+    pub(super) fn ribbon<const D: usize>(&self, about: &RibbonVector) -> Result<Ribbon<D>> {
+        Ribbon::about(about, &self.hand.measure.with_thumb(self.hand.kind.has_thumb))
+    }
+
+    /// How wide a finger is that something may cover in part; None of one that nothing does.
+    pub(super) fn belief(&self, line_covariance: &Matrix2<f64>) -> Option<Belief> {
+        let (acquired, slack) = (&self.hand.acquired, self.hand.slack());
+        self.hand.is_covered.then(|| Belief {
+            half_width_px: acquired[3],
+            taper: acquired[4],
+            half_width_sigma_px: slack * HELD_WIDTH_SIGMA * acquired[3],
+            taper_sigma: slack * HELD_TAPER_SIGMA,
+            axis_sigmas: [0, 1].map(|i| line_covariance[(i, i)].sqrt()),
+        })
+    }
+
+    /// What the hand cannot change: the widths and the taper are those it was acquired with, the
+    /// thumb is near where it was in the last frame.
+    pub(super) fn held<const D: usize>(&self, last: &RibbonVector, slack: f64) -> Prior<D> {
+        let acquired = &self.hand.acquired;
+        let thumb_px = HELD_THUMB_SIGMA * self.hand.measure.length_px;
+        let held = [
+            (0.0, f64::INFINITY),
+            (0.0, f64::INFINITY),
+            (0.0, f64::INFINITY),
+            (acquired[3], HELD_WIDTH_SIGMA * acquired[3]),
+            (acquired[4], HELD_TAPER_SIGMA),
+            (last[5], thumb_px),
+            (last[6], thumb_px),
+            (last[7], thumb_px),
+            (acquired[8], HELD_WIDTH_SIGMA * acquired[8]),
+        ];
+        let mut prior = Prior { mean: SVector::zeros(), information: SMatrix::zeros() };
+        for (i, (mean, sigma)) in held.iter().take(D).enumerate() {
+            prior.mean[i] = *mean;
+            prior.information[(i, i)] = (slack * sigma).powi(-2);
+        }
+        prior
+    }
+}

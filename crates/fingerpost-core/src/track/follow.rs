@@ -1,0 +1,142 @@
+//! *Tracking*: where the hand is foretold to be, what is found there, and whether that is the hand.
+
+use super::fit_result::{FitResult, Refusal};
+use super::hand::Hand;
+use super::hypotheses::Selection;
+use super::motion_prediction::MotionPrediction;
+use super::motion_prior::MotionPrior;
+use super::options::{AcceptOptions, TrackOptions};
+use super::outcome::{Track, track};
+use super::scene::Scene;
+use super::stage::Window;
+use super::status::Status;
+use super::tracker::{ContourTracker, LOST_REACH, Phase};
+use super::validation::{Motion, Validation};
+use crate::Result;
+use crate::solve::dynamics::{Innovation, Prediction};
+
+/// A finger that is moved this way and that by this part of its length, and turned by as much, is in
+/// another place.
+const PLACE_PART: f64 = 1.0 / 8.0;
+/// A hand whose finger is bent in more frames in a row than this is lost.
+const MOST_BENT_FRAMES: usize = 30;
+
+impl ContourTracker {
+    /// One frame of tracking. A hand that was not seen for long is not followed but found again.
+    pub(super) fn follow(
+        &mut self,
+        frame: &Scene<'_>,
+        time_s: f64,
+        missed: usize,
+    ) -> Result<Track> {
+        let TrackOptions { half_length_px, accept, lose_after_frames, .. } = self.options.track;
+        let from = self.hand.shape;
+        let Some(prediction) = self.predict_motion(time_s)? else {
+            return self.recover(frame, time_s, 0, self.hand.remembered(from));
+        };
+        let expected = prediction.window.expected.vector;
+        // It may as well have stopped or turned round, and the longer it is unseen the more it may.
+        let went_px = (expected - from.placement()).xy().norm();
+        let lately = if self.hand.is_back { LOST_REACH } else { 1.0 };
+        let reach_px = self.largeness() * half_length_px * (lately + missed as f64) + went_px;
+        let predicted = from.placed(&expected);
+        let Selection { found, pushed_px, likeness } =
+            self.find(frame, predicted, reach_px, Some(&prediction))?;
+        let prediction = prediction.pushed(pushed_px);
+        self.hand.note_covered(&found);
+        let followed = prediction.followed(&found)?;
+        let innovation = followed.as_ref().and_then(|(_, innovation)| innovation.as_ref());
+        let validation = self.validation(&accept, innovation);
+        let innovation = innovation.map(Innovation::normalised_square);
+        let judgement = validation.judge(&found, likeness);
+        let min_agreement =
+            found.fit.map_or(accept.min_inliers, |fit| validation.min_agreement(&fit, likeness));
+        let accept = AcceptOptions { min_inliers: min_agreement, ..accept };
+        if let (Ok(()), Some((dynamics, _))) = (judgement, followed) {
+            let bend = self.bend(frame, &found)?;
+            self.hand.bend_state = self.hand.bend_state.after(bend.as_ref(), &found);
+            self.hand.shape = found.shape;
+            self.hand.is_back = false;
+            let jumped = innovation.is_some_and(|square| square > self.surprise);
+            let before = prediction.dynamics.velocity();
+            self.dynamics =
+                Some(if jumped { dynamics.with_velocity_reset(before) } else { dynamics });
+            let mut track = if self.hand.bend_state.is_bent() {
+                self.hold_bent(time_s, &found, &accept)
+            } else {
+                self.hand.bent_frames = 0;
+                self.hand.straight_frames += 1;
+                self.hand.grow();
+                self.hand.count_thumb(&found, lose_after_frames);
+                self.hand.count_partly(&found);
+                if found.fit.is_some_and(|fit| fit.own_only) {
+                    self.learn_behind(frame)?;
+                } else {
+                    self.update_appearance(frame, &found)?;
+                }
+                self.motion_prior.follow(innovation);
+                self.hand.learn_usual(&found);
+                self.phase = Phase::Tracking { missed: 0 };
+                self.tracked(frame, time_s, &found, &accept)?
+            };
+            track.diagnostics.innovation = innovation;
+            return Ok(track.bent(bend.as_ref()));
+        }
+        let missed = missed + 1;
+        let status = if missed >= lose_after_frames {
+            self.phase = Phase::Lost { last: self.hand.remembered(from), settled: 0 };
+            Status::Lost
+        } else {
+            self.phase = Phase::Tracking { missed };
+            Status::Tracking
+        };
+        let mut track = track(time_s, status, &found, &accept, judgement.err());
+        track.diagnostics.innovation = innovation;
+        Ok(track)
+    }
+
+    /// What the hand's motion tells about this frame; nothing after a long gap.
+    fn predict_motion(&self, time_s: f64) -> Result<Option<MotionPrediction>> {
+        let Some(dynamics) = self.dynamics else { return Ok(None) };
+        Ok(match dynamics.predict(time_s)? {
+            Prediction::Expected(expected) => {
+                let window =
+                    Window { expected, gate: self.gate, near_px: self.near_px(), own_only: false };
+                Some(MotionPrediction { dynamics, time_s, window })
+            }
+            Prediction::Lost { .. } => None,
+        })
+    }
+
+    /// A bent finger yields no line, but stays in sight, to be followed again when it is straight;
+    /// not for longer than it has been straight, for what is bent may be no finger at all.
+    fn hold_bent(&mut self, time_s: f64, found: &FitResult, accept: &AcceptOptions) -> Track {
+        self.hand.bent_frames += 1;
+        // The template slides as the finger bends, and back again.
+        self.motion_prior = MotionPrior::unknown();
+        let patience = self.hand.straight_frames.min(MOST_BENT_FRAMES);
+        let is_over = self.hand.bent_frames > patience;
+        self.phase = if is_over {
+            Phase::Lost { last: self.hand.remembered(found.shape), settled: 0 }
+        } else {
+            Phase::Tracking { missed: 0 }
+        };
+        track(time_s, self.status(), found, accept, Some(Refusal::Misfit))
+    }
+
+    /// What a fit of the followed hand is judged by.
+    pub(super) fn validation(
+        &self,
+        accept: &AcceptOptions,
+        innovation: Option<&Innovation<3>>,
+    ) -> Validation<'_> {
+        let Hand { acquired, .. } = &self.hand;
+        let motion_prior =
+            if self.hand.is_known_whole() { self.motion_prior } else { MotionPrior::unknown() };
+        let cell = (PLACE_PART * self.hand.measure.length_px).powi(2) * PLACE_PART;
+        let motion =
+            innovation.map(|i| Motion::of(i, self.surprise, motion_prior.unlikely(i, cell)));
+        let most_scatter_px = self.hand.most_scale_px();
+        Validation { accept: *accept, acquired, motion, most_scatter_px }
+    }
+}

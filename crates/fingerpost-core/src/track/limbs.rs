@@ -1,0 +1,19 @@
+//! Where finger and thumb are among the samples of a template, and where they meet.
+
+use crate::geometry::template::{Limb, TemplateSample};
+
+/// Lengths that a fitted thumb may have, in finger lengths.
+pub(super) const THUMB_SIZES: std::ops::RangeInclusive<f64> = 0.2..=1.5;
+
+pub(super) fn thumb_samples(samples: &[TemplateSample]) -> &[TemplateSample] {
+    &samples[crotch(samples)..]
+}
+
+pub(super) fn crotch(samples: &[TemplateSample]) -> usize {
+    samples.iter().position(|s| s.limb == Limb::Thumb).unwrap_or(samples.len())
+}
+
+/// The outline runs along the finger first, then along the thumb.
+pub(super) fn finger_samples(samples: &[TemplateSample]) -> &[TemplateSample] {
+    &samples[..crotch(samples)]
+}

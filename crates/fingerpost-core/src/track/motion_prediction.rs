@@ -1,0 +1,46 @@
+//! Where the frames so far let the next one expect the hand.
+
+use super::fit_result::FitResult;
+use super::stage::Window;
+use crate::Result;
+use crate::solve::dynamics::{Dynamics, Innovation};
+use nalgebra::{Matrix3, Vector3};
+
+/// What a fit's covariance does not know of: how far the template slides on a hand that is not
+/// quite like it, standard deviations of (c_u, c_v, θ) \[px, px, rad\].
+const MISFIT_SIGMAS: [f64; 3] = [0.5, 0.5, 0.01];
+
+/// What the last frames foretell of the next one.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct MotionPrediction {
+    pub(super) dynamics: Dynamics<3>,
+    pub(super) time_s: f64,
+    pub(super) window: Window,
+}
+
+impl MotionPrediction {
+    /// The same, if what covers the tip may have pushed the finger back along itself by so much \[px\].
+    pub(super) fn pushed(mut self, by_px: f64) -> Self {
+        let (sin, cos) = self.window.expected.vector[2].sin_cos();
+        let by = Vector3::new(by_px * cos, by_px * sin, 0.0);
+        self.dynamics = self.dynamics.unsure(&by);
+        self.window.expected.covariance += by * by.transpose();
+        self
+    }
+
+    /// The filter after a fit, and the innovation; None without a fit.
+    pub(super) fn followed(
+        &self,
+        found: &FitResult,
+    ) -> Result<Option<(Dynamics<3>, Option<Innovation<3>>)>> {
+        let Some(fit) = found.fit else { return Ok(None) };
+        let seen = fit.shape.covariance.fixed_view::<3, 3>(0, 0) + misfit();
+        let mut dynamics = self.dynamics;
+        let innovation = dynamics.update(self.time_s, &found.shape.placement(), &seen)?;
+        Ok(Some((dynamics, innovation)))
+    }
+}
+
+pub(super) fn misfit() -> Matrix3<f64> {
+    Matrix3::from_diagonal(&Vector3::from(MISFIT_SIGMAS.map(|s| s * s)))
+}

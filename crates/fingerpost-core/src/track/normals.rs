@@ -1,0 +1,326 @@
+//! Search lines along the normals of a placed contour, and what they have found of the hand.
+
+use super::appearance::{GreyCue, SearchModel};
+use super::options::TrackerOptions;
+use super::pyramid::PyramidLevel;
+use super::scene::{Behind, Scene};
+use crate::Result;
+use crate::appearance::discriminant::region_about;
+use crate::appearance::histogram::INSIDE_PX;
+use crate::geometry::shape_space::PlacedSample;
+use crate::geometry::template::Part;
+use crate::image::frame::Frame;
+use crate::measure::edge::{Edge, EdgeMeasurement, Miss, Scale, SearchLine};
+use crate::measure::edge_search::{Cue, EdgeSearch};
+use crate::numeric::simd::Isa;
+
+/// A search line reads no further beyond its end than this \[px\]: the reach of the widest kernel.
+pub(super) const KERNEL_REACH_PX: f64 = 32.0;
+/// An edge of the grey image goes before one of a mixture of colours further inside if it has so many
+/// times its contrast.
+const PLAINER: f64 = 2.0;
+/// An edge is the background's if [`INSIDE_PX`] of it is hardly foreground.
+const HARDLY: f64 = 0.3;
+/// The hand's own edge is looked for so far from where it begins to differ from the background
+/// \[px\].
+const BEGINS_WITHIN_PX: f64 = 4.0;
+
+/// The lines of one search, in the order in which they were put in, and the buffers for it.
+#[derive(Debug, Clone)]
+pub(super) struct Normals {
+    search: EdgeSearch,
+    lines: Vec<SearchLine>,
+    /// Which part of the outline each line belongs to.
+    parts: Vec<Part>,
+    found: Vec<EdgeMeasurement>,
+    /// What the lines of one part have found.
+    found_of_part: Vec<EdgeMeasurement>,
+    /// Whose edges are those of the grey image, where another is searched.
+    in_grey: Vec<bool>,
+    grey_lines: Vec<SearchLine>,
+    found_in_grey: Vec<EdgeMeasurement>,
+    /// Lines that are searched once more, where the hand begins, of which parts they are, and which
+    /// lines they replace.
+    again: Vec<SearchLine>,
+    again_parts: Vec<Part>,
+    replaced: Vec<Replaced>,
+    found_again: Vec<EdgeMeasurement>,
+}
+
+/// A line whose edge is the background's.
+#[derive(Debug, Clone, Copy)]
+struct Replaced {
+    line: usize,
+    /// Where along it the hand begins \[px\].
+    begins_px: f64,
+}
+
+impl Normals {
+    pub fn new(options: &TrackerOptions) -> Result<Self> {
+        Ok(Self {
+            search: EdgeSearch::new(options.search)?,
+            lines: Vec::with_capacity(options.samples),
+            parts: Vec::with_capacity(options.samples),
+            found: Vec::with_capacity(options.samples),
+            found_of_part: Vec::with_capacity(options.samples),
+            in_grey: Vec::with_capacity(options.samples),
+            grey_lines: Vec::with_capacity(options.samples),
+            found_in_grey: Vec::with_capacity(options.samples),
+            again: Vec::with_capacity(options.samples),
+            again_parts: Vec::with_capacity(options.samples),
+            replaced: Vec::with_capacity(options.samples),
+            found_again: Vec::with_capacity(options.samples),
+        })
+    }
+
+    /// The same with another instruction set.
+    pub fn with_isa(self, isa: Isa) -> Self {
+        Self { search: self.search.with_isa(isa), ..self }
+    }
+
+    pub fn clear(&mut self) {
+        self.lines.clear();
+        self.parts.clear();
+    }
+
+    /// Adds a line of a part of the outline.
+    pub fn push(&mut self, part: Part, line: SearchLine) {
+        self.lines.push(line);
+        self.parts.push(part);
+    }
+
+    pub fn lines(&self) -> &[SearchLine] {
+        &self.lines
+    }
+
+    /// What each line has found.
+    pub fn found(&self) -> &[EdgeMeasurement] {
+        &self.found
+    }
+
+    /// Tells a search in a picture in its frame.
+    pub fn enlarge(&mut self, pyramid_level: PyramidLevel) {
+        let px = pyramid_level.px();
+        for (line, found) in self.lines.iter_mut().zip(&mut self.found) {
+            line.sample = pyramid_level.sample(&line.sample);
+            line.half_length_px *= px;
+            if let Ok(edge) = found {
+                edge.offset_px *= px;
+                edge.variance_px2 *= px * px;
+            }
+        }
+    }
+
+    /// The part of the image that the lines read: columns and rows, from and to \[px\].
+    pub fn region(&self) -> [f64; 4] {
+        let reach = |line: &SearchLine| line.half_length_px + KERNEL_REACH_PX;
+        region_about(self.lines.iter().map(|line| (line.sample.position, reach(line))))
+    }
+
+    /// Searches every line of a scene, `shown` as the sight shows it. Of the edges those alone are the
+    /// hand's that look like it inside, if `own_only`, and none that the background explains.
+    pub fn search(
+        &mut self,
+        scene: &Scene<'_>,
+        shown: &Frame<'_>,
+        search_model: &SearchModel<'_>,
+        scale: Scale,
+        own_only: bool,
+    ) -> Result<()> {
+        let lines = (self.lines.as_slice(), self.parts.as_slice());
+        let (of_part, found) = (&mut self.found_of_part, &mut self.found);
+        search_parts(&mut self.search, shown, search_model, scale, lines, of_part, found)?;
+        self.in_grey.clear();
+        self.in_grey.resize(self.lines.len(), false);
+        if let Some(in_grey) = &search_model.in_grey {
+            self.search_in_grey(scene, search_model, in_grey, scale)?;
+        }
+        if own_only {
+            for line in 0..self.lines.len() {
+                if self.found[line].is_ok() && !self.is_own(line, scene, shown, search_model) {
+                    self.found[line] = Err(Miss::NoContrast);
+                }
+            }
+        }
+        match scene.background() {
+            Some(background) if !matches!(search_model.cue, Cue::LogRatio(_)) => {
+                self.search_before(background, shown, search_model, scale)
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// A mixture of colours that shows most of a hand best may hardly show some of its edges, or what is
+    /// close inside of them better. The hand's own edge in grey counts where it is the only one, or
+    /// further out and much plainer. Of a finger that is lit from one side it counts on that flank, and
+    /// not on the other.
+    fn search_in_grey(
+        &mut self,
+        scene: &Scene<'_>,
+        search_model: &SearchModel<'_>,
+        in_grey: &GreyCue<'_>,
+        scale: Scale,
+    ) -> Result<()> {
+        let polarity = in_grey.polarity;
+        self.grey_lines.clear();
+        self.grey_lines.extend(self.lines.iter().map(|line| SearchLine { polarity, ..*line }));
+        let (lines, grey) = (&self.grey_lines, &mut self.found_in_grey);
+        self.search.search(scene, Cue::Edges, scale, lines, grey)?;
+        let found = self.found.iter_mut().zip(&mut self.in_grey).zip(&self.parts);
+        for ((line, grey), ((found, in_place), part)) in lines.iter().zip(grey).zip(found) {
+            let Ok(edge) = grey else { continue };
+            let is_known = match in_grey.shaded {
+                Some(shaded) if part.is_flank() => *part == shaded,
+                _ => found.is_ok_and(|other| !is_plainer(edge, &other)),
+            };
+            if is_known {
+                continue;
+            }
+            if search_model.is_own_in_grey(in_grey, scene, &at_edge(line, edge)) {
+                (*found, *in_place) = (*grey, true);
+            }
+        }
+        Ok(())
+    }
+
+    /// Whether the edge that a line has found is the hand's own, in a frame that is `shown` as the sight
+    /// shows it.
+    pub fn is_own(
+        &self,
+        line: usize,
+        frame: &Frame<'_>,
+        shown: &Frame<'_>,
+        search_model: &SearchModel<'_>,
+    ) -> bool {
+        let Ok(edge) = &self.found[line] else { return false };
+        let edge = at_edge(&self.lines[line], edge);
+        match &search_model.in_grey {
+            Some(in_grey) if self.in_grey[line] => {
+                search_model.is_own_in_grey(in_grey, frame, &edge)
+            }
+            _ => search_model.is_own_of(self.parts[line], frame, shown, &edge),
+        }
+    }
+
+    /// Edges that the background explains are not the hand's. Where along the line the hand begins
+    /// before the background, it may have an edge of its own.
+    fn search_before(
+        &mut self,
+        background: Behind<'_>,
+        shown: &Frame<'_>,
+        search_model: &SearchModel<'_>,
+        scale: Scale,
+    ) -> Result<()> {
+        self.again.clear();
+        self.again_parts.clear();
+        self.replaced.clear();
+        for (i, (line, found)) in self.lines.iter().zip(&mut self.found).enumerate() {
+            let Ok(edge) = found else { continue };
+            if !is_background(background, line, edge.offset_px) {
+                continue;
+            }
+            *found = Err(Miss::NoContrast);
+            if let Some(begins_px) = where_hand_begins(background, line) {
+                let sample = PlacedSample {
+                    position: line.sample.position + line.sample.normal * begins_px,
+                    ..line.sample
+                };
+                self.again.push(SearchLine { sample, half_length_px: BEGINS_WITHIN_PX, ..*line });
+                self.again_parts.push(self.parts[i]);
+                self.replaced.push(Replaced { line: i, begins_px });
+            }
+        }
+        let lines = (self.again.as_slice(), self.again_parts.as_slice());
+        let (of_part, found) = (&mut self.found_of_part, &mut self.found_again);
+        search_parts(&mut self.search, shown, search_model, scale, lines, of_part, found)?;
+        for (&Replaced { line, begins_px }, found) in self.replaced.iter().zip(&self.found_again) {
+            let Ok(mut edge) = *found else { continue };
+            edge.offset_px += begins_px;
+            if !is_background(background, &self.lines[line], edge.offset_px) {
+                self.found[line] = Ok(edge);
+                self.in_grey[line] = false;
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Searches lines by what is known of the parts of the outline that they are of, where flanks are known
+/// for themselves; `of_part` is a buffer.
+fn search_parts(
+    search: &mut EdgeSearch,
+    shown: &Frame<'_>,
+    search_model: &SearchModel<'_>,
+    scale: Scale,
+    (lines, parts): (&[SearchLine], &[Part]),
+    of_part: &mut Vec<EdgeMeasurement>,
+    found: &mut Vec<EdgeMeasurement>,
+) -> Result<()> {
+    if search_model.flank_levels.is_none() {
+        return search.search(shown, search_model.cue, scale, lines, found);
+    }
+    found.clear();
+    for same in parts.chunk_by(|one, next| one == next) {
+        let Some(&part) = same.first() else { continue };
+        let lines = &lines[found.len()..][..same.len()];
+        search.search(shown, search_model.cue_of(part), scale, lines, of_part)?;
+        found.append(of_part);
+    }
+    Ok(())
+}
+
+/// Whether an edge of the grey image is further out than another's, and much plainer.
+fn is_plainer(edge: &Edge, other: &Edge) -> bool {
+    edge.offset_px > other.offset_px
+        && edge.contrast_grey.abs() >= PLAINER * other.contrast_grey.abs()
+}
+
+/// A sample of the contour moved to its edge.
+pub(super) fn at_edge(line: &SearchLine, edge: &Edge) -> PlacedSample {
+    let PlacedSample { position, normal } = line.sample;
+    PlacedSample { position: position + normal * edge.offset_px, normal }
+}
+
+/// How likely a place on a search line is foreground.
+fn foreground(background: Behind<'_>, line: &SearchLine, at: f64) -> Option<f64> {
+    background.foreground(line.sample.position + line.sample.normal * at)
+}
+
+/// Whether what is inside of an edge is the background; not if that is unknown.
+fn is_background(background: Behind<'_>, line: &SearchLine, offset_px: f64) -> bool {
+    let (mut sum, mut count) = (0.0, 0.0);
+    for inside_px in INSIDE_PX {
+        if let Some(likely) = foreground(background, line, offset_px - inside_px) {
+            sum += likely;
+            count += 1.0;
+        }
+    }
+    sum < HARDLY * count
+}
+
+/// Where along a line foreground ends and background begins, from inside outwards: the place that
+/// parts them best; none without both.
+fn where_hand_begins(background: Behind<'_>, line: &SearchLine) -> Option<f64> {
+    let reach = line.half_length_px.floor();
+    let (mut sum, mut best, mut begins_px) = (0.0, 0.0, None);
+    let mut at = -reach;
+    while at <= reach {
+        sum += foreground(background, line, at).map_or(0.0, |likely| likely - 0.5);
+        if sum > best && at < reach {
+            (best, begins_px) = (sum, Some(at + 0.5));
+        }
+        at += 1.0;
+    }
+    begins_px
+}
+
+/// A line of the last search, and what became of it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SearchedLine<'a> {
+    /// Where was looked.
+    pub line: &'a SearchLine,
+    /// The edge, or why there is none.
+    pub found: &'a EdgeMeasurement,
+    /// Whether the edge agrees with the fit, that is, counts among [`Diagnostics::inliers`].
+    pub agrees: bool,
+}

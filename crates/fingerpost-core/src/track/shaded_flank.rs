@@ -1,0 +1,348 @@
+//! A finger that a lamp lights from one side, before something as dark as its other half.
+//!
+//! What settles on such a finger settles on its lit half: only there is it of another brightness than
+//! what is beside it, and a mixture of colours that is learned there tells light from shade. But the
+//! chromaticity of a finger goes on into its shade, up to the flank: light of one colour changes the sum
+//! of the channels and not their parts in it. So once a hand has settled, the chromaticities across
+//! either flank are looked at; where they end beyond what has settled, or where they alone tell the flank,
+//! the finger is fitted once more, and followed, with that flank by chromaticity and the other by grey
+//! levels. A camera records colours at half its resolution, so that they bleed over a step of brightness
+//! into what is dark: they are asked only where grey levels show no flank.
+
+use super::acquire::with_thumb_of;
+use super::appearance::AppearanceModel;
+use super::fit_result::FitResult;
+use super::hand::SearchPlan;
+use super::options::Model;
+use super::scene::Scene;
+use super::shape::Shape;
+use super::tracker::ContourTracker;
+use crate::Result;
+use crate::appearance::discriminant::{Discriminant, Mixture};
+use crate::geometry::ribbon::{RIBBON_DOF, RibbonVector};
+use crate::geometry::shape_space::{Pose, ShapeSpace};
+use crate::geometry::template::{Limb, Part, TemplateSample};
+use crate::image::frame::{SidedPixel, chromaticity};
+use nalgebra::{Point2, Vector2, Vector3};
+
+/// The finger is looked at from the middle of its round end back over this part of the template's
+/// length, pixel by pixel or in so many places: beside the rest is the hand.
+const FRONT: f64 = 0.6;
+const MOST_PLACES: f64 = 128.0;
+/// Across it, from the other flank, nearly, to this far beyond the flank \[half-widths, px\], and what is
+/// behind it over so many pixels from there on.
+const INSIDE: f64 = 1.7;
+const BEYOND: f64 = 2.0;
+const BEYOND_PX: f64 = 6.0;
+const BEHIND_PX: i32 = 7;
+/// Its chromaticity is another than that of what is behind it by so many standard deviations, and it is
+/// more like the finger's before where it ends, and less after it, than this. Of 142 shaded flanks on four
+/// films, 19 of 20 have 3.7 and more, 0.9 and more, and 0.14 and less.
+const MIN_CHROMATIC_SEPARATION: f64 = 3.0;
+const LIKE_FINGER: f64 = 0.65;
+const LIKE_BEHIND: f64 = 0.25;
+/// The chromaticity of what goes on beyond what has settled is no farther from that of the finger than this
+/// part of how far what is behind it is: of the skin in the shade, and not of something beside it that is
+/// even less like what is behind.
+const SAME_CHROMATICITY: f64 = 0.35;
+/// Up to so far after where it ends it bleeds \[px\].
+const BLEEDS_PX: i32 = 3;
+/// A shaded flank is darker than this part of the lit half, and as dark as what is behind it, to within
+/// this part: there 0.33 to 0.62, and 0.08 in the median. The shaded flank of a finger before wood, which a
+/// mixture of colours shows, has 0.73.
+const DARK: f64 = 0.65;
+const AS_DARK: f64 = 0.15;
+/// So many pixels inside of what has settled tell how bright its flank is.
+const FLANK_PX: i32 = 4;
+/// What has settled is the lit half if the finger goes on for more than this beyond it \[px,
+/// half-widths\]: colours of a finger that is all lit bleed up to 5 px or 0.7 half-widths into black.
+const GOES_ON_PX: f64 = 4.0;
+const GOES_ON: f64 = 0.8;
+/// How often the finger is fitted up to its shaded flank, with looks that each time are those of the last
+/// fit, and how much more freely than while it is tracked.
+const ROUNDS: usize = 2;
+const SLACK: f64 = 4.0;
+/// It has to become wider by this part of what was missing.
+const WIDENS: f64 = 0.25;
+
+/// A flank that grey levels do not show.
+#[derive(Debug, Clone, Copy)]
+struct ShadedFlank {
+    flank: Part,
+    /// How far beyond what has settled it is \[px\]; 0 if it is there.
+    beyond_px: f64,
+    /// How bright it is, in parts of the lit half.
+    brightness: f64,
+}
+
+impl ContourTracker {
+    /// Fits a hand that has settled once more if its finger is lit from one side, and takes note of the
+    /// shaded flank. What is not found to be one stays as it is.
+    pub(super) fn find_shaded_flank(&mut self, frame: &Scene<'_>) -> Result<()> {
+        let (Shape::Ribbon(x), Model::Ribbon) = (self.hand.shape, self.options.model) else {
+            return Ok(());
+        };
+        let left = self.shaded(frame, &x, Part::LeftFlank)?;
+        let right = self.shaded(frame, &x, Part::RightFlank)?;
+        let both = left.into_iter().chain(right);
+        let Some(shaded) = both.min_by(|a, b| a.brightness.total_cmp(&b.brightness)) else {
+            return Ok(());
+        };
+        let before = (self.hand.clone(), self.convergence.clone());
+        if !self.fit_shaded_flank(frame, &x, &shaded)? {
+            (self.hand, self.convergence) = before;
+        }
+        Ok(())
+    }
+
+    /// A flank, if it is shaded.
+    fn shaded(
+        &self,
+        frame: &Scene<'_>,
+        x: &RibbonVector,
+        flank: Part,
+    ) -> Result<Option<ShadedFlank>> {
+        let Some(flank_profile) = self.flank_profile(frame, x, flank)? else { return Ok(None) };
+        let shaded = flank_profile.shaded(x[3]);
+        Ok(shaded.map(|(beyond_px, brightness)| ShadedFlank { flank, beyond_px, brightness }))
+    }
+
+    /// What the frame shows across a flank; none without colours, or where too little lies in the frame or
+    /// chromaticities tell too little.
+    fn flank_profile(
+        &self,
+        frame: &Scene<'_>,
+        x: &RibbonVector,
+        flank: Part,
+    ) -> Result<Option<FlankProfile>> {
+        let Some(colours) = frame.colour() else { return Ok(None) };
+        let (first, last) = FlankProfile::reach(x[3]);
+        let mut pixels = Vec::new();
+        self.outward(x, flank, |position, normal| {
+            pixels.extend((first..).zip(SidedPixel::along(
+                position,
+                normal,
+                f64::from(first),
+                f64::from(last),
+                false,
+            )));
+        })?;
+        let mut separating = Discriminant::of_chromaticity();
+        let sided: Vec<SidedPixel> = pixels
+            .iter()
+            .filter(|(out_px, _)| *out_px < 0 || *out_px > last - BEHIND_PX)
+            .map(|(out_px, pixel)| SidedPixel { is_hand: *out_px < 0, ..*pixel })
+            .collect();
+        separating.observe_all(frame, &sided, 1.0);
+        separating.learn();
+        let Some(mixture) = separating
+            .mixture()
+            .copied()
+            .filter(|_| separating.separation() >= MIN_CHROMATIC_SEPARATION)
+        else {
+            return Ok(None);
+        };
+        let mut flank_profile = FlankProfile::new(first, last);
+        for (out_px, SidedPixel { x, y, .. }) in pixels {
+            let (x, y) = (x as usize, y as usize);
+            if let (Some(colour), Some(grey)) = (colours.pixel(x, y), frame.image().pixel(x, y)) {
+                flank_profile.add(out_px, grey, colour, &mixture);
+            }
+        }
+        Ok(Some(flank_profile))
+    }
+
+    /// Goes along the front of a flank: where it is, and its normal. What another limb hides is left out.
+    fn outward(
+        &self,
+        x: &RibbonVector,
+        flank: Part,
+        mut each: impl FnMut(Point2<f64>, Vector2<f64>),
+    ) -> Result<()> {
+        let pose = self.ribbon::<RIBBON_DOF>(x)?.pose(x);
+        let (length_px, round_end_px) =
+            (self.hand.measure.length_px, self.hand.measure.round_end_px);
+        let normal = Vector2::new(0.0, if flank == Part::RightFlank { 1.0 } else { -1.0 });
+        let front_px = FRONT * length_px;
+        let step_px = (front_px / MOST_PLACES).max(1.0);
+        for place in 0..(front_px / step_px) as usize {
+            let along = (round_end_px - place as f64 * step_px) / length_px;
+            let (position, limb) = (Point2::new(along, 0.0), Limb::Finger);
+            let sample = TemplateSample { position, normal, limb, along, radial: normal };
+            let placed = pose.place(&sample);
+            if !pose.is_hidden(&sample, &placed) {
+                each(placed.position, placed.normal);
+            }
+        }
+        Ok(())
+    }
+
+    /// Fits the finger up to its shaded flank. False if there is none.
+    fn fit_shaded_flank(
+        &mut self,
+        frame: &Scene<'_>,
+        settled: &RibbonVector,
+        shaded: &ShadedFlank,
+    ) -> Result<bool> {
+        self.hand.shape = Shape::Ribbon(widened(settled, shaded));
+        self.hand.shaded = Some(shaded.flank);
+        if !self.learn_about_outline(frame)? {
+            return Ok(false);
+        }
+        let plan = SearchPlan::edges(self.options.acquire.reach_px(self.initial.ribbon[3]));
+        for _ in 0..ROUNDS {
+            let Shape::Ribbon(x) = self.hand.shape else { return Ok(false) };
+            self.hand.acquired = x;
+            let held = self.held::<5>(&x, SLACK);
+            let finger = self.run_ribbon::<5>(frame, &x, Limb::Finger, plan, Some(&held))?;
+            if !FitResult::from(finger).is_accepted(&self.options.acquire.accept) {
+                return Ok(false);
+            }
+            self.hand.shape = Shape::Ribbon(with_thumb_of(&x, &finger.x));
+            self.hand.appearance = None;
+            self.learn_appearance(frame, 1)?;
+        }
+        let least_px = settled[3] + WIDENS * shaded.beyond_px;
+        Ok(shaded.beyond_px <= 0.0 || self.hand.shape.width() > least_px)
+    }
+
+    /// Learns what is inside of the finger's outline and what is outside of it, whether there are edges or
+    /// none. False if chromaticities do not tell one from the other.
+    fn learn_about_outline(&mut self, frame: &Scene<'_>) -> Result<bool> {
+        let mut outline = Vec::new();
+        self.hand.outline(&self.hand.shape, &self.samples, |part, placed| {
+            if part != Part::Thumb {
+                outline.push(placed);
+            }
+        });
+        let silhouette = self.hand.shape.silhouette();
+        let coloured = frame.colour().is_some();
+        let mut appearance =
+            AppearanceModel::new(coloured).with_flank_levels().with_shaded(self.hand.shaded);
+        let is_separated =
+            self.convergence.teach_at(&mut appearance, frame, outline.into_iter(), &silhouette)?;
+        self.hand.appearance = Some(appearance);
+        Ok(is_separated && self.hand.is_mixed())
+    }
+}
+
+/// A finger that goes on beyond one of its flanks.
+fn widened(x: &RibbonVector, shaded: &ShadedFlank) -> RibbonVector {
+    let half_px = 0.5 * shaded.beyond_px;
+    let lateral_px = if shaded.flank == Part::RightFlank { half_px } else { -half_px };
+    let (sin, cos) = x[2].sin_cos();
+    let mut wide = *x;
+    wide[0] -= lateral_px * sin;
+    wide[1] += lateral_px * cos;
+    wide[3] += half_px;
+    wide
+}
+
+/// Sums over the pixels that are as far outward from a flank, or means.
+#[derive(Debug, Clone, Copy, Default)]
+struct ShadeMeans {
+    count: f64,
+    grey: f64,
+    chromaticity: Vector3<f64>,
+    /// How like the finger that is, in the mixture that shows it best.
+    like: f64,
+}
+
+/// What is seen across a flank, from the finger outwards, pixel by pixel.
+#[derive(Debug, Clone)]
+struct FlankProfile {
+    /// How far outward the first sums are \[px\]; negative inside.
+    first: i32,
+    sums: Vec<ShadeMeans>,
+}
+
+impl FlankProfile {
+    /// From where to where a finger of this half-width is looked at, outward from a flank \[px\].
+    fn reach(half_width_px: f64) -> (i32, i32) {
+        let beyond = (BEYOND * half_width_px + BEYOND_PX).ceil() as i32;
+        (-(INSIDE * half_width_px) as i32, beyond + BEHIND_PX)
+    }
+
+    fn new(first: i32, last: i32) -> Self {
+        Self { first, sums: vec![ShadeMeans::default(); (last - first + 1).max(0) as usize] }
+    }
+
+    fn add(&mut self, out_px: i32, grey: u8, colour: [u8; 3], mixture: &Mixture) {
+        if let Some(sums) = self.sums.get_mut((out_px - self.first) as usize) {
+            sums.count += 1.0;
+            sums.grey += f64::from(grey);
+            sums.chromaticity += chromaticity(colour);
+            sums.like += f64::from(mixture.of(colour));
+        }
+    }
+
+    /// Means from so far outward to so far, the last not included; none where nothing was seen.
+    fn mean(&self, from_px: i32, to_px: i32) -> Option<ShadeMeans> {
+        let at = |px: i32| (px - self.first).clamp(0, self.sums.len() as i32) as usize;
+        let means = self.sums.get(at(from_px)..at(to_px))?;
+        let sum = means.iter().fold(ShadeMeans::default(), |sum, means| ShadeMeans {
+            count: sum.count + means.count,
+            grey: sum.grey + means.grey,
+            chromaticity: sum.chromaticity + means.chromaticity,
+            like: sum.like + means.like,
+        });
+        (sum.count > 0.0).then(|| ShadeMeans {
+            count: sum.count,
+            grey: sum.grey / sum.count,
+            chromaticity: sum.chromaticity / sum.count,
+            like: sum.like / sum.count,
+        })
+    }
+
+    /// Means over the finger, and over what is behind it.
+    fn flank_levels(&self) -> Option<(ShadeMeans, ShadeMeans)> {
+        let behind = self.behind();
+        Some((self.mean(self.first, 0)?, self.mean(behind, behind + BEHIND_PX)?))
+    }
+
+    /// Where what is behind the finger begins to be looked at \[px outward\].
+    fn behind(&self) -> i32 {
+        self.first + self.sums.len() as i32 - BEHIND_PX
+    }
+
+    /// How like the finger chromaticities are from so far outward to so far: 0 is what is behind it and 1 the
+    /// finger.
+    fn like(&self, from_px: i32, to_px: i32) -> Option<f64> {
+        let (inside, outside) = self.flank_levels()?;
+        Some((self.mean(from_px, to_px)?.like - outside.like) / (inside.like - outside.like))
+    }
+
+    /// How far outward the finger ends by its chromaticity, if it does: the change point that leaves most of
+    /// what is like it before, and most of what is not after it \[px\].
+    fn end(&self, half_width_px: f64) -> Option<i32> {
+        let middle = -half_width_px as i32;
+        let (mut sum, mut best, mut end) = (0.0, f64::NEG_INFINITY, middle);
+        for out_px in middle..self.behind() {
+            sum += self.like(out_px, out_px + 1)?.clamp(0.0, 1.0) - 0.5;
+            if sum > best {
+                (best, end) = (sum, out_px + 1);
+            }
+        }
+        let ends = self.like(middle, end)? > LIKE_FINGER
+            && self.like(end + BLEEDS_PX, self.behind()).is_none_or(|after| after < LIKE_BEHIND);
+        ends.then_some(end)
+    }
+
+    /// How far beyond the flank a shaded one is \[px\], and how bright in parts of the lit half; none if
+    /// there is none.
+    fn shaded(&self, half_width_px: f64) -> Option<(f64, f64)> {
+        let end = self.end(half_width_px)?;
+        let goes_on = f64::from(end) > GOES_ON_PX.max(GOES_ON * half_width_px);
+        let (from, to) = if goes_on { (2, end - 1) } else { (-FLANK_PX, -1) };
+        let beside = end + BLEEDS_PX;
+        let (inside, outside) = self.flank_levels()?;
+        let lit = self.mean(self.first, -(0.9 * half_width_px) as i32)?.grey;
+        let flank = self.mean(from, to)?;
+        let behind = self.mean(beside, beside + FLANK_PX)?.grey;
+        let is_hidden = flank.grey < DARK * lit && (flank.grey - behind).abs() < AS_DARK * lit;
+        let apart = (inside.chromaticity - outside.chromaticity).norm();
+        let is_skin = (inside.chromaticity - flank.chromaticity).norm() < SAME_CHROMATICITY * apart;
+        let beyond_px = if goes_on { f64::from(end) } else { 0.0 };
+        (is_hidden && is_skin).then_some((beyond_px, flank.grey / lit))
+    }
+}

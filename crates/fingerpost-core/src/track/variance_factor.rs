@@ -1,0 +1,203 @@
+//! What the covariances of lines are worth, and what contours are off.
+//!
+//! A covariance knows of what scatters within the picture that it is made of. What it does not know of
+//! shows where two looks at one finger are compared: if their covariances are right, the square of
+//! their difference is on average what these foretell. Where it is more, as in grey and compressed
+//! pictures and before patterned cloth, all are that much less sure, here as after any adjustment by
+//! least squares: the variance of unit weight. Less is never believed.
+//!
+//! What stays of the differences, frame after frame, is the contour's error. Its edges lie where the
+//! picture is steepest, which on a limb in the shade is within the finger; the pixels' model has a
+//! ramp of shade. One frame's pixels know less than that, but the mean of many knows more: the contour
+//! is set right by it. Its covariance keeps counting the error, for the pixels' mean has its own. As
+//! long as the hand rests, all this is one comparison: how much of the next one is new grows with the
+//! distance that the finger has moved.
+
+use super::line::FingerLine;
+use super::line_filter::correlation;
+use nalgebra::{Matrix2, Point2, Vector2};
+
+/// Covariances are believed to be right, and contours in place, by so many comparisons; each fresh one
+/// changes that by one part in so many more, but at least by this.
+const BELIEVED: f64 = 8.0;
+const LEAST_RATE: f64 = 0.05;
+/// The more so the more the lines differ, but no more than they do in one case of a hundred by chance:
+/// χ² of one degree of freedom.
+const CHI2_1DOF_99: f64 = 6.635;
+
+/// What contours and pixels of a hand have told of each other: in offset and in angle.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct VarianceFactor {
+    /// Mean of how far the pixels' line is from the contour's (px, rad).
+    bias: Vector2<f64>,
+    /// Mean square of that, in parts of the variances foretold.
+    square: Vector2<f64>,
+    comparisons: f64,
+    /// Where the contour was at the last one.
+    place: Option<Point2<f64>>,
+}
+
+impl Default for VarianceFactor {
+    fn default() -> Self {
+        Self {
+            bias: Vector2::zeros(),
+            square: Vector2::repeat(1.0),
+            comparisons: BELIEVED,
+            place: None,
+        }
+    }
+}
+
+impl VarianceFactor {
+    /// Takes over how far the pixels' line is from the contour's, of a finger of some half-width.
+    pub fn learn(&mut self, contour: &FingerLine, pixels: &FingerLine, half_width_px: f64) {
+        let place = contour.axis.anchor;
+        let gone = self.place.map_or(0.0, |last| (place - last).norm() / half_width_px);
+        self.place = Some(place);
+        let (difference, expected) = contour.difference_from(pixels);
+        self.count(&difference, &expected, 1.0 - correlation(gone));
+    }
+
+    /// Takes over a difference beside the covariance of that, fresh in part, 0–1.
+    fn count(&mut self, difference: &Vector2<f64>, expected: &Matrix2<f64>, freshness: f64) {
+        self.comparisons += freshness;
+        let rate = freshness * (1.0 / self.comparisons).max(LEAST_RATE);
+        for k in 0..2 {
+            let sigma = expected[(k, k)].sqrt();
+            let most = sigma * (CHI2_1DOF_99 * self.square[k].max(1.0)).sqrt();
+            let difference = difference[k].clamp(-most, most);
+            self.bias[k] += rate * (difference - self.bias[k]);
+            self.square[k] += rate * ((difference / sigma).powi(2) - self.square[k]);
+        }
+    }
+
+    /// The line of a contour, where the pixels of all frames have it, and as sure as such lines are.
+    pub fn bias_corrected(&self, contour: FingerLine) -> FingerLine {
+        self.scaled(contour.moved(&self.bias))
+    }
+
+    /// A line as sure as those of its kind.
+    pub fn scaled(&self, line: FingerLine) -> FingerLine {
+        let sigmas = self.square.map(|square| square.max(1.0).sqrt());
+        let scaled = line.covariance.component_mul(&(sigmas * sigmas.transpose()));
+        FingerLine { covariance: scaled, ..line }
+    }
+}
+
+// What it is learned from is made by the tracker; here it is written down.
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::axis::Stretch;
+    use crate::geometry::shape_space::Axis;
+    use crate::track::LineSource;
+
+    const SIGMAS: [f64; 2] = [0.2, 0.01];
+
+    fn line() -> FingerLine {
+        FingerLine {
+            axis: Axis::of_finger(Point2::new(10.0, 20.0), 0.3, 30.0),
+            half_length_px: 30.0,
+            stretch: Stretch::about(0.0, 30.0),
+            covariance: Matrix2::new(0.04, 1e-4, 1e-4, 1e-4),
+            source: LineSource::Both,
+        }
+    }
+
+    /// After so many comparisons, whose differences are these in the standard deviations foretold.
+    fn learned(count: usize, difference: impl Fn(usize) -> [f64; 2]) -> VarianceFactor {
+        let sigmas = Vector2::from(SIGMAS);
+        let expected = Matrix2::from_diagonal(&sigmas.component_mul(&sigmas));
+        let mut variance_factor = VarianceFactor::default();
+        for k in 0..count {
+            variance_factor.count(
+                &Vector2::from(difference(k)).component_mul(&sigmas),
+                &expected,
+                1.0,
+            );
+        }
+        variance_factor
+    }
+
+    fn sign(k: usize) -> f64 {
+        if k.is_multiple_of(2) { 1.0 } else { -1.0 }
+    }
+
+    #[test]
+    fn lines_that_differ_as_foretold_or_less_are_worth_what_they_say() {
+        for part in [1.0, 0.3, 0.0] {
+            let variance_factor = learned(50, |k| [part * sign(k), part]);
+            assert!((variance_factor.scaled(line()).covariance - line().covariance).norm() < 1e-12);
+        }
+    }
+
+    #[test]
+    fn lines_that_differ_by_more_are_that_much_less_sure_in_what_differs() {
+        let scaled = learned(150, |k| [sign(k), 3.0 * sign(k)]).scaled(line());
+        let expected = Matrix2::new(0.04, 3e-4, 3e-4, 9e-4);
+        let off = (scaled.covariance - expected).component_div(&expected);
+        assert!(off.amax() < 0.02, "{}", scaled.covariance);
+        assert_eq!(scaled.axis, line().axis);
+    }
+
+    #[test]
+    fn one_line_that_is_far_off_makes_neither_worthless_nor_moves_the_rest() {
+        let variance_factor =
+            learned(20, |k| if k == 10 { [0.0, 1e3] } else { [sign(k), sign(k)] });
+        let variance =
+            variance_factor.scaled(line()).covariance[(1, 1)] / line().covariance[(1, 1)];
+        assert!(1.05 < variance && variance < 1.5, "{variance}");
+        let moved = line().difference(&variance_factor.bias_corrected(line()).axis);
+        assert!(moved.y.abs() < 0.3 * SIGMAS[1], "{moved}");
+    }
+
+    #[test]
+    fn what_stays_of_the_difference_is_taken_out_of_the_contour_and_remains_in_its_doubt() {
+        let variance_factor = learned(150, |k| [2.0 + sign(k), -1.0]);
+        let bias_corrected = variance_factor.bias_corrected(line());
+        let moved = line().difference(&bias_corrected.axis);
+        assert!((moved.x / SIGMAS[0] - 2.0).abs() < 0.1, "{moved}");
+        assert!((moved.y / SIGMAS[1] + 1.0).abs() < 0.1, "{moved}");
+        // 2² + 1² in parts of what is foretold.
+        let variance = bias_corrected.covariance[(0, 0)] / line().covariance[(0, 0)];
+        assert!((variance - 5.0).abs() < 0.3, "{variance}");
+        assert_eq!(bias_corrected.covariance, variance_factor.scaled(line()).covariance);
+        let tip_px = (bias_corrected.axis.tip - bias_corrected.axis.anchor).norm();
+        assert!((tip_px - 30.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn a_contour_is_not_moved_by_what_scatters() {
+        let moved = line()
+            .difference(&learned(150, |k| [sign(k), 2.0 * sign(k)]).bias_corrected(line()).axis);
+        assert!(moved.x.abs() < 0.1 * SIGMAS[0] && moved.y.abs() < 0.1 * SIGMAS[1], "{moved}");
+    }
+
+    #[test]
+    fn a_hand_that_rests_shows_one_difference_however_long() {
+        let pixels = |at_px: f64| {
+            let contour = line();
+            let axis = Axis::of_finger(contour.axis.anchor + Vector2::new(at_px, 0.0), 0.33, 30.0);
+            [contour.axis, axis].map(|axis| FingerLine {
+                axis: Axis::of_finger(axis.anchor, axis.angle_rad, 30.0),
+                ..contour
+            })
+        };
+        let turned = |step_px: f64| {
+            let mut variance_factor = VarianceFactor::default();
+            for k in 0..30 {
+                let [contour, other] = pixels(0.0);
+                let aside = Vector2::new(step_px * f64::from(k), 0.0);
+                let at = |line: FingerLine| FingerLine {
+                    axis: Axis::of_finger(line.axis.anchor + aside, line.axis.angle_rad, 30.0),
+                    ..line
+                };
+                variance_factor.learn(&at(contour), &at(other), 7.0);
+            }
+            line().difference(&variance_factor.bias_corrected(line()).axis).y
+        };
+        let [rests, moves] = [0.0, 20.0].map(turned);
+        assert!(rests > 0.0 && rests < 0.1 * 0.03, "{rests}");
+        assert!(moves > 0.7 * 0.03 && moves < 0.03, "{moves}");
+    }
+}

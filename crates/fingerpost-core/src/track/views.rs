@@ -1,0 +1,112 @@
+//! One frame of every view of a rig in one call.
+//!
+//! Views share nothing, so they can be updated side by side, in threads; the tracks are the same to
+//! the bit. A thread costs some tens of microseconds to start and to wait for, and more where the
+//! processor has other work. That is little for a view that looks for its hand, which takes
+//! milliseconds, and about what is gained for one that follows it.
+
+use crate::Result;
+use crate::appearance::background::Background;
+use crate::image::frame::Frame;
+use crate::track::{ContourTracker, Status, Track};
+use std::thread;
+
+/// One view's share of the work: its tracker and its newest frame.
+#[derive(Debug)]
+pub struct ViewUpdate<'a> {
+    /// Follows the hand in this view.
+    pub tracker: &'a mut ContourTracker,
+    /// What the view sees.
+    pub frame: Frame<'a>,
+    /// What is behind the hand, if that is known; it has looked at the frame.
+    pub background: Option<&'a Background>,
+    /// When the frame was captured \[s\].
+    pub time_s: f64,
+}
+
+/// Who updates the views.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Schedule {
+    /// The calling thread those that follow a hand, threads of their own the others.
+    #[default]
+    ByNeed,
+    /// The calling thread, one view after the other.
+    InTurn,
+    /// A thread for each view.
+    SideBySide,
+}
+
+/// Updates the tracker of every view, and tells what each made of its frame, in their order: the
+/// error of one view ([`ContourTracker::update_before`] names them) costs no other view its track.
+/// Where the system starts no more threads, the calling one does the work.
+///
+/// ```
+/// use fingerpost_core::nalgebra::Point2;
+/// use fingerpost_core::geometry::template::{Template, Thumb};
+/// use fingerpost_core::track::{ContourTracker, StartPose, Status};
+/// use fingerpost_core::track::views::{Schedule, ViewUpdate, update_views};
+/// use fingerpost_core::{Frame, GrayView};
+///
+/// let start = StartPose { tip_px: Point2::new(90.0, 60.0), angle_rad: 0.5, length_px: 50.0 };
+/// let tracker = ContourTracker::new(Template::pistol(Thumb::None)?, &start, Default::default())?;
+/// let (mut left, mut right) = (tracker.clone(), tracker);
+/// let pixels = vec![70; 160 * 120];
+/// let frame = Frame::gray(GrayView::new(&pixels, 160, 120, 160)?);
+/// let updates = vec![
+///     ViewUpdate { tracker: &mut left, frame, background: None, time_s: 0.0 },
+///     ViewUpdate { tracker: &mut right, frame, background: None, time_s: f64::NAN },
+/// ];
+/// let tracks = update_views(updates, Schedule::ByNeed);
+/// assert!(tracks[0].as_ref().is_ok_and(|track| track.status == Status::Acquiring));
+/// assert!(tracks[1].is_err());
+/// # Ok::<(), fingerpost_core::Error>(())
+/// ```
+pub fn update_views(updates: Vec<ViewUpdate<'_>>, schedule: Schedule) -> Vec<Result<Track>> {
+    let mut shares: Vec<_> = updates.into_iter().map(Share::of).collect();
+    let (mut apart, mut here): (Vec<_>, Vec<_>) =
+        shares.iter_mut().partition(|share| share.goes_apart(schedule));
+    if here.is_empty() {
+        here.extend(apart.pop());
+    }
+    thread::scope(|scope| {
+        for share in apart {
+            // A share that gets no thread is as it was, and is finished below.
+            let _ = thread::Builder::new().spawn_scoped(scope, || share.finish());
+        }
+        here.into_iter().for_each(Share::finish);
+    });
+    shares.iter_mut().for_each(Share::finish);
+    shares.into_iter().filter_map(|share| share.track).collect()
+}
+
+/// A view's share: to be done, or done.
+struct Share<'a> {
+    update: Option<ViewUpdate<'a>>,
+    track: Option<Result<Track>>,
+}
+
+impl<'a> Share<'a> {
+    fn of(update: ViewUpdate<'a>) -> Self {
+        Self { update: Some(update), track: None }
+    }
+
+    /// Whether a thread of its own is worth it.
+    fn goes_apart(&self, schedule: Schedule) -> bool {
+        match schedule {
+            Schedule::InTurn => false,
+            Schedule::SideBySide => true,
+            Schedule::ByNeed => {
+                self.update.as_ref().is_some_and(|u| u.tracker.status() != Status::Tracking)
+            }
+        }
+    }
+
+    fn finish(&mut self) {
+        if let Some(ViewUpdate { tracker, frame, background, time_s }) = self.update.take() {
+            self.track = Some(match background {
+                Some(known) => tracker.update_before(&frame, known, time_s),
+                None => tracker.update(&frame, time_s),
+            });
+        }
+    }
+}
