@@ -1070,7 +1070,7 @@ class SearchLines:
 
     @property
     def separation(self) -> NDArray[np.float64]:
-        """Mean log-likelihood ratio inside minus outside, (N,); NaN for lines of an `EdgeSearch`."""
+        """Mean log-likelihood ratio inside minus outside, (N,); NaN without an appearance."""
 
     @property
     def agrees(self) -> NDArray[np.bool_] | None:
