@@ -36,6 +36,7 @@ PYTHON_GROUPS = {
     "consistency": "pipeline",
     "finding": "pipeline",
     "pipeline": "pipeline",
+    "pushed": "pipeline",
     "experiment": "application",
     "guidance": "application",
     "closed_loop": "application",

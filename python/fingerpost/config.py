@@ -19,12 +19,16 @@ from typing import Any, Literal, Self
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from fingerpost.capture import resolve_source, source_relative_to
 from fingerpost.checks import finite_array, in_range
 from fingerpost.errors import InvalidInputError, RigError
-from fingerpost.homography import MIN_REFERENCE_POINTS, estimate_image_from_plane
+from fingerpost.homography import (
+    MIN_REFERENCE_POINTS,
+    estimate_image_from_plane,
+    transfer_to_image,
+)
 from fingerpost.lens import Lens
 from fingerpost.rig_text import parsed
 
@@ -71,7 +75,23 @@ _VARIANCES_PX2 = (1e-12, 1e12)
 
 
 class _Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
-    """What all tables of a rig file share: no other keys, and no later change."""
+    """What all tables of a rig file share: no other keys, and no later change.
+
+    In Python, lists and arrays do for the file's lists; a value of another type is refused.
+    """
+
+    def __post_init__(self) -> None:
+        for field in msgspec.structs.fields(type(self)):
+            value = getattr(self, field.name)
+            try:
+                taken = msgspec.convert(_plain(value), field.type)
+            except msgspec.ValidationError as error:
+                table = next(name for name, kind in _TABLES.items() if kind is type(self))
+                right = _right(f"{table}.{field.encode_name}".strip("."))
+                raise InvalidInputError(
+                    f"{field.name} is {_shown(value)}; needed: {right}"
+                ) from error
+            msgspec.structs.force_setattr(self, field.name, taken)
 
 
 class Plane(_Table, kw_only=True, frozen=True):
@@ -89,6 +109,7 @@ class Plane(_Table, kw_only=True, frozen=True):
     points: tuple[Pair, ...]
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         _refuse_unprintable(self.unit, "unit")
         finite_array(self.points, "points", ("N", 2))
         if len(self.points) < MIN_REFERENCE_POINTS:
@@ -126,6 +147,7 @@ class LensParameters(_Table, kw_only=True, frozen=True):
     k2: float = 0.0
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         shortest, longest = _FOCAL_LENGTHS_PX
         for name in ("fx", "fy"):
             in_range(getattr(self, name), f"lens {name}", shortest, longest)
@@ -164,6 +186,7 @@ class Start(_Table, kw_only=True, frozen=True):
     thumb: Literal["left", "right", "none"]
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         finite_array(self.tip_px, "tip_px", (2,))
         finite_array(self.angle_deg, "angle_deg", ())
         in_range(self.length_px, "length_px", *_LENGTHS_PX)
@@ -177,7 +200,7 @@ class View(_Table, kw_only=True, frozen=True):
     name
         What the view is called in files and messages; unique within the rig.
     source
-        What `fingerpost.capture.open_source` opens.
+        What `fingerpost.capture.open_source` opens; None where a program pushes the images.
     reference_points_px
         The reference points (u, v) in this view's image, in px: one per point of the plane, in
         its order. They may lie outside the image.
@@ -199,7 +222,7 @@ class View(_Table, kw_only=True, frozen=True):
     """
 
     name: str
-    source: str | int
+    source: str | int | None = None
     reference_points_px: tuple[Pair, ...]
     size_px: tuple[int, int] | None = None
     offset_s: float = 0.0
@@ -209,6 +232,7 @@ class View(_Table, kw_only=True, frozen=True):
     start: Start | None = None
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         _refuse_unprintable(self.name, "name")
         if self.source == "" or (
             isinstance(self.source, int) and not 0 <= self.source <= _LARGEST_CAMERA
@@ -224,6 +248,45 @@ class View(_Table, kw_only=True, frozen=True):
             )
         if self.reference_covariances_px2 is not None:
             self._refuse_no_covariances(self.reference_covariances_px2)
+
+    @classmethod
+    def from_homography(
+        cls, name: str, image_from_plane: ArrayLike, plane: Plane, **others: Any
+    ) -> Self:
+        """Make a view of which the homography is known, instead of its reference points.
+
+        Parameters
+        ----------
+        name
+            What the view is called.
+        image_from_plane : (3, 3)
+            From points (X, Y, 1) of the plane to pixels (u, v, 1), up to scale; with a lens, into
+            the pixels of its ideal pinhole.
+        plane
+            The rig's: where its points are seen takes the homography's place, exactly.
+        **others
+            The view's other attributes. `reference_covariances_px2` says how well the homography
+            is known.
+
+        Raises
+        ------
+        InvalidInputError
+            No finite 3 × 3 matrix, or one that puts points of the plane on its horizon or beyond.
+        """
+        T = finite_array(image_from_plane, "image_from_plane", (3, 3))
+        depths = np.column_stack([plane.points, np.ones(len(plane.points))]) @ T[2]
+        points_px = transfer_to_image(T if depths.sum() > 0.0 else -T, plane.points)
+        beyond = np.flatnonzero(~np.isfinite(points_px).all(axis=1))
+        if len(beyond):
+            raise InvalidInputError(
+                f"image_from_plane puts plane.points[{beyond[0]}] on the horizon or beyond; all "
+                "are to be in front of the camera"
+            )
+        lens = others.get("lens_parameters")
+        if lens is not None:
+            points_px = lens.lens().distort(points_px)
+        pairs = tuple((u, v) for u, v in points_px.tolist())
+        return cls(name=name, reference_points_px=pairs, **others)
 
     def _refuse_no_covariances(self, covariances_px2: tuple[Triple, ...]) -> None:
         name = "reference_covariances_px2"
@@ -295,6 +358,7 @@ class RobotTable(_Table, kw_only=True, frozen=True):
     yaw_deg: float | None = None
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         _refuse_unprintable(self.url, "url")
         finite_array(self.height_m, "height_m", ())
         finite_array(self.z_m, "z_m", (2,))
@@ -334,6 +398,7 @@ class Rig(_Table, kw_only=True, frozen=True):
     robot: RobotTable | None = None
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if not self.views:
             raise InvalidInputError(f"view: none found; needed: {_RIGHT['view']}")
         name, count = Counter(view.name for view in self.views).most_common(1)[0]
@@ -346,8 +411,21 @@ class Rig(_Table, kw_only=True, frozen=True):
 
     @property
     def sources(self) -> dict[str, str | int]:
-        """What `fingerpost.capture.open_views` opens, by the view's name, in the views' order."""
-        return {view.name: view.source for view in self.views}
+        """What `fingerpost.capture.open_views` opens, by the view's name, in the views' order.
+
+        Raises
+        ------
+        InvalidInputError
+            A view has none.
+        """
+        sources = {}
+        for view in self.views:
+            if view.source is None:
+                raise InvalidInputError(
+                    f"view {_shown(view.name)} has no source; needed: {_RIGHT['view.source']}"
+                )
+            sources[view.name] = view.source
+        return sources
 
     @property
     def offsets_s(self) -> tuple[float, ...]:
@@ -420,6 +498,8 @@ class Rig(_Table, kw_only=True, frozen=True):
             raise RigError(f"{path}: {_explained(error, tables)}") from error
         views = (
             msgspec.structs.replace(view, source=resolve_source(view.source, path.parent))
+            if view.source is not None
+            else view
             for view in rig.views
         )
         return msgspec.structs.replace(rig, views=tuple(views))
@@ -439,6 +519,8 @@ class Rig(_Table, kw_only=True, frozen=True):
         _refuse_null(path)
         views = (
             msgspec.structs.replace(view, source=source_relative_to(view.source, path.parent))
+            if view.source is not None
+            else view
             for view in self.views
         )
         text = msgspec.structs.replace(self, views=tuple(views)).dumps()
@@ -479,6 +561,11 @@ _TABLES: dict[str, type[_Table]] = {
     "view.start": Start,
     "robot": RobotTable,
 }
+
+
+def rig_tables() -> dict[str, type[msgspec.Struct]]:
+    """Return the schema of every table of a rig file, by its dotted name; "" is the file."""
+    return dict(_TABLES)
 
 
 def part_of(path: Path) -> Path:
@@ -524,6 +611,13 @@ def _toml(value: object) -> str:
         return f"[{', '.join(map(_toml, value))}]"
     # JSON writes numbers and text as TOML does, but for one control character that it leaves bare.
     return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+
+
+def _plain(value: object) -> object:
+    """Return the lists and numbers of Python that arrays and numbers of NumPy stand for."""
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    return [_plain(entry) for entry in value] if isinstance(value, list | tuple) else value
 
 
 def _refuse_unprintable(text: str, key: str) -> None:

@@ -103,12 +103,12 @@ def _sizes(rig: Rig) -> list[tuple[int, int]]:
     from fingerpost.errors import InvalidInputError
 
     sizes = []
-    for view in rig.views:
-        with open_source(view.source) as source:
+    for name, named in rig.sources.items():
+        with open_source(named) as source:
             frame = next((seen for seen in source if isinstance(seen, Frame)), None)
         if frame is None:
             raise InvalidInputError(
-                f'view "{view.name}": {view.source} holds no frame; name one, or give --size'
+                f'view "{name}": {named} holds no frame; name one, or give --size'
             )
         sizes.append((frame.image.shape[1], frame.image.shape[0]))
     return sizes
