@@ -13,7 +13,7 @@ DOCS = Path(__file__).resolve().parents[1] / "docs"
 
 @pytest.mark.parametrize(("table", "kind"), rig_tables().items())
 def test_every_key_of_a_rig_file_is_on_its_page(table, kind):
-    page = (DOCS / "rig.md").read_text(encoding="utf-8")
+    page = "".join((DOCS / name).read_text(encoding="utf-8") for name in ("rig.md", "cameras.md"))
     documented = set(re.findall(r"`(?:\[+)?([\w.]+)(?:\]+)?`", page))
     for field in msgspec.structs.fields(kind):
         assert {field.encode_name, f"{table}.{field.encode_name}"} & documented, field.encode_name

@@ -21,7 +21,13 @@ import msgspec
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fingerpost.capture import resolve_source, source_relative_to
+from fingerpost.capture import (
+    Arrangement,
+    CameraSettings,
+    Reading,
+    resolve_source,
+    source_relative_to,
+)
 from fingerpost.checks import finite_array, in_range
 from fingerpost.errors import InvalidInputError, RigError
 from fingerpost.homography import (
@@ -44,6 +50,11 @@ _RIGHT = {
     "view": "one [[view]] table per camera",
     "view.name": 'a short name in quotes, such as "left"',
     "view.source": "a file, a glob of images or a URL in quotes, or a camera number from 0",
+    "view.camera": "{ width = 1280, height = 720, fps = 30 }, or other settings of a camera",
+    "view.camera.fourcc": 'four letters in quotes, such as "MJPG"',
+    "view.rotate_deg": "a turn clockwise by 0, 90, 180 or 270",
+    "view.mirror": "true or false",
+    "view.crop": "the part of the turned picture that is kept, [x, y, width, height] in px",
     "view.reference_points_px": "one pixel [u, v] per point of the plane, in its order",
     "view.size_px": "width and height of the images in which the points were measured, [w, h]",
     "view.offset_s": "seconds to add to this view's times, such as -0.2",
@@ -69,6 +80,15 @@ _MAX_SHOWN = 60
 # Beyond these no camera is, and the squares of numbers come to where floats end.
 _LARGEST_CAMERA = 2**31 - 1
 _LENGTHS_PX = (0.1, 1e5)
+_CAMERA_RANGES = {
+    "width": (1, 32767),
+    "height": (1, 32767),
+    "fps": (0.1, 1e4),
+    "exposure": (-1e6, 1e6),
+    "gain": (-1e6, 1e6),
+    "focus": (-1e6, 1e6),
+    "white_balance_k": (100, 1e5),
+}
 _FOCAL_LENGTHS_PX = (1.0, 1e9)
 _LARGEST_OFFSET_S = 3600.0
 _VARIANCES_PX2 = (1e-12, 1e12)
@@ -165,6 +185,48 @@ class LensParameters(_Table, kw_only=True, frozen=True):
         return Lens(**msgspec.structs.asdict(self))
 
 
+class CameraTable(_Table, kw_only=True, frozen=True):
+    """What a view's camera is asked for; what is left out stays as it is.
+
+    Attributes
+    ----------
+    width, height
+        Size of its pictures in px, 1 to 32767.
+    fps
+        Frames a second, 0.1 to 10000.
+    fourcc
+        How it sends pixels, in four letters, such as "MJPG" and "YUYV"; on a pipe, how its raw
+        frames lie, such as "BGR3" and "YU12".
+    exposure, gain, focus
+        Held still at this value of the driver's own.
+    white_balance_k
+        Held still at this colour temperature in K.
+    """
+
+    width: int | None = None
+    height: int | None = None
+    fps: float | None = None
+    fourcc: str | None = None
+    exposure: float | None = None
+    gain: float | None = None
+    focus: float | None = None
+    white_balance_k: float | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name, (least, most) in _CAMERA_RANGES.items():
+            if (value := getattr(self, name)) is not None:
+                in_range(value, name, least, most)
+        if self.fourcc is not None and not re.fullmatch(r"[!-~]{3}[ -~]", self.fourcc):
+            raise InvalidInputError(
+                f"fourcc is {_shown(self.fourcc)}; needed: {_RIGHT['view.camera.fourcc']}"
+            )
+
+    def settings(self) -> CameraSettings:
+        """Return them as `fingerpost.capture.open_source` takes them."""
+        return CameraSettings(**msgspec.structs.asdict(self))
+
+
 class Start(_Table, kw_only=True, frozen=True):
     """Where in the image the template waits for the hand.
 
@@ -215,6 +277,12 @@ class View(_Table, kw_only=True, frozen=True):
         where nobody has told, and whoever uses the rig has to assume one.
     reference
         How the reference points are followed.
+    camera
+        What the camera is asked for when it is opened, or how the raw frames on a pipe lie.
+    rotate_deg, mirror, crop
+        How its pictures are turned before anything else looks at them: `rotate_deg` (0, 90, 180 or
+        270) clockwise, then left and right exchanged, then the part (x, y, width, height) in px
+        kept. All pixels of this table are those of the result.
     lens_parameters
         The key `lens`: the view's lens, if known.
     start
@@ -228,6 +296,10 @@ class View(_Table, kw_only=True, frozen=True):
     offset_s: float = 0.0
     reference_covariances_px2: tuple[Triple, ...] | None = None
     reference: FixedReference = FixedReference()
+    camera: CameraTable | None = None
+    rotate_deg: int = 0
+    mirror: bool = False
+    crop: tuple[int, int, int, int] | None = None
     lens_parameters: LensParameters | None = msgspec.field(default=None, name="lens")
     start: Start | None = None
 
@@ -241,6 +313,7 @@ class View(_Table, kw_only=True, frozen=True):
                 f"source is {_shown(self.source)}; needed: {_RIGHT['view.source']}"
             )
         finite_array(self.reference_points_px, "reference_points_px", ("N", 2))
+        self.arrangement  # noqa: B018 - refuses what is none
         in_range(self.offset_s, "offset_s", -_LARGEST_OFFSET_S, _LARGEST_OFFSET_S)
         if self.size_px is not None and not 1 <= min(self.size_px) <= max(self.size_px) < 2**31:
             raise InvalidInputError(
@@ -322,6 +395,11 @@ class View(_Table, kw_only=True, frozen=True):
         if self.reference_covariances_px2 is None:
             return np.tile(otherwise_sigma_px**2 * np.eye(2), (len(self.reference_points_px), 1, 1))
         return np.array([[[uu, uv], [uv, vv]] for uu, uv, vv in self.reference_covariances_px2])
+
+    @property
+    def arrangement(self) -> Arrangement:
+        """How its pictures are turned."""
+        return Arrangement(self.rotate_deg, self.mirror, self.crop)
 
     @property
     def lens(self) -> Lens | None:
@@ -428,9 +506,14 @@ class Rig(_Table, kw_only=True, frozen=True):
         return sources
 
     @property
-    def offsets_s(self) -> tuple[float, ...]:
-        """What is added to the times of each view, in the views' order."""
-        return tuple(view.offset_s for view in self.views)
+    def readings(self) -> tuple[Reading, ...]:
+        """How `fingerpost.capture.open_views` reads each, in the views' order."""
+        return tuple(
+            Reading(
+                view.offset_s, view.arrangement, view.camera.settings() if view.camera else None
+            )
+            for view in self.views
+        )
 
     def _refuse_undetermined(self, view: View) -> None:
         points_px = finite_array(view.reference_points_px, "reference_points_px", ("N", 2))
@@ -556,6 +639,7 @@ _TABLES: dict[str, type[_Table]] = {
     "": Rig,
     "plane": Plane,
     "view": View,
+    "view.camera": CameraTable,
     "view.reference": FixedReference,
     "view.lens": LensParameters,
     "view.start": Start,

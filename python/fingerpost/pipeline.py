@@ -852,7 +852,7 @@ def track(
     """
     pointer = Pointer(rig, **options)
     with ExitStack() as stack:
-        sources = stack.enter_context(open_views(rig.sources, rig.offsets_s))
+        sources = stack.enter_context(open_views(rig.sources, rig.readings))
         together = at_most(read_views(sources, give_up_after_s=give_up_after_s), max_frames)
         for step in steps(pointer, together):
             yield (step.fix, step.frames) if frames else step.fix

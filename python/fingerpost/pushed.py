@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fingerpost.admission import Admission
-from fingerpost.capture import Frame
+from fingerpost.capture import AS_IT_IS, Frame
 from fingerpost.config import View
 from fingerpost.errors import InvalidInputError
 
@@ -83,8 +83,8 @@ class PushedViews:
                 f"of the {len(self._views)} views, is needed"
             )
         return [
-            None if image is None else Frame(count, time_s, image)
-            for image, count in zip(given, self._counts, strict=True)
+            None if image is None else Frame(count, time_s, _arranged(image, view))
+            for image, count, view in zip(given, self._counts, self._views, strict=True)
         ]
 
     def _refuse_strange(self, images: Mapping[str, Any]) -> None:
@@ -94,6 +94,16 @@ class PushedViews:
                 raise InvalidInputError(
                     f"images: {name!r} is no view of the rig; its views are {', '.join(names)}"
                 )
+
+
+def _arranged(image: Any, view: View) -> Any:
+    """Turn an image as the rig says; what is none is left to be refused."""
+    if view.arrangement == AS_IT_IS or np.ndim(image) < 2 or not isinstance(image, np.ndarray):
+        return image
+    try:
+        return view.arrangement.of(image)
+    except InvalidInputError as error:
+        raise InvalidInputError(f'view "{view.name}": {error}') from error
 
 
 def _own(frame: Frame, view: View) -> Frame:

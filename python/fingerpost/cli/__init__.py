@@ -17,6 +17,7 @@ from typing import Any, NoReturn
 import click
 
 from fingerpost.cli.advise import advise
+from fingerpost.cli.cameras import cameras
 from fingerpost.cli.demo import demo
 from fingerpost.cli.doctor import doctor
 from fingerpost.cli.experiment import experiment
@@ -87,5 +88,5 @@ def main(verbose: bool) -> None:
     )
 
 
-for _command in (demo, run, advise, doctor, experiment, robot):
+for _command in (demo, run, cameras, advise, doctor, experiment, robot):
     main.add_command(_command)

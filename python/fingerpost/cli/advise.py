@@ -99,12 +99,12 @@ def _options(device: str, settings: dict[str, Any]) -> AdviceOptions:
 
 def _sizes(rig: Rig) -> list[tuple[int, int]]:
     """Sizes of the views' images, from the first frame of each."""
-    from fingerpost.capture import Frame, open_source
+    from fingerpost.capture import Frame, open_views
     from fingerpost.errors import InvalidInputError
 
     sizes = []
-    for name, named in rig.sources.items():
-        with open_source(named) as source:
+    for (name, named), reading in zip(rig.sources.items(), rig.readings, strict=True):
+        with open_views({name: named}, [reading]) as (source,):
             frame = next((seen for seen in source if isinstance(seen, Frame)), None)
         if frame is None:
             raise InvalidInputError(

@@ -104,7 +104,7 @@ def run(
             line = None if as_json and sys.stdout.isatty() else stack.enter_context(status_line())
             if line is not None:
                 line.show(f"opening {', '.join(rig.sources)}")
-            sources = stack.enter_context(open_views(rig.sources, rig.offsets_s))
+            sources = stack.enter_context(open_views(rig.sources, rig.readings))
             takers = _takers(stack, pointer, rig.plane.unit, points, tracks, overlay, as_json)
             frames = at_most(read_views(sources, give_up_after_s=give_up_after_s), max_frames)
             if line is not None:
