@@ -44,6 +44,7 @@ PYTHON_GROUPS = {
     "demo": "application",
     "doctor": "application",
     "rehearsal": "application",
+    "sync": "application",
     "workers": "application",
     "installation": "checks",
     "signals": "errors",

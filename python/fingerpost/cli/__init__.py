@@ -23,6 +23,7 @@ from fingerpost.cli.doctor import doctor
 from fingerpost.cli.experiment import experiment
 from fingerpost.cli.robot import robot
 from fingerpost.cli.run import run
+from fingerpost.cli.sync import sync
 from fingerpost.errors import FingerpostError, InvalidInputError
 from fingerpost.signals import STOPPED
 
@@ -88,5 +89,5 @@ def main(verbose: bool) -> None:
     )
 
 
-for _command in (demo, run, cameras, advise, doctor, experiment, robot):
+for _command in (demo, run, cameras, sync, advise, doctor, experiment, robot):
     main.add_command(_command)
