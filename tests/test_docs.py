@@ -21,8 +21,8 @@ def test_every_key_of_a_rig_file_is_on_its_page(table, kind):
 
 def test_every_line_of_the_page_that_is_toml_is_read(tmp_path):
     page = (DOCS / "rig.md").read_text(encoding="utf-8")
-    lines = [line.strip() for line in page.splitlines() if re.match(r"    \w+ = ", line)]
-    assert len(lines) >= 2
+    lines = [line.strip() for line in page.splitlines() if re.match(r"    (\w+ = |\[\[)", line)]
+    assert len(lines) >= 6
     (tmp_path / "rig.toml").write_text(
         '[plane]\nunit = "mm"\npoints = [[0, 0], [400, 0], [400, 400], [0, 400]]\n'
         '[[view]]\nname = "left"\nsource = 0\n'
@@ -30,7 +30,9 @@ def test_every_line_of_the_page_that_is_toml_is_read(tmp_path):
         + "\n".join(lines),
         encoding="utf-8",
     )
-    assert Rig.load(tmp_path / "rig.toml").views[0].lens is not None
+    rig = Rig.load(tmp_path / "rig.toml")
+    assert rig.views[0].lens is not None
+    assert [target.name for target in rig.targets] == ["cup"]
 
 
 def test_no_page_links_to_one_that_is_not_there():

@@ -21,12 +21,12 @@ FRAMES = 14
 TARGET_MM = (200.0, 180.0)
 
 
-def film_of(folder: Path, *azimuths_deg: float) -> Path:
+def film_of(folder: Path, *azimuths_deg: float, frames: int = FRAMES) -> Path:
     """A recording, as MP4, of a rod that points at the target."""
     pose = DevicePose.pointing_at(TARGET_MM, azimuth_deg=20.0, slant_deg=50.0, hover_mm=120.0)
     rig = SimulatedRig(Placement(azimuths_deg=azimuths_deg))
     hold = Trajectory.hold(pose, 1.0)
-    return write_recording(folder, rig, hold, frames=FRAMES, rng=3, picture_format="mp4")
+    return write_recording(folder, rig, hold, frames=frames, rng=3, picture_format="mp4")
 
 
 @pytest.fixture(scope="module")
@@ -70,6 +70,15 @@ def test_three_cameras(run, tmp_path):
     lines = run("three_cameras.py", film_of(tmp_path, -20.0, 10.0, 35.0))
     assert len(lines) == FRAMES
     assert lines[-1].endswith("by view0 view1 view2")
+
+
+def test_targets_with_dwell(run, tmp_path):
+    rig_file = film_of(tmp_path, -15.0, 15.0, frames=36)
+    cup = '[[target]]\nname = "cup"\npoint = [200, 180]\nradius = 25\n'
+    rig_file.write_text(rig_file.read_text(encoding="utf-8") + cup, encoding="utf-8")
+    entered, selected = (line.split() for line in run("targets_with_dwell.py", rig_file))
+    assert (entered[2:4], selected[2:4]) == (["enter", "cup"], ["select", "cup"])
+    assert float(selected[0]) - float(entered[0]) >= 0.99
 
 
 def test_plot(run, pair, tmp_path, monkeypatch):

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from fingerpost.errors import FingerpostError
     from fingerpost.pipeline import Pointer, track
     from fingerpost.pointing import Fix, Status
+    from fingerpost.selection import Selector
 
 __all__ = [
     "ContourTracker",
@@ -28,6 +29,7 @@ __all__ = [
     "Plane",
     "Pointer",
     "Rig",
+    "Selector",
     "StartPose",
     "Status",
     "Template",
@@ -44,6 +46,7 @@ _HOMES = {
     "Plane": "config",
     "Pointer": "pipeline",
     "Rig": "config",
+    "Selector": "selection",
     "StartPose": "_core",
     "Status": "pointing",
     "Template": "_core",

@@ -37,6 +37,7 @@ from fingerpost.homography import (
 )
 from fingerpost.lens import Lens
 from fingerpost.rig_text import parsed
+from fingerpost.targets import Target, Targets
 
 Pair = tuple[float, float]
 Triple = tuple[float, float, float]
@@ -66,6 +67,12 @@ _RIGHT = {
     "view.start.angle_deg": "the direction of pointing in degrees: 0 is right, 90 is down",
     "view.start.length_px": "the visible length of the index finger in px",
     "view.start.thumb": '"left" or "right", seen along the pointing direction, or "none"',
+    "target": "one [[target]] table for each thing to point at",
+    "target.name": 'a short name in quotes, such as "cup"',
+    "target.point": "its middle, [X, Y] in the plane's unit, and a radius",
+    "target.polygon": "three corners [X, Y] or more, in the plane's unit",
+    "target.radius": "how far it reaches about its point or polygon, in the plane's unit",
+    "target.rest": "true for a place where the hand rests and nothing is selected",
     "robot": "one [robot] table with url, height_m, region_m and z_m",
     "robot.url": 'the robot in quotes, such as "acl:///dev/ttyUSB0"',
     "robot.height_m": "the plane's Z in the robot's frame, in m",
@@ -407,6 +414,52 @@ class View(_Table, kw_only=True, frozen=True):
         return self.lens_parameters.lens() if self.lens_parameters else None
 
 
+class TargetTable(_Table, kw_only=True, frozen=True):
+    """A thing on the plane to point at: `point` and `radius`, or `polygon`.
+
+    Attributes
+    ----------
+    name
+        What it is called; unique within the rig.
+    point
+        Its middle (X, Y), in the plane's unit.
+    polygon
+        Its corners (X, Y), three or more, in the plane's unit.
+    radius
+        How far it reaches about its point, above 0, or beyond its polygon, in the plane's unit.
+    rest
+        Whether it is a place for the hand to rest at: nothing is selected there, and each selection
+        by staying on a target needs the hand to have come from such a place.
+    """
+
+    name: str
+    point: Pair | None = None
+    polygon: tuple[Pair, ...] | None = None
+    radius: float = 0.0
+    rest: bool = False
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _refuse_unprintable(self.name, "name")
+        if (self.point is None) == (self.polygon is None):
+            found = "both" if self.point else "neither"
+            raise InvalidInputError(
+                f"target {_shown(self.name)} has {found} of point and polygon; one of them is right"
+            )
+        self.target()
+
+    def target(self) -> Target:
+        """Return it as a place of the plane.
+
+        Raises
+        ------
+        InvalidInputError
+            A radius or a polygon that is none.
+        """
+        corners = (self.point,) if self.polygon is None else self.polygon
+        return Target(self.name, np.array(corners, np.float64), self.radius, self.rest)
+
+
 class RobotTable(_Table, kw_only=True, frozen=True):
     """The robot that goes where the hand points.
 
@@ -463,6 +516,8 @@ class Rig(_Table, kw_only=True, frozen=True):
         At least one view, in the order of the file (key `view`); pointing needs two or more.
     robot
         The robot, if there is one.
+    targets
+        Things to point at (key `target`).
 
     Raises
     ------
@@ -474,16 +529,19 @@ class Rig(_Table, kw_only=True, frozen=True):
     plane: Plane
     views: tuple[View, ...] = msgspec.field(name="view")
     robot: RobotTable | None = None
+    targets: tuple[TargetTable, ...] = msgspec.field(name="target", default=())
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if not self.views:
             raise InvalidInputError(f"view: none found; needed: {_RIGHT['view']}")
-        name, count = Counter(view.name for view in self.views).most_common(1)[0]
-        if count > 1:
-            raise InvalidInputError(
-                f"view: {count} views are called {_shown(name)}; each needs a name of its own"
-            )
+        for key, tables in (("view", self.views), ("target", self.targets)):
+            for name, count in Counter(table.name for table in tables).most_common(1):
+                if count > 1:
+                    raise InvalidInputError(
+                        f"{key}: {count} {key}s are called {_shown(name)}; each needs a name of "
+                        "its own"
+                    )
         for view in self.views:
             self._refuse_undetermined(view)
 
@@ -504,6 +562,11 @@ class Rig(_Table, kw_only=True, frozen=True):
                 )
             sources[view.name] = view.source
         return sources
+
+    @property
+    def things(self) -> Targets:
+        """The targets as places of the plane."""
+        return Targets([table.target() for table in self.targets])
 
     @property
     def readings(self) -> tuple[Reading, ...]:
@@ -627,6 +690,8 @@ class Rig(_Table, kw_only=True, frozen=True):
         blocks = ["[plane]", *_lines(tables["plane"])]
         if "robot" in tables:
             blocks += ["", "[robot]", *_lines(tables["robot"])]
+        for target in tables.get("target", ()):
+            blocks += ["", "[[target]]", *_lines(target)]
         for view in tables["view"]:
             start = view.pop("start", None)
             blocks += ["", "[[view]]", *_lines(view)]
@@ -643,6 +708,7 @@ _TABLES: dict[str, type[_Table]] = {
     "view.reference": FixedReference,
     "view.lens": LensParameters,
     "view.start": Start,
+    "target": TargetTable,
     "robot": RobotTable,
 }
 

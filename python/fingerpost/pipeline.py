@@ -17,7 +17,7 @@ import sys
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import islice
 from typing import Any, Literal, TypeVar, overload
@@ -479,6 +479,7 @@ class Pointer:
         self._histories = tuple(_History() for _ in self.views)
         self._pending: deque[_Pending] = deque()
         self._identity = Identity()
+        self._targets = rig.things
 
     @property
     def plane_views(self) -> tuple[PlaneView, ...]:
@@ -737,6 +738,8 @@ class Pointer:
             names=[f'view "{view.name}"' for view in self.views],
             absences=_absences(told, pending.observations),
         )
+        if fix.point is not None and fix.covariance is not None:
+            fix = replace(fix, targets=self._targets.probabilities(fix.point, fix.covariance))
         return Step(pending.index, pending.observations, fix, pending.hand, pending.frames)
 
 
