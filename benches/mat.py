@@ -207,7 +207,7 @@ def shown(rig: Rig, version: Version) -> Iterator[list[Frame | None]]:
     """Read the footage and show it as a version does."""
     rng = np.random.default_rng(0)
     with ExitStack() as stack:
-        sources = stack.enter_context(open_views(rig.sources, rig.offsets_s))
+        sources = stack.enter_context(open_views(rig.sources, rig.readings))
         for index, frames in enumerate(read_views(sources)):
             if index % version.every == 0:
                 yield [f and replace(f, image=version.shown(f.image, rng)) for f in frames]
@@ -220,7 +220,7 @@ def measured(folder: Path, case: tuple[str, bool]) -> Result:
     rig = Rig.load(folder / "rig.toml")
     points = read_points(folder)
     lines = [read_lines(folder, view.name) for view in rig.views]
-    with open_views(rig.sources, rig.offsets_s) as sources:
+    with open_views(rig.sources, rig.readings) as sources:
         first = next(iter(read_views(sources)))[0]
     assert first is not None
     width_px = first.image.shape[1]

@@ -911,7 +911,7 @@ def test_axes_of_one_entry_have_any_stride(image):
         (grey().view(np.int8), "dtype int8"),
         (grey() > 7, "dtype bool"),
         (grey().astype(np.uint16), "dtype uint16"),
-        (np.stack([grey()] * 3, axis=2), r"shape \(480, 640, 3\)"),
+        (np.stack([grey()] * 4, axis=2), r"shape \(480, 640, 4\)"),
         (grey()[0], r"shape \(640,\)"),
         (np.uint8(3), "of <class 'numpy.uint8'>"),
         (np.array(3, np.uint8), r"shape \(\)"),
@@ -922,7 +922,7 @@ def test_axes_of_one_entry_have_any_stride(image):
     ],
 )
 def test_what_is_no_grey_image_is_refused(image, given):
-    needed = r"it must be a 2-D uint8 array \(height, width\)$"
+    needed = r"it must be a uint8 array \(height, width\), or \(height, width, 3\) in colour$"
     with pytest.raises(InvalidInputError, match=f"^image is .*{given}.*; {needed}"):
         ContourTracker(PISTOL, WAITING).update(image, 0.0)
 

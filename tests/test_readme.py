@@ -27,7 +27,8 @@ def test_the_rig_file_of_the_readme_loads(tmp_path):
 def test_the_python_of_the_readme_runs(snippet, tmp_path, monkeypatch, capsys):
     pose = DevicePose.pointing_at((200.0, 200.0), azimuth_deg=20.0, slant_deg=50.0, hover_mm=120.0)
     rng = np.random.default_rng(1)
-    write_recording(tmp_path, SimulatedRig(), Trajectory.hold(pose, 1.0), frames=5, rng=rng)
+    hold = Trajectory.hold(pose, 1.0)
+    write_recording(tmp_path, SimulatedRig(), hold, frames=5, rng=rng, picture_format="mp4")
     monkeypatch.chdir(tmp_path)
     exec(compile(snippet, "README.md", "exec"), {})
     assert capsys.readouterr().out

@@ -119,7 +119,7 @@ def test_an_offset_in_the_rig_brings_them_together(clip, tmp_path):
         source = str(tmp_path / view.name / "*.png")
         views.append(structs.replace(view, source=source, offset_s=offset_s))
     moved = structs.replace(rig, views=tuple(views))
-    with open_views(moved.sources, moved.offsets_s) as sources:
+    with open_views(moved.sources, moved.readings) as sources:
         pointer, told = run(moved, read_views(sources))
     assert pointer.notes() == []
     _, plain = run(rig, together)

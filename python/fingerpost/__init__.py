@@ -1,7 +1,8 @@
 """Tell where on a plane a hand points, and how sure that is.
 
 Two or more ordinary cameras, four reference points on the plane, a pointing hand. Nothing is
-calibrated. See `track` for the whole path and `ContourTracker` for one view.
+calibrated. See `track` for the whole path, `Pointer` for images that a program pushes, and
+`ContourTracker` for one view.
 
 What stands here is imported when it is first used, so that the command line answers at once.
 """
@@ -11,21 +12,29 @@ from importlib import import_module
 TYPE_CHECKING = False  # checkers know the name; to import `typing` would take longer than all else
 
 if TYPE_CHECKING:
+    __version__: str
     from fingerpost._core import ContourTracker, StartPose, Template
-    from fingerpost.config import Rig
+    from fingerpost.capture import Frame
+    from fingerpost.config import Plane, Rig, View
     from fingerpost.errors import FingerpostError
     from fingerpost.pipeline import Pointer, track
     from fingerpost.pointing import Fix, Status
+    from fingerpost.selection import Selector
 
 __all__ = [
     "ContourTracker",
     "FingerpostError",
     "Fix",
+    "Frame",
+    "Plane",
     "Pointer",
     "Rig",
+    "Selector",
     "StartPose",
     "Status",
     "Template",
+    "View",
+    "__version__",
     "track",
 ]
 
@@ -33,16 +42,22 @@ _HOMES = {
     "ContourTracker": "_core",
     "FingerpostError": "errors",
     "Fix": "pointing",
+    "Frame": "capture",
+    "Plane": "config",
     "Pointer": "pipeline",
     "Rig": "config",
+    "Selector": "selection",
     "StartPose": "_core",
     "Status": "pointing",
     "Template": "_core",
+    "View": "config",
     "track": "pipeline",
 }
 
 
 def __getattr__(name: str) -> object:
+    if name == "__version__":
+        return import_module("importlib.metadata").version(__name__)
     if name not in _HOMES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     value = getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)

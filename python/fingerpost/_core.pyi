@@ -1726,13 +1726,15 @@ class ContourTracker:
 
         Parameters
         ----------
-        image : (height, width)
-            Grey levels; not copied, and not to be written to meanwhile.
+        image : (height, width) or (height, width, 3)
+            Grey levels, or blue, green and red as OpenCV has them; not copied, and not to be
+            written to meanwhile. Edges are measured in grey (ITU-R BT.601 luma); by its colours
+            the hand is told from what is behind it. Three channels that do not differ are grey.
         time_s
             When it was captured [s], not before the last frame.
         colour : (height, width, 3), optional
-            Colours of the same frame, in any order of channels that stays the same; not copied.
-            Edges are measured in ``image``, the hand is told from what is behind it by these.
+            Colours of the same frame beside grey levels of their own, in any order of channels
+            that stays the same; not copied.
         background
             What is behind the hand, after `Background.look` at this frame. Its edges are not taken
             for the hand's, and the finger line is measured before what it shows; what the frame

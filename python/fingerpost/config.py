@@ -19,14 +19,25 @@ from typing import Any, Literal, Self
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from fingerpost.capture import resolve_source, source_relative_to
+from fingerpost.capture import (
+    Arrangement,
+    CameraSettings,
+    Reading,
+    resolve_source,
+    source_relative_to,
+)
 from fingerpost.checks import finite_array, in_range
 from fingerpost.errors import InvalidInputError, RigError
-from fingerpost.homography import MIN_REFERENCE_POINTS, estimate_image_from_plane
+from fingerpost.homography import (
+    MIN_REFERENCE_POINTS,
+    estimate_image_from_plane,
+    transfer_to_image,
+)
 from fingerpost.lens import Lens
 from fingerpost.rig_text import parsed
+from fingerpost.targets import Target, Targets
 
 Pair = tuple[float, float]
 Triple = tuple[float, float, float]
@@ -40,6 +51,11 @@ _RIGHT = {
     "view": "one [[view]] table per camera",
     "view.name": 'a short name in quotes, such as "left"',
     "view.source": "a file, a glob of images or a URL in quotes, or a camera number from 0",
+    "view.camera": "{ width = 1280, height = 720, fps = 30 }, or other settings of a camera",
+    "view.camera.fourcc": 'four letters in quotes, such as "MJPG"',
+    "view.rotate_deg": "a turn clockwise by 0, 90, 180 or 270",
+    "view.mirror": "true or false",
+    "view.crop": "the part of the turned picture that is kept, [x, y, width, height] in px",
     "view.reference_points_px": "one pixel [u, v] per point of the plane, in its order",
     "view.size_px": "width and height of the images in which the points were measured, [w, h]",
     "view.offset_s": "seconds to add to this view's times, such as -0.2",
@@ -51,6 +67,12 @@ _RIGHT = {
     "view.start.angle_deg": "the direction of pointing in degrees: 0 is right, 90 is down",
     "view.start.length_px": "the visible length of the index finger in px",
     "view.start.thumb": '"left" or "right", seen along the pointing direction, or "none"',
+    "target": "one [[target]] table for each thing to point at",
+    "target.name": 'a short name in quotes, such as "cup"',
+    "target.point": "its middle, [X, Y] in the plane's unit, and a radius",
+    "target.polygon": "three corners [X, Y] or more, in the plane's unit",
+    "target.radius": "how far it reaches about its point or polygon, in the plane's unit",
+    "target.rest": "true for a place where the hand rests and nothing is selected",
     "robot": "one [robot] table with url, height_m, region_m and z_m",
     "robot.url": 'the robot in quotes, such as "acl:///dev/ttyUSB0"',
     "robot.height_m": "the plane's Z in the robot's frame, in m",
@@ -65,13 +87,38 @@ _MAX_SHOWN = 60
 # Beyond these no camera is, and the squares of numbers come to where floats end.
 _LARGEST_CAMERA = 2**31 - 1
 _LENGTHS_PX = (0.1, 1e5)
+_CAMERA_RANGES = {
+    "width": (1, 32767),
+    "height": (1, 32767),
+    "fps": (0.1, 1e4),
+    "exposure": (-1e6, 1e6),
+    "gain": (-1e6, 1e6),
+    "focus": (-1e6, 1e6),
+    "white_balance_k": (100, 1e5),
+}
 _FOCAL_LENGTHS_PX = (1.0, 1e9)
 _LARGEST_OFFSET_S = 3600.0
 _VARIANCES_PX2 = (1e-12, 1e12)
 
 
 class _Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
-    """What all tables of a rig file share: no other keys, and no later change."""
+    """What all tables of a rig file share: no other keys, and no later change.
+
+    In Python, lists and arrays do for the file's lists; a value of another type is refused.
+    """
+
+    def __post_init__(self) -> None:
+        for field in msgspec.structs.fields(type(self)):
+            value = getattr(self, field.name)
+            try:
+                taken = msgspec.convert(_plain(value), field.type)
+            except msgspec.ValidationError as error:
+                table = next(name for name, kind in _TABLES.items() if kind is type(self))
+                right = _right(f"{table}.{field.encode_name}".strip("."))
+                raise InvalidInputError(
+                    f"{field.name} is {_shown(value)}; needed: {right}"
+                ) from error
+            msgspec.structs.force_setattr(self, field.name, taken)
 
 
 class Plane(_Table, kw_only=True, frozen=True):
@@ -89,6 +136,7 @@ class Plane(_Table, kw_only=True, frozen=True):
     points: tuple[Pair, ...]
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         _refuse_unprintable(self.unit, "unit")
         finite_array(self.points, "points", ("N", 2))
         if len(self.points) < MIN_REFERENCE_POINTS:
@@ -126,6 +174,7 @@ class LensParameters(_Table, kw_only=True, frozen=True):
     k2: float = 0.0
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         shortest, longest = _FOCAL_LENGTHS_PX
         for name in ("fx", "fy"):
             in_range(getattr(self, name), f"lens {name}", shortest, longest)
@@ -141,6 +190,48 @@ class LensParameters(_Table, kw_only=True, frozen=True):
     def lens(self) -> Lens:
         """Return the model with these parameters."""
         return Lens(**msgspec.structs.asdict(self))
+
+
+class CameraTable(_Table, kw_only=True, frozen=True):
+    """What a view's camera is asked for; what is left out stays as it is.
+
+    Attributes
+    ----------
+    width, height
+        Size of its pictures in px, 1 to 32767.
+    fps
+        Frames a second, 0.1 to 10000.
+    fourcc
+        How it sends pixels, in four letters, such as "MJPG" and "YUYV"; on a pipe, how its raw
+        frames lie, such as "BGR3" and "YU12".
+    exposure, gain, focus
+        Held still at this value of the driver's own.
+    white_balance_k
+        Held still at this colour temperature in K.
+    """
+
+    width: int | None = None
+    height: int | None = None
+    fps: float | None = None
+    fourcc: str | None = None
+    exposure: float | None = None
+    gain: float | None = None
+    focus: float | None = None
+    white_balance_k: float | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name, (least, most) in _CAMERA_RANGES.items():
+            if (value := getattr(self, name)) is not None:
+                in_range(value, name, least, most)
+        if self.fourcc is not None and not re.fullmatch(r"[!-~]{3}[ -~]", self.fourcc):
+            raise InvalidInputError(
+                f"fourcc is {_shown(self.fourcc)}; needed: {_RIGHT['view.camera.fourcc']}"
+            )
+
+    def settings(self) -> CameraSettings:
+        """Return them as `fingerpost.capture.open_source` takes them."""
+        return CameraSettings(**msgspec.structs.asdict(self))
 
 
 class Start(_Table, kw_only=True, frozen=True):
@@ -164,6 +255,7 @@ class Start(_Table, kw_only=True, frozen=True):
     thumb: Literal["left", "right", "none"]
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         finite_array(self.tip_px, "tip_px", (2,))
         finite_array(self.angle_deg, "angle_deg", ())
         in_range(self.length_px, "length_px", *_LENGTHS_PX)
@@ -177,7 +269,7 @@ class View(_Table, kw_only=True, frozen=True):
     name
         What the view is called in files and messages; unique within the rig.
     source
-        What `fingerpost.capture.open_source` opens.
+        What `fingerpost.capture.open_source` opens; None where a program pushes the images.
     reference_points_px
         The reference points (u, v) in this view's image, in px: one per point of the plane, in
         its order. They may lie outside the image.
@@ -192,6 +284,12 @@ class View(_Table, kw_only=True, frozen=True):
         where nobody has told, and whoever uses the rig has to assume one.
     reference
         How the reference points are followed.
+    camera
+        What the camera is asked for when it is opened, or how the raw frames on a pipe lie.
+    rotate_deg, mirror, crop
+        How its pictures are turned before anything else looks at them: `rotate_deg` (0, 90, 180 or
+        270) clockwise, then left and right exchanged, then the part (x, y, width, height) in px
+        kept. All pixels of this table are those of the result.
     lens_parameters
         The key `lens`: the view's lens, if known.
     start
@@ -199,16 +297,21 @@ class View(_Table, kw_only=True, frozen=True):
     """
 
     name: str
-    source: str | int
+    source: str | int | None = None
     reference_points_px: tuple[Pair, ...]
     size_px: tuple[int, int] | None = None
     offset_s: float = 0.0
     reference_covariances_px2: tuple[Triple, ...] | None = None
     reference: FixedReference = FixedReference()
+    camera: CameraTable | None = None
+    rotate_deg: int = 0
+    mirror: bool = False
+    crop: tuple[int, int, int, int] | None = None
     lens_parameters: LensParameters | None = msgspec.field(default=None, name="lens")
     start: Start | None = None
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         _refuse_unprintable(self.name, "name")
         if self.source == "" or (
             isinstance(self.source, int) and not 0 <= self.source <= _LARGEST_CAMERA
@@ -217,6 +320,7 @@ class View(_Table, kw_only=True, frozen=True):
                 f"source is {_shown(self.source)}; needed: {_RIGHT['view.source']}"
             )
         finite_array(self.reference_points_px, "reference_points_px", ("N", 2))
+        self.arrangement  # noqa: B018 - refuses what is none
         in_range(self.offset_s, "offset_s", -_LARGEST_OFFSET_S, _LARGEST_OFFSET_S)
         if self.size_px is not None and not 1 <= min(self.size_px) <= max(self.size_px) < 2**31:
             raise InvalidInputError(
@@ -224,6 +328,45 @@ class View(_Table, kw_only=True, frozen=True):
             )
         if self.reference_covariances_px2 is not None:
             self._refuse_no_covariances(self.reference_covariances_px2)
+
+    @classmethod
+    def from_homography(
+        cls, name: str, image_from_plane: ArrayLike, plane: Plane, **others: Any
+    ) -> Self:
+        """Make a view of which the homography is known, instead of its reference points.
+
+        Parameters
+        ----------
+        name
+            What the view is called.
+        image_from_plane : (3, 3)
+            From points (X, Y, 1) of the plane to pixels (u, v, 1), up to scale; with a lens, into
+            the pixels of its ideal pinhole.
+        plane
+            The rig's: where its points are seen takes the homography's place, exactly.
+        **others
+            The view's other attributes. `reference_covariances_px2` says how well the homography
+            is known.
+
+        Raises
+        ------
+        InvalidInputError
+            No finite 3 × 3 matrix, or one that puts points of the plane on its horizon or beyond.
+        """
+        T = finite_array(image_from_plane, "image_from_plane", (3, 3))
+        depths = np.column_stack([plane.points, np.ones(len(plane.points))]) @ T[2]
+        points_px = transfer_to_image(T if depths.sum() > 0.0 else -T, plane.points)
+        beyond = np.flatnonzero(~np.isfinite(points_px).all(axis=1))
+        if len(beyond):
+            raise InvalidInputError(
+                f"image_from_plane puts plane.points[{beyond[0]}] on the horizon or beyond; all "
+                "are to be in front of the camera"
+            )
+        lens = others.get("lens_parameters")
+        if lens is not None:
+            points_px = lens.lens().distort(points_px)
+        pairs = tuple((u, v) for u, v in points_px.tolist())
+        return cls(name=name, reference_points_px=pairs, **others)
 
     def _refuse_no_covariances(self, covariances_px2: tuple[Triple, ...]) -> None:
         name = "reference_covariances_px2"
@@ -261,9 +404,60 @@ class View(_Table, kw_only=True, frozen=True):
         return np.array([[[uu, uv], [uv, vv]] for uu, uv, vv in self.reference_covariances_px2])
 
     @property
+    def arrangement(self) -> Arrangement:
+        """How its pictures are turned."""
+        return Arrangement(self.rotate_deg, self.mirror, self.crop)
+
+    @property
     def lens(self) -> Lens | None:
         """The view's lens, if known."""
         return self.lens_parameters.lens() if self.lens_parameters else None
+
+
+class TargetTable(_Table, kw_only=True, frozen=True):
+    """A thing on the plane to point at: `point` and `radius`, or `polygon`.
+
+    Attributes
+    ----------
+    name
+        What it is called; unique within the rig.
+    point
+        Its middle (X, Y), in the plane's unit.
+    polygon
+        Its corners (X, Y), three or more, in the plane's unit.
+    radius
+        How far it reaches about its point, above 0, or beyond its polygon, in the plane's unit.
+    rest
+        Whether it is a place for the hand to rest at: nothing is selected there, and each selection
+        by staying on a target needs the hand to have come from such a place.
+    """
+
+    name: str
+    point: Pair | None = None
+    polygon: tuple[Pair, ...] | None = None
+    radius: float = 0.0
+    rest: bool = False
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _refuse_unprintable(self.name, "name")
+        if (self.point is None) == (self.polygon is None):
+            found = "both" if self.point else "neither"
+            raise InvalidInputError(
+                f"target {_shown(self.name)} has {found} of point and polygon; one of them is right"
+            )
+        self.target()
+
+    def target(self) -> Target:
+        """Return it as a place of the plane.
+
+        Raises
+        ------
+        InvalidInputError
+            A radius or a polygon that is none.
+        """
+        corners = (self.point,) if self.polygon is None else self.polygon
+        return Target(self.name, np.array(corners, np.float64), self.radius, self.rest)
 
 
 class RobotTable(_Table, kw_only=True, frozen=True):
@@ -295,6 +489,7 @@ class RobotTable(_Table, kw_only=True, frozen=True):
     yaw_deg: float | None = None
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         _refuse_unprintable(self.url, "url")
         finite_array(self.height_m, "height_m", ())
         finite_array(self.z_m, "z_m", (2,))
@@ -321,6 +516,8 @@ class Rig(_Table, kw_only=True, frozen=True):
         At least one view, in the order of the file (key `view`); pointing needs two or more.
     robot
         The robot, if there is one.
+    targets
+        Things to point at (key `target`).
 
     Raises
     ------
@@ -332,27 +529,54 @@ class Rig(_Table, kw_only=True, frozen=True):
     plane: Plane
     views: tuple[View, ...] = msgspec.field(name="view")
     robot: RobotTable | None = None
+    targets: tuple[TargetTable, ...] = msgspec.field(name="target", default=())
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if not self.views:
             raise InvalidInputError(f"view: none found; needed: {_RIGHT['view']}")
-        name, count = Counter(view.name for view in self.views).most_common(1)[0]
-        if count > 1:
-            raise InvalidInputError(
-                f"view: {count} views are called {_shown(name)}; each needs a name of its own"
-            )
+        for key, tables in (("view", self.views), ("target", self.targets)):
+            for name, count in Counter(table.name for table in tables).most_common(1):
+                if count > 1:
+                    raise InvalidInputError(
+                        f"{key}: {count} {key}s are called {_shown(name)}; each needs a name of "
+                        "its own"
+                    )
         for view in self.views:
             self._refuse_undetermined(view)
 
     @property
     def sources(self) -> dict[str, str | int]:
-        """What `fingerpost.capture.open_views` opens, by the view's name, in the views' order."""
-        return {view.name: view.source for view in self.views}
+        """What `fingerpost.capture.open_views` opens, by the view's name, in the views' order.
+
+        Raises
+        ------
+        InvalidInputError
+            A view has none.
+        """
+        sources = {}
+        for view in self.views:
+            if view.source is None:
+                raise InvalidInputError(
+                    f"view {_shown(view.name)} has no source; needed: {_RIGHT['view.source']}"
+                )
+            sources[view.name] = view.source
+        return sources
 
     @property
-    def offsets_s(self) -> tuple[float, ...]:
-        """What is added to the times of each view, in the views' order."""
-        return tuple(view.offset_s for view in self.views)
+    def things(self) -> Targets:
+        """The targets as places of the plane."""
+        return Targets([table.target() for table in self.targets])
+
+    @property
+    def readings(self) -> tuple[Reading, ...]:
+        """How `fingerpost.capture.open_views` reads each, in the views' order."""
+        return tuple(
+            Reading(
+                view.offset_s, view.arrangement, view.camera.settings() if view.camera else None
+            )
+            for view in self.views
+        )
 
     def _refuse_undetermined(self, view: View) -> None:
         points_px = finite_array(view.reference_points_px, "reference_points_px", ("N", 2))
@@ -420,6 +644,8 @@ class Rig(_Table, kw_only=True, frozen=True):
             raise RigError(f"{path}: {_explained(error, tables)}") from error
         views = (
             msgspec.structs.replace(view, source=resolve_source(view.source, path.parent))
+            if view.source is not None
+            else view
             for view in rig.views
         )
         return msgspec.structs.replace(rig, views=tuple(views))
@@ -439,6 +665,8 @@ class Rig(_Table, kw_only=True, frozen=True):
         _refuse_null(path)
         views = (
             msgspec.structs.replace(view, source=source_relative_to(view.source, path.parent))
+            if view.source is not None
+            else view
             for view in self.views
         )
         text = msgspec.structs.replace(self, views=tuple(views)).dumps()
@@ -462,6 +690,8 @@ class Rig(_Table, kw_only=True, frozen=True):
         blocks = ["[plane]", *_lines(tables["plane"])]
         if "robot" in tables:
             blocks += ["", "[robot]", *_lines(tables["robot"])]
+        for target in tables.get("target", ()):
+            blocks += ["", "[[target]]", *_lines(target)]
         for view in tables["view"]:
             start = view.pop("start", None)
             blocks += ["", "[[view]]", *_lines(view)]
@@ -474,11 +704,18 @@ _TABLES: dict[str, type[_Table]] = {
     "": Rig,
     "plane": Plane,
     "view": View,
+    "view.camera": CameraTable,
     "view.reference": FixedReference,
     "view.lens": LensParameters,
     "view.start": Start,
+    "target": TargetTable,
     "robot": RobotTable,
 }
+
+
+def rig_tables() -> dict[str, type[msgspec.Struct]]:
+    """Return the schema of every table of a rig file, by its dotted name; "" is the file."""
+    return dict(_TABLES)
 
 
 def part_of(path: Path) -> Path:
@@ -524,6 +761,13 @@ def _toml(value: object) -> str:
         return f"[{', '.join(map(_toml, value))}]"
     # JSON writes numbers and text as TOML does, but for one control character that it leaves bare.
     return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+
+
+def _plain(value: object) -> object:
+    """Return the lists and numbers of Python that arrays and numbers of NumPy stand for."""
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    return [_plain(entry) for entry in value] if isinstance(value, list | tuple) else value
 
 
 def _refuse_unprintable(text: str, key: str) -> None:

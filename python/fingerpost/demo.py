@@ -212,7 +212,7 @@ class _Footage:
 def _clip(stack: ExitStack) -> _Footage:
     """Open the packaged clip until the stack unwinds."""
     rig = Rig.load(_CLIP / "rig.toml")
-    sources = stack.enter_context(open_views(rig.sources, rig.offsets_s))
+    sources = stack.enter_context(open_views(rig.sources, rig.readings))
     table = np.loadtxt(_CLIP / "truth.csv", delimiter=",", skiprows=1)
     return _Footage(
         name="the built-in clip",

@@ -17,10 +17,10 @@ import sys
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import islice
-from typing import Any, TypeVar
+from typing import Any, Literal, TypeVar, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,6 +62,7 @@ from fingerpost.pointing import (
     align,
     indicated_point,
 )
+from fingerpost.pushed import Images, PushedViews
 from fingerpost.recording import PointRow, TrackRow
 from fingerpost.recording.picture import SearchMarks
 from fingerpost.references import Reduction, ReferenceWatch
@@ -285,12 +286,15 @@ class Step:
         Where the hand points at the time of the first view's frame.
     hand
         Whose that is.
+    frames
+        What the views gave, one entry each, before anything was reduced.
     """
 
     index: int
     observations: tuple[Observation, ...]
     fix: Fix
     hand: Hand = field(default_factory=Hand)
+    frames: tuple[Frame | Loss | None, ...] = ()
 
     def point_row(self) -> PointRow:
         """Return the row of `points.csv`; a covariance without bound is left empty."""
@@ -333,6 +337,7 @@ class _Pending:
     time_s: float
     observations: tuple[Observation, ...]
     hand: Hand
+    frames: tuple[Frame | Loss | None, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -464,6 +469,7 @@ class Pointer:
         if (wrong := different_sides(rig, self.plane_views)) is not None:
             raise InvalidInputError(f"{wrong.what}; {wrong.right}")
         self._admission = Admission(rig.views)
+        self._pushed = PushedViews(rig.views, self._admission)
         self._first: dict[int, Frame] | None = {}
         self._monitor = Monitor([view.name for view in rig.views])
         self._moving = moving
@@ -473,14 +479,43 @@ class Pointer:
         self._histories = tuple(_History() for _ in self.views)
         self._pending: deque[_Pending] = deque()
         self._identity = Identity()
+        self._targets = rig.things
 
     @property
     def plane_views(self) -> tuple[PlaneView, ...]:
         """How each view sees the plane, as of its last frame."""
         return tuple(view.plane_view for view in self.views)
 
-    def update(self, seen: Sequence[Frame | Loss | None]) -> Iterator[Step]:
-        """Take one frame of every view; yield the steps that can be told from them.
+    def push(self, images: Images, time_s: float) -> list[Fix]:
+        """Take images that a program has captured itself; return the fixes that they complete.
+
+        A fix is of the time of a frame of the first view; it comes when the other views have
+        reached that time, with the same push where all are pushed together.
+
+        Parameters
+        ----------
+        images
+            `uint8` of shape (height, width), or (height, width, 3) in blue, green and red, as the
+            camera gives them; copied. By the view's name, of one view, several or all; or a list
+            of one for each view in the rig's order, None where there is none.
+        time_s
+            When they were taken [s], by one clock for all views; not before a view's last one.
+
+        Returns
+        -------
+        list of Fix
+            Oldest first; empty while views wait for each other.
+
+        Raises
+        ------
+        InvalidInputError
+            An unknown view, or what `update` refuses.
+        """
+        rounds = self._pushed.take(images, time_s)
+        return [step.fix for seen in rounds for step in self.update(seen)]
+
+    def update(self, seen: Sequence[Frame | Loss | None]) -> list[Step]:
+        """Take one frame of every view; return the steps that can be told from them.
 
         Views that are captured at one time give their step at once. Where a view lags behind, the
         step of the first view's frame comes when the others have passed its time, or when that
@@ -544,11 +579,13 @@ class Pointer:
         if first is not None:
             self._identity.update(self.views, first.time_s)
             hand = self._identity.hand
-            self._pending.append(_Pending(first.index, first.time_s, observations, hand))
-        yield from self._ready()
+            pending = _Pending(first.index, first.time_s, observations, hand, tuple(seen))
+            self._pending.append(pending)
+        steps = self._ready()
         needed_s = self._pending[0].time_s if self._pending else np.inf
         for history in self._histories:
             history.forget(needed_s)
+        return steps
 
     def _compare_scenery(self, seen: Sequence[Frame | Loss | None]) -> None:
         """Refuse reference points that the first frames of all views belie, and warn of others.
@@ -656,22 +693,26 @@ class Pointer:
         """Return what was noticed of the views so far, a line each: old pictures, other clocks."""
         return self._monitor.notes()
 
-    def finish(self) -> Iterator[Step]:
-        """Yield the last steps, whose time not every view has reached."""
+    def finish(self) -> list[Step]:
+        """Return the last steps, whose time not every view has reached."""
+        steps = [step for seen in self._pushed.rest() for step in self.update(seen)]
         while self._pending:
-            yield self._step(self._pending.popleft(), "the view has ended before")
+            steps.append(self._step(self._pending.popleft(), "the view has ended before"))
+        return steps
 
-    def _ready(self) -> Iterator[Step]:
-        """Yield the steps whose time all views have reached, or for which one is too late."""
+    def _ready(self) -> list[Step]:
+        """Return the steps whose time all views have reached, or for which one is too late."""
+        steps: list[Step] = []
         while self._pending:
             oldest_s = self._pending[0].time_s
             waited_s = self._pending[-1].time_s - oldest_s
             is_late = waited_s > self._options.max_wait_s
             if not is_late and any(h.at(oldest_s, self._options) is None for h in self._histories):
-                return
+                break
             most_s = self._options.max_wait_s
             late = f"no frame for {waited_s:.4g} s; at most {most_s:g} s are waited for"
-            yield self._step(self._pending.popleft(), late)
+            steps.append(self._step(self._pending.popleft(), late))
+        return steps
 
     def _step(self, pending: _Pending, without_frame: str) -> Step:
         """Point at the time of a frame; `without_frame` says why a view may not have reached it."""
@@ -697,7 +738,9 @@ class Pointer:
             names=[f'view "{view.name}"' for view in self.views],
             absences=_absences(told, pending.observations),
         )
-        return Step(pending.index, pending.observations, fix, pending.hand)
+        if fix.point is not None and fix.covariance is not None:
+            fix = replace(fix, targets=self._targets.probabilities(fix.point, fix.covariance))
+        return Step(pending.index, pending.observations, fix, pending.hand, pending.frames)
 
 
 def _watch(view: View) -> ReferenceWatch:
@@ -747,19 +790,49 @@ def steps(pointer: Pointer, frames: Iterable[Sequence[Frame | Loss | None]]) -> 
     yield from pointer.finish()
 
 
+Seen = tuple[Fix, tuple[Frame | Loss | None, ...]]
+"""A fix, and what every view gave with its frame of the first view."""
+
+
+@overload
 def track(
     rig: Rig,
     *,
+    frames: Literal[False] = False,
     max_frames: int | None = None,
     give_up_after_s: float | None = None,
     **options: Any,
-) -> Iterator[Fix]:
+) -> Iterator[Fix]: ...
+
+
+@overload
+def track(
+    rig: Rig,
+    *,
+    frames: Literal[True],
+    max_frames: int | None = None,
+    give_up_after_s: float | None = None,
+    **options: Any,
+) -> Iterator[Seen]: ...
+
+
+def track(
+    rig: Rig,
+    *,
+    frames: bool = False,
+    max_frames: int | None = None,
+    give_up_after_s: float | None = None,
+    **options: Any,
+) -> Iterator[Fix] | Iterator[Seen]:
     """Yield the fixes of a rig, live or recorded, in the order of the first view's frames.
 
     Parameters
     ----------
     rig
-        At least two views.
+        At least two views, each with a source.
+    frames
+        Yield ``(fix, frames)`` instead: what every view gave, in the rig's order; a `Frame`, a
+        `Loss` in place of one, or None where a view has none of that time.
     max_frames
         Stop after as many frames of each view; None reads on to the end.
     give_up_after_s
@@ -782,7 +855,7 @@ def track(
     """
     pointer = Pointer(rig, **options)
     with ExitStack() as stack:
-        sources = stack.enter_context(open_views(rig.sources, rig.offsets_s))
-        frames = read_views(sources, give_up_after_s=give_up_after_s)
-        for step in steps(pointer, at_most(frames, max_frames)):
-            yield step.fix
+        sources = stack.enter_context(open_views(rig.sources, rig.readings))
+        together = at_most(read_views(sources, give_up_after_s=give_up_after_s), max_frames)
+        for step in steps(pointer, together):
+            yield (step.fix, step.frames) if frames else step.fix

@@ -538,6 +538,9 @@ class Fix:
         Largest angle between two constraint lines, from 0 to π/2 [rad]; None without two.
     reason
         Why the status is not `ok`, or which views a fix had to do without; else empty.
+    targets
+        How probably the hand points at each of the rig's targets, by name, and at None: at none of
+        them. Empty without a point, or without targets.
     """
 
     time_s: float
@@ -547,6 +550,12 @@ class Fix:
     covariance: NDArray[np.float64] | None = None
     crossing_angle_rad: float | None = None
     reason: str = ""
+    targets: Mapping[str | None, float] = field(default_factory=dict)
+
+    @property
+    def target(self) -> str | None:
+        """The target that the hand most probably points at; None if that is none of them."""
+        return max(self.targets, key=self.targets.__getitem__) if self.targets else None
 
     def ellipse(self, confidence: float = 0.95) -> Ellipse | None:
         """Ellipse that holds the indicated point with a given probability; None without a point.

@@ -99,7 +99,7 @@ def footage(
 
 def _read(rig: Rig, shown: Callable[[Image, int], Image], count: int) -> Iterator[Together]:
     with ExitStack() as stack:
-        sources = stack.enter_context(open_views(rig.sources, rig.offsets_s))
+        sources = stack.enter_context(open_views(rig.sources, rig.readings))
         for together in at_most(read_views(sources), count):
             yield tuple(
                 frame and replace(frame, image=shown(frame.image, frame.index))

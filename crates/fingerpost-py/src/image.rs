@@ -1,4 +1,5 @@
-//! Frames from NumPy, borrowed where they lie: nothing is copied.
+//! Frames from NumPy, borrowed where they lie: nothing is copied, but that a colour image alone gets
+//! its grey levels.
 
 use crate::arrays::as_tuple;
 use crate::errors::{InvalidInputError, invalid_input};
@@ -9,28 +10,56 @@ use pyo3::prelude::*;
 
 /// The arrays of one frame: grey levels, and colours if there are any.
 pub struct FrameArrays<'py> {
-    gray: PixelArray<'py>,
+    gray: Gray<'py>,
     colour: Option<PixelArray<'py>>,
 }
 
 impl<'py> FrameArrays<'py> {
     /// The arrays, or an `InvalidInputError` that says what was given and what is needed.
     pub fn new(image: &Bound<'py, PyAny>, colour: Option<&Bound<'py, PyAny>>) -> PyResult<Self> {
-        let gray = PixelArray::new("image", image, Pixel::Gray)?;
+        let gray = Gray::Given(PixelArray::new("image", image, Pixel::Gray)?);
         let colour = colour.map(|c| PixelArray::new("colour", c, Pixel::Colour)).transpose()?;
         Ok(Self { gray, colour })
     }
 
+    /// The same of an image that may be in colour and has no grey levels beside it.
+    ///
+    /// One whose channels do not differ, as a monochrome camera's, counts as grey.
+    pub fn alone(image: &Bound<'py, PyAny>) -> PyResult<Self> {
+        if PixelArray::fits(image, Pixel::Gray) {
+            return Self::new(image, None);
+        }
+        let pixels = PixelArray::new("image", image, Pixel::Either)?;
+        let colours = pixels.colours()?;
+        let (levels, has_colours) = image.py().detach(|| (colours.luma(), colours.has_colours()));
+        let Layout { width, height, .. } = pixels.layout;
+        let gray = Gray::Made { levels, width, height };
+        Ok(Self { gray, colour: has_colours.then_some(pixels) })
+    }
+
     /// The frame as the core sees it.
     pub fn frame(&self) -> PyResult<Frame<'_>> {
-        let Layout { width, height, stride, .. } = self.gray.layout;
-        let gray =
-            GrayView::new(self.gray.bytes(), width, height, stride).map_err(invalid_input)?;
+        let gray = self.gray.levels().map_err(invalid_input)?;
         let Some(colour) = &self.colour else { return Ok(Frame::gray(gray)) };
-        let Layout { width, height, stride, .. } = colour.layout;
-        let colour =
-            ColourView::new(colour.bytes(), width, height, stride).map_err(invalid_input)?;
-        Frame::coloured(gray, colour).map_err(invalid_input)
+        Frame::coloured(gray, colour.colours()?).map_err(invalid_input)
+    }
+}
+
+/// Grey levels: the caller's, or made of his colours.
+enum Gray<'py> {
+    Given(PixelArray<'py>),
+    Made { levels: Vec<u8>, width: usize, height: usize },
+}
+
+impl Gray<'_> {
+    fn levels(&self) -> fingerpost_core::Result<GrayView<'_>> {
+        match self {
+            Self::Given(array) => {
+                let Layout { width, height, stride, .. } = array.layout;
+                GrayView::new(array.bytes(), width, height, stride)
+            }
+            Self::Made { levels, width, height } => GrayView::new(levels, *width, *height, *width),
+        }
     }
 }
 
@@ -39,6 +68,8 @@ impl<'py> FrameArrays<'py> {
 enum Pixel {
     Gray,
     Colour,
+    /// A colour, where a grey level would do as well.
+    Either,
 }
 
 impl Pixel {
@@ -47,6 +78,7 @@ impl Pixel {
         match self {
             Self::Gray => "a 2-D uint8 array (height, width)",
             Self::Colour => "a 3-D uint8 array (height, width, 3)",
+            Self::Either => "a uint8 array (height, width), or (height, width, 3) in colour",
         }
     }
 
@@ -54,14 +86,14 @@ impl Pixel {
     fn fit(self, shape: &[usize]) -> bool {
         match self {
             Self::Gray => shape.len() == 2,
-            Self::Colour => shape.len() == 3 && shape[2] == 3,
+            Self::Colour | Self::Either => shape.len() == 3 && shape[2] == 3,
         }
     }
 
     fn bytes(self) -> usize {
         match self {
             Self::Gray => 1,
-            Self::Colour => 3,
+            Self::Colour | Self::Either => 3,
         }
     }
 }
@@ -98,6 +130,18 @@ impl<'py> PixelArray<'py> {
             refused(what, image, needed)
         })?;
         Ok(Self { array, layout })
+    }
+
+    /// Whether an image is an array of such pixels, however they lie.
+    fn fits(image: &Bound<'py, PyAny>, pixel: Pixel) -> bool {
+        let array = image.extract::<PyReadonlyArrayDyn<'py, u8>>();
+        array.is_ok_and(|array| pixel.fit(array.shape()))
+    }
+
+    /// The pixels as colours.
+    fn colours(&self) -> PyResult<ColourView<'_>> {
+        let Layout { width, height, stride, .. } = self.layout;
+        ColourView::new(self.bytes(), width, height, stride).map_err(invalid_input)
     }
 
     /// The bytes from the first pixel to the last, those between the rows included.

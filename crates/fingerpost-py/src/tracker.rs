@@ -181,7 +181,10 @@ impl PyContourTracker {
         colour: Option<&Bound<'_, PyAny>>,
         background: Option<&Bound<'_, PyBackground>>,
     ) -> PyResult<PyTrack> {
-        let arrays = FrameArrays::new(image, colour)?;
+        let arrays = match colour {
+            Some(_) => FrameArrays::new(image, colour)?,
+            None => FrameArrays::alone(image)?,
+        };
         let frame = arrays.frame()?;
         let time_s = real(time_s, "time_s")?;
         let background = background.map(PyBackground::at_rest).transpose()?;

@@ -9,6 +9,7 @@ which that frame was grabbed, and drops what the consumer was too slow for. Wher
 be believed, or a live source sends none, a `Loss` stands in place of the frame.
 """
 
+from fingerpost.capture.devices import Camera, list_cameras
 from fingerpost.capture.opening import (
     open_source,
     open_views,
@@ -17,15 +18,22 @@ from fingerpost.capture.opening import (
     source_relative_to,
 )
 from fingerpost.capture.remote import is_url
+from fingerpost.capture.settings import AS_IT_IS, Arrangement, CameraSettings, Reading
 from fingerpost.capture.source import Frame, Loss, Source, SourceKind
 from fingerpost.capture.views import read_views
 
 __all__ = [
+    "AS_IT_IS",
+    "Arrangement",
+    "Camera",
+    "CameraSettings",
     "Frame",
     "Loss",
+    "Reading",
     "Source",
     "SourceKind",
     "is_url",
+    "list_cameras",
     "open_source",
     "open_views",
     "read_views",

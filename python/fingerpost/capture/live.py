@@ -19,12 +19,15 @@ import select
 import threading
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
 
+from fingerpost.capture.raw import STDIN, RawStream, StreamEndedError, raw_format
 from fingerpost.capture.remote import is_url, masked
+from fingerpost.capture.settings import CameraSettings, Control
 from fingerpost.capture.source import Frame, Loss, Source, SourceKind
 from fingerpost.checks import opencv_path
 from fingerpost.errors import CaptureError
@@ -53,18 +56,23 @@ class Device(Protocol):
         """Give the device back."""
 
 
-def connect(source: str | int, timeout_s: float) -> Device:
-    """Open a camera or stream with OpenCV; whether that worked is for `isOpened` to say."""
+def _connect(source: str | int, timeout_s: float, camera: CameraSettings | None = None) -> Device:
+    """Open a camera, pipe or stream; whether that worked is for `isOpened` to say."""
+    if source == STDIN:
+        return RawStream(0, raw_format(camera), timeout_s=timeout_s, ends=True)
     import cv2
 
     if isinstance(source, int) or "://" not in source:
         device = source if isinstance(source, int) else opencv_path(Path(source), "device")
         if not isinstance(source, int) and Path(source).is_fifo():
-            return _Pipe(source, timeout_s)
-        camera = cv2.VideoCapture(device)
+            if (known := raw_format(camera)) is None:
+                return _Pipe(source, timeout_s)
+            descriptor = os.open(source, os.O_RDONLY | os.O_NONBLOCK)
+            return RawStream(descriptor, known, timeout_s=timeout_s, ends=False)
+        capture = cv2.VideoCapture(device)
         # Two cameras that send raw pixels exceed one USB bus; most can send JPEG instead.
-        camera.set(cv2.CAP_PROP_FOURCC, cv2.VideoWriter.fourcc(*"MJPG"))
-        return camera
+        capture.set(cv2.CAP_PROP_FOURCC, cv2.VideoWriter.fourcc(*"MJPG"))
+        return capture
     return cv2.VideoCapture(source, cv2.CAP_FFMPEG, _limits(timeout_s))
 
 
@@ -140,8 +148,10 @@ class LiveSource(Source):
         counts as lost.
     clock
         Gives the time in nanoseconds; called right after each grab.
+    camera
+        What the camera is asked for, or the format of the raw frames on a pipe.
     connect
-        Opens the device; called in the reader's thread.
+        Opens the device; called in the reader's thread. By default as `source` says.
 
     Raises
     ------
@@ -157,12 +167,15 @@ class LiveSource(Source):
         *,
         timeout_s: float,
         clock: Callable[[], int],
-        connect: Callable[[str | int, float], Device] = connect,
+        camera: CameraSettings | None = None,
+        connect: Callable[[str | int, float], Device] | None = None,
     ) -> None:
-        super().__init__(masked(source))
+        super().__init__("standard input" if source == STDIN else masked(source))
+        self._camera = camera
+        self._differences: tuple[str, ...] = ()
         self._timeout_s = timeout_s
         self._clock = clock
-        self._connect = connect
+        self._connect = connect or partial(_connect, camera=camera)
         self._changed = threading.Condition()
         self._closed = False
         self._opened: bool | None = None
@@ -198,9 +211,8 @@ class LiveSource(Source):
     def notes(self) -> tuple[str, ...]:
         """What else is to be said of the source in the end, for people."""
         times = "once" if self._stalls == 1 else f"{self._stalls} times"
-        return (
-            (f"sent nothing for {self._timeout_s:g} s and more, {times}",) if self._stalls else ()
-        )
+        stalls = f"sent nothing for {self._timeout_s:g} s and more, {times}"
+        return (*self._differences, stalls) if self._stalls else self._differences
 
     def wait(self, at_most_s: float = math.inf) -> None:
         """Return when a frame is there that was not fetched yet, or the source is closed or lost.
@@ -290,6 +302,8 @@ class LiveSource(Source):
             grabbed = self._frames_grabbed
             try:
                 self._open_and_read(source)
+            except StreamEndedError:
+                self._end()
             except Exception as error:
                 # A driver may raise anything; at the start it belongs to whoever waits for a frame.
                 if not self._frames_grabbed:
@@ -309,10 +323,27 @@ class LiveSource(Source):
             self._failure = error
             self._changed.notify_all()
 
+    def _end(self) -> None:
+        """Let the newest frame be the last one."""
+        with self._changed:
+            self._closed = True
+            self._changed.notify_all()
+
+    def _ask(self, device: Device) -> None:
+        """Ask a camera for its settings, and tell once what it has made of them."""
+        if self._camera is None or not isinstance(device, Control):
+            return
+        differences = tuple(self._camera.apply(device))
+        for difference in set(differences) - set(self._differences):
+            _log.warning("%s: %s", self.name, difference)
+        self._differences = differences
+
     def _open_and_read(self, source: str | int) -> None:
         device = self._connect(source, self._timeout_s)
         try:
             opened = device.isOpened()
+            if opened:
+                self._ask(device)
             with self._changed:
                 self._opened = opened
                 self._changed.notify_all()

@@ -20,7 +20,9 @@ from fingerpost.capture.images import (
     picture_count,
 )
 from fingerpost.capture.live import LiveSource
+from fingerpost.capture.raw import STDIN, raw_format
 from fingerpost.capture.remote import Remote, RemoteFilm, is_url, look_up, masked
+from fingerpost.capture.settings import CameraSettings, Reading
 from fingerpost.capture.source import Source
 from fingerpost.capture.video import VideoFile
 from fingerpost.checks import opencv_path
@@ -39,6 +41,7 @@ DEFAULT_TIMEOUT_S = 5.0
 def open_source(
     source: str | int,
     *,
+    camera: CameraSettings | None = None,
     fps: float = DEFAULT_FPS,
     timeout_s: float = DEFAULT_TIMEOUT_S,
     clock: Callable[[], int] = time.monotonic_ns,
@@ -51,7 +54,10 @@ def open_source(
         A video file, an animation or a TIFF of many pages, one still image (shown `STILL_FRAMES`
         times), a glob of still images (`left/*.png`, taken in natural order: 2 before 10), a
         camera number, a camera device (`/dev/video0`) or a named pipe, or a URL (`http://`,
-        `https://`, `rtsp://`, ...): live, unless a web server says that it is a film.
+        `https://`, `rtsp://`, ...): live, unless a web server says that it is a film; or `-`: raw
+        frames on standard input (`fingerpost.capture.raw`), which are live as well.
+    camera
+        What a camera is asked for, or the format of the raw frames on a pipe.
     fps
         Frames per second of still images and of videos whose file states no rate, > 0.
     timeout_s
@@ -73,24 +79,42 @@ def open_source(
         name has one that is not UTF-8, or that this locale cannot write.
     """
     try:
-        return _opened(source, fps, timeout_s, clock)
+        opened = _opened(source, camera, fps, timeout_s, clock)
     except CaptureError as error:
         raise SourceError(str(error)) from error
+    if camera is not None and not isinstance(opened, LiveSource):
+        opened.close()
+        raise SourceError(f"{opened.name}: camera = {{ ... }} is for cameras and pipes, not for it")
+    return opened
 
 
-def _opened(source: str | int, fps: float, timeout_s: float, clock: Callable[[], int]) -> Source:
+def _opened(
+    source: str | int,
+    camera: CameraSettings | None,
+    fps: float,
+    timeout_s: float,
+    clock: Callable[[], int],
+) -> Source:
     for name, value in (("fps", fps), ("timeout_s", timeout_s)):
         if not (math.isfinite(value) and value > 0):
             raise InvalidInputError(f"{name} = {value}: must be a finite number above 0")
     if isinstance(source, int):
         if isinstance(source, bool) or source < 0:
             raise InvalidInputError(f"camera {source}: cameras are numbered 0, 1, 2, ...")
-        return LiveSource(source, timeout_s=timeout_s, clock=clock)
+        return LiveSource(source, timeout_s=timeout_s, clock=clock, camera=camera)
     if not source or "\0" in source:
         raise InvalidInputError(
             f"source {source!r}: must name a file, a glob, a camera number or a URL"
         )
+    if source == STDIN:
+        raw_format(camera)
+        return LiveSource(source, timeout_s=timeout_s, clock=clock, camera=camera)
     if is_url(source):
+        if camera is not None:
+            raise InvalidInputError(
+                f"{masked(source)}: camera = {{ ... }} is for cameras and pipes; set a network "
+                "camera where it is"
+            )
         if source.startswith("file:"):
             raise InvalidInputError(f"{source}: give the file's path instead of a file: URL")
         if look_up(source, timeout_s) is Remote.FILM:
@@ -106,8 +130,10 @@ def _opened(source: str | int, fps: float, timeout_s: float, clock: Callable[[],
         ) from error
     path = Path(source)
     try:
+        if path.is_fifo():
+            raw_format(camera)
         if path.is_char_device() or path.is_fifo():
-            return LiveSource(source, timeout_s=timeout_s, clock=clock)
+            return LiveSource(source, timeout_s=timeout_s, clock=clock, camera=camera)
         if path.is_dir():
             example = path / "*.png"
             raise CaptureError(f"{path}: is a folder; name the images in it, as in {example}")
@@ -153,7 +179,7 @@ def source_files(source: str | int) -> list[Path]:
 
     A single name is returned whether there is such a file or not.
     """
-    if isinstance(source, int) or is_url(source):
+    if isinstance(source, int) or is_url(source) or source == STDIN:
         return []
     # Path.exists would raise where a name is too long to exist.
     if glob.has_magic(source) and not os.path.exists(source):  # noqa: PTH110
@@ -163,7 +189,7 @@ def source_files(source: str | int) -> list[Path]:
 
 @contextmanager
 def open_views(
-    sources: Mapping[str, str | int], offsets_s: Sequence[float] = ()
+    sources: Mapping[str, str | int], readings: Sequence[Reading] = ()
 ) -> Iterator[list[Source]]:
     """Open the source of every view, and close them all in the end.
 
@@ -171,8 +197,8 @@ def open_views(
     ----------
     sources
         What `open_source` opens, by the view's name.
-    offsets_s
-        What is added to the times of each view's frames [s], in their order; nothing by default.
+    readings
+        How each is read, in their order; as it is by default.
 
     Yields
     ------
@@ -188,9 +214,12 @@ def open_views(
     """
     refuse_repeated(sources)
     with ExitStack() as stack:
-        opened = [stack.enter_context(open_source(source)) for source in sources.values()]
-        for source, offset_s in zip(opened, offsets_s, strict=False):
-            source.offset_s = offset_s
+        opened = []
+        each = readings or [Reading()] * len(sources)
+        for source, reading in zip(sources.values(), each, strict=True):
+            one = stack.enter_context(open_source(source, camera=reading.camera))
+            one.offset_s, one.arrangement = reading.offset_s, reading.arrangement
+            opened.append(one)
         yield opened
 
 
@@ -227,7 +256,7 @@ def _what_is_read(source: str | int) -> list[str | int]:
 
     What does not exist is refused by whoever opens it.
     """
-    if isinstance(source, str) and is_url(source):
+    if isinstance(source, str) and (is_url(source) or source == STDIN):
         return [source]
     is_camera = isinstance(source, int)
     files = [Path(_CAMERA_FILE.format(source))] if is_camera else source_files(source)
@@ -241,7 +270,7 @@ def resolve_source(source: str | int, directory: Path) -> str | int:
 
     Camera numbers, URLs and absolute paths stay as they are.
     """
-    if isinstance(source, int) or is_url(source):
+    if isinstance(source, int) or is_url(source) or source == STDIN:
         return source
     path = directory / source
     # Path.exists would raise where a name is too long to exist.
@@ -255,7 +284,7 @@ def source_relative_to(source: str | int, directory: Path) -> str | int:
 
     A source elsewhere becomes an absolute path, so that it is found from anywhere.
     """
-    if isinstance(source, int) or is_url(source):
+    if isinstance(source, int) or is_url(source) or source == STDIN:
         return source
     path = Path(os.path.abspath(source))  # noqa: PTH100 - resolve() would follow links
     for base in (str(directory), glob.escape(str(directory))):

@@ -13,7 +13,8 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from fingerpost.errors import CaptureError
+from fingerpost.capture.settings import AS_IT_IS, Arrangement
+from fingerpost.errors import CaptureError, InvalidInputError, SourceError
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -149,6 +150,8 @@ class Source(ABC):
         for a video it is the claim of the file's header, fit for a progress bar and no more.
     offset_s
         Added to the times of all frames [s].
+    arrangement
+        How pictures are turned before they are handed out.
     losses
         How many pictures so far were lost.
     """
@@ -157,6 +160,7 @@ class Source(ABC):
     name: str
     frame_count: int | None = None
     offset_s: float = 0.0
+    arrangement: Arrangement = AS_IT_IS
 
     def __init__(self, name: str) -> None:
         self.name = name
@@ -201,7 +205,8 @@ class Source(ABC):
         ------
         CaptureError
             The size of a frame differs from the first one's, the source fails, or a recording has
-            ended without a single picture that is sound.
+            ended without a single picture that is sound. A `SourceError` if the crop that was asked
+            for reaches beyond the picture.
         """
         try:
             seen = self._next_frame()
@@ -214,6 +219,7 @@ class Source(ABC):
                 seen = Loss(seen.index, seen.time_s, DAMAGED)
         if isinstance(seen, Frame):
             self._sound += 1
+            seen = self._arranged(seen)
         else:
             self._count()
         return replace(seen, time_s=seen.time_s + self.offset_s) if self.offset_s else seen
@@ -228,6 +234,14 @@ class Source(ABC):
         """
         if self.losses and not self._sound:
             raise CaptureError(f"{self.name}: no picture is sound: {self.damage}")
+
+    def _arranged(self, frame: Frame) -> Frame:
+        if self.arrangement == AS_IT_IS:
+            return frame
+        try:
+            return Frame(frame.index, frame.time_s, self.arrangement.of(frame.image))
+        except InvalidInputError as error:
+            raise SourceError(f"{self.name}: {error}") from error
 
     def _refuse_other_size(self, frame: Frame) -> None:
         shape = frame.image.shape[:2]

@@ -17,11 +17,13 @@ from typing import Any, NoReturn
 import click
 
 from fingerpost.cli.advise import advise
+from fingerpost.cli.cameras import cameras
 from fingerpost.cli.demo import demo
 from fingerpost.cli.doctor import doctor
 from fingerpost.cli.experiment import experiment
 from fingerpost.cli.robot import robot
 from fingerpost.cli.run import run
+from fingerpost.cli.sync import sync
 from fingerpost.errors import FingerpostError, InvalidInputError
 from fingerpost.signals import STOPPED
 
@@ -87,5 +89,5 @@ def main(verbose: bool) -> None:
     )
 
 
-for _command in (demo, run, advise, doctor, experiment, robot):
+for _command in (demo, run, cameras, sync, advise, doctor, experiment, robot):
     main.add_command(_command)

@@ -99,16 +99,16 @@ def _options(device: str, settings: dict[str, Any]) -> AdviceOptions:
 
 def _sizes(rig: Rig) -> list[tuple[int, int]]:
     """Sizes of the views' images, from the first frame of each."""
-    from fingerpost.capture import Frame, open_source
+    from fingerpost.capture import Frame, open_views
     from fingerpost.errors import InvalidInputError
 
     sizes = []
-    for view in rig.views:
-        with open_source(view.source) as source:
+    for (name, named), reading in zip(rig.sources.items(), rig.readings, strict=True):
+        with open_views({name: named}, [reading]) as (source,):
             frame = next((seen for seen in source if isinstance(seen, Frame)), None)
         if frame is None:
             raise InvalidInputError(
-                f'view "{view.name}": {view.source} holds no frame; name one, or give --size'
+                f'view "{name}": {named} holds no frame; name one, or give --size'
             )
         sizes.append((frame.image.shape[1], frame.image.shape[0]))
     return sizes

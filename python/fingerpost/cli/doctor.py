@@ -65,7 +65,7 @@ def _examined(rig_file: Path, frames: int | None) -> Diagnosis:
     sizes_px = [(0, 0) for _ in rig.views]
     hush_streams(rig.sources)
     with ExitStack() as stack:
-        sources = stack.enter_context(open_views(rig.sources, rig.offsets_s))
+        sources = stack.enter_context(open_views(rig.sources, rig.readings))
         for together in watched(look(sources, count), count, "looking"):
             for k, frame in enumerate(together):
                 if isinstance(frame, Frame):

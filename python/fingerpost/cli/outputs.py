@@ -52,9 +52,9 @@ def rig_files(rig_file: Path, rig: Rig) -> Iterator[tuple[str, Path]]:
     from fingerpost.capture import source_files
 
     yield "the rig file", rig_file
-    for view in rig.views:
-        for path in source_files(view.source):
-            yield f'footage of view "{view.name}"', path
+    for name, source in rig.sources.items():
+        for path in source_files(source):
+            yield f'footage of view "{name}"', path
 
 
 def _identity(path: Path) -> Hashable:

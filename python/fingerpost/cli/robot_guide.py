@@ -193,7 +193,7 @@ def _guide(given: Mapping[str, Any], carry: PickPlaceOptions | None) -> None:
         on_record = open_log(stack, given["log"])
         stack.enter_context(ending_orderly())
         hush_streams(rig.sources)
-        sources = stack.enter_context(open_views(rig.sources, rig.offsets_s))
+        sources = stack.enter_context(open_views(rig.sources, rig.readings))
         give_up_after_s = given["give_up_after_s"]
         frames: Iterator[Sequence[Frame | Loss | None]]
         frames = read_views(sources, give_up_after_s=give_up_after_s)

@@ -170,7 +170,7 @@ def plane(
         on_record = open_log(stack, log)
         stack.enter_context(ending_orderly())
         hush_streams(cameras.sources)
-        sources = stack.enter_context(open_views(cameras.sources, cameras.offsets_s))
+        sources = stack.enter_context(open_views(cameras.sources, cameras.readings))
         for source in sources:
             if source.kind is not SourceKind.LIVE:
                 raise InvalidInputError(f"{source.name} is a recording; live views are needed")

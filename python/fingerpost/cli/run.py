@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import os
 import sys
 import time
 from collections import deque
@@ -36,6 +37,8 @@ _OVERLAY_FPS = 25.0
 _OVERLAY_TRAIL = 40  # points that the plan shows behind the newest one
 
 _OUT = click.Path(path_type=Path)
+_STDOUT = Path("-")
+_SELECT_KEY = " "
 
 
 @click.command()
@@ -43,6 +46,23 @@ _OUT = click.Path(path_type=Path)
 @click.option("--points", metavar="P.CSV", type=_OUT, help="Write the fixes, one row a frame.")
 @click.option("--tracks", metavar="T.CSV", type=_OUT, help="Write the finger lines of every view.")
 @click.option("--overlay", metavar="O.MP4", type=_OUT, help="Write a video that shows both.")
+@click.option(
+    "--events",
+    metavar="[E.JSONL]",
+    is_flag=False,
+    flag_value="-",
+    type=click.Path(path_type=Path, allow_dash=True),
+    help="Write what the hand does with targets, one JSON object a line; alone, print it.",
+)
+@click.option(
+    "--dwell",
+    "dwell_s",
+    metavar="S",
+    type=click.FloatRange(1e-3, 3600.0),
+    default=1.0,
+    show_default=True,
+    help="Staying so long on a target selects it; so does the space bar.",
+)
 @click.option("--max-frames", metavar="N", type=click.IntRange(min=1), help="Stop after N frames.")
 @give_up_option
 @click.option(
@@ -71,6 +91,8 @@ def run(
     points: Path | None,
     tracks: Path | None,
     overlay: Path | None,
+    events: Path | None,
+    dwell_s: float,
     max_frames: int | None,
     give_up_after_s: float | None,
     model: str,
@@ -92,20 +114,29 @@ def run(
 
     rig = Rig.load(rig_file)
     written = {"--points": points, "--tracks": tracks, "--overlay": overlay}
+    if events not in (None, _STDOUT):
+        written["--events"] = events
+    if events is not None and not rig.targets:
+        raise click.UsageError(f"--events: {rig_file} has no [[target]] to point at")
     keep_apart(written, rig_files(rig_file, rig))
     known = _reference_noise(rig, reference_sigma_px)
     pointer = Pointer(rig, tracker_options={"model": model}, **known)
     hush_streams(rig.sources)
+    prints_lines = as_json or events == _STDOUT  # of JSON, and nothing between them
     summary = RunSummary()
     sources: list[Source] = []
     started_s = time.monotonic()
     try:
         with ending_as_interrupted(), ExitStack() as stack:
-            line = None if as_json and sys.stdout.isatty() else stack.enter_context(status_line())
+            line = (
+                None if prints_lines and sys.stdout.isatty() else stack.enter_context(status_line())
+            )
             if line is not None:
                 line.show(f"opening {', '.join(rig.sources)}")
-            sources = stack.enter_context(open_views(rig.sources, rig.offsets_s))
+            sources = stack.enter_context(open_views(rig.sources, rig.readings))
             takers = _takers(stack, pointer, rig.plane.unit, points, tracks, overlay, as_json)
+            if events is not None:
+                takers.append(_event_taker(stack, rig, events, dwell_s))
             frames = at_most(read_views(sources, give_up_after_s=give_up_after_s), max_frames)
             if line is not None:
                 line.clear()
@@ -122,9 +153,9 @@ def run(
                     take(step)
     finally:
         notes = [*source_notes(rig.sources, sources), *pointer.notes()]
-        if summary.frames and not as_json:
+        if summary.frames and not prints_lines:
             click.echo("\n".join(summary.lines(time.monotonic() - started_s, notes)))
-        if notes and as_json:
+        if notes and prints_lines:
             click.echo(json.dumps({"notes": notes}))
 
 
@@ -168,6 +199,31 @@ def _takers(
     if as_json:
         takers.append(lambda step: click.echo(json.dumps(dataclasses.asdict(step.point_row()))))
     return takers
+
+
+def _event_taker(stack: ExitStack, rig: Rig, path: Path, dwell_s: float) -> Callable[[Step], None]:
+    """Write what the hand does with targets; where somebody is at the keys, he may select too."""
+    from fingerpost.guidance import Keys
+    from fingerpost.selection import Selector
+
+    selector = Selector(rig.things, dwell_s=dwell_s)
+    try:
+        file = None if path == _STDOUT else stack.enter_context(path.open("w", encoding="utf-8"))
+    except OSError as error:
+        raise click.UsageError(f"--events {path}: cannot be written: {error.strerror}") from error
+    pressed: deque[str] = deque()
+    if os.name == "posix" and sys.stdin.isatty():
+        stack.enter_context(Keys(pressed.append, lambda: None))
+
+    def take(step: Step) -> None:
+        happened = selector.update(step.fix)
+        while pressed:
+            if pressed.popleft() == _SELECT_KEY:
+                happened += selector.press(step.fix.time_s)
+        for event in happened:
+            click.echo(json.dumps(event.as_dict()), file=file)
+
+    return take
 
 
 def _write_tracks(table: TableWriter[TrackRow], step: Step) -> None:

@@ -7,6 +7,7 @@ them comes out. `Monitor` watches while a rig runs; the doctor asks the same que
 from fingerpost.consistency.contradiction import Contradiction
 from fingerpost.consistency.freshness import Freshness
 from fingerpost.consistency.monitor import FROZEN, Monitor
+from fingerpost.consistency.offset import Offset, Track, offset_between
 from fingerpost.consistency.scenery import Mistake, Scenery
 from fingerpost.consistency.straightness import Bend
 from fingerpost.consistency.synchrony import Lag, Tips, lag_between
@@ -19,7 +20,10 @@ __all__ = [
     "Lag",
     "Mistake",
     "Monitor",
+    "Offset",
     "Scenery",
     "Tips",
+    "Track",
     "lag_between",
+    "offset_between",
 ]

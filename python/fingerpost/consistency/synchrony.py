@@ -157,7 +157,23 @@ def _distance_px(
 
 
 def _misfit_px(here: Array, there: Array) -> float:
-    """Fit the epipole of lines through pairs of points (N, 3); return their median distance."""
+    """Return the median distance of pairs of points from the lines of their best epipole."""
+    return float(np.median(fit_epipole(here, there)))
+
+
+def fit_epipole(here: Array, there: Array) -> Array:
+    """Fit the epipole of lines through pairs of points; return the distances from those lines.
+
+    Parameters
+    ----------
+    here, there : (N, 3)
+        Homogeneous, in the pixels of one image of the plane; the last entry of `here` is 1.
+
+    Returns
+    -------
+    (N,)
+        Of each point `here` from the line through the epipole and its partner [px].
+    """
     middle = here[:, :2].mean(axis=0)
     scale = max(float(np.abs(here[:, :2] - middle).mean()), 1.0)
     to_unit = np.array(
@@ -175,7 +191,7 @@ def _misfit_px(here: Array, there: Array) -> float:
         off = np.abs(lines @ epipole) / np.maximum(np.hypot(*normals.T), 1e-9)
         weights = 1.0 / np.maximum(np.hypot(*normals.T), 1e-9)
         weights /= np.hypot(1.0, off / max(1.5 * float(np.median(off)), 1e-9))  # Cauchy's
-    return float(np.median(off)) * scale
+    return np.asarray(off * scale)
 
 
 def _vertex(values: Array) -> float:

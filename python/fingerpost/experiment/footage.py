@@ -74,7 +74,7 @@ def run_recording(
     pointer = Pointer(rig, **options)
     trials = []
     with ExitStack() as stack:
-        sources = stack.enter_context(open_views(rig.sources, rig.offsets_s))
+        sources = stack.enter_context(open_views(rig.sources, rig.readings))
         for step in steps(pointer, read_views(sources)):
             if step.index not in truth:
                 continue

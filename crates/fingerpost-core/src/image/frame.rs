@@ -35,6 +35,36 @@ impl<'a> ColourView<'a> {
         self.data
     }
 
+    /// The grey levels (ITU-R BT.601 luma) of an image whose channels are blue, green and red, row
+    /// after row without padding; the bits of OpenCV's conversion.
+    ///
+    /// ```
+    /// use fingerpost_core::frame::ColourView;
+    /// let red = ColourView::new(&[0, 0, 255], 1, 1, 3)?;
+    /// assert_eq!(red.luma(), [76]);
+    /// # Ok::<(), fingerpost_core::Error>(())
+    /// ```
+    #[must_use]
+    pub fn luma(&self) -> Vec<u8> {
+        let levels = |row: &'a [u8]| row.chunks_exact(3).map(|p| luma(p[0], p[1], p[2]));
+        (0..self.height).filter_map(|y| self.row(y)).flat_map(levels).collect()
+    }
+
+    /// Whether the channels differ anywhere by more than videos round; a monochrome camera's
+    /// pictures come with three that do not.
+    ///
+    /// ```
+    /// use fingerpost_core::frame::ColourView;
+    /// assert!(!ColourView::new(&[90, 91, 94], 1, 1, 3)?.has_colours());
+    /// assert!(ColourView::new(&[90, 91, 95], 1, 1, 3)?.has_colours());
+    /// # Ok::<(), fingerpost_core::Error>(())
+    /// ```
+    #[must_use]
+    pub fn has_colours(&self) -> bool {
+        let differs = |p: &[u8]| p[1].abs_diff(p[0]).max(p[1].abs_diff(p[2])) > SAME_GREY;
+        (0..self.height).filter_map(|y| self.row(y)).any(|row| row.chunks_exact(3).any(differs))
+    }
+
     /// The three channels of a pixel, if it lies in the image.
     #[must_use]
     pub fn pixel(&self, x: usize, y: usize) -> Option<[u8; 3]> {
@@ -81,6 +111,22 @@ impl<'a> ColourView<'a> {
     pub fn row(&self, y: usize) -> Option<&'a [u8]> {
         if y < self.height { self.data.get(y * self.stride..)?.get(..3 * self.width) } else { None }
     }
+}
+
+/// A grey picture's channels differ by no more than this once a video has been decoded
+/// \[grey levels\].
+const SAME_GREY: u8 = 3;
+
+/// The weights of BT.601 in 2⁻¹⁵, rounded so that they add up to one.
+const LUMA_SHIFT: u32 = 15;
+const LUMA_BLUE: u32 = 3735;
+const LUMA_GREEN: u32 = 19235;
+const LUMA_RED: u32 = 9798;
+
+fn luma(blue: u8, green: u8, red: u8) -> u8 {
+    let sum =
+        LUMA_BLUE * u32::from(blue) + LUMA_GREEN * u32::from(green) + LUMA_RED * u32::from(red);
+    ((sum + (1 << (LUMA_SHIFT - 1))) >> LUMA_SHIFT) as u8
 }
 
 /// Channels of a chromaticity add up to this \[grey levels\], as those of a middle grey do.

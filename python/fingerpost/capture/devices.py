@@ -1,0 +1,203 @@
+"""Which cameras are plugged in: their numbers, names and modes, without opening a stream.
+
+On Linux the kernel tells (V4L2: /sys/class/video4linux, and the enumerations of videodev2.h).
+Elsewhere OpenCV is asked for one number after the other, which tells no names.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import struct
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+_SYS = Path("/sys/class/video4linux")
+_DEV = Path("/dev")
+_MOST_NUMBERS = 10
+_MOST_ENTRIES = 256  # of an enumeration that a driver does not end
+
+# videodev2.h: requests, the sizes of their structures, and what is read of those.
+_READ, _WRITE = 2, 1
+
+
+def _request(direction: int, number: int, size: int) -> int:
+    return direction << 30 | size << 16 | ord("V") << 8 | number
+
+
+_CAPABILITY = struct.Struct("=16s32s32sIII12x")
+_QUERY_CAPABILITY = _request(_READ, 0, _CAPABILITY.size)
+_FORMAT = struct.Struct("=III32s4s16x")
+_ENUM_FORMATS = _request(_READ | _WRITE, 2, _FORMAT.size)
+_FRAME_SIZE = struct.Struct("=I4sI6I8x")
+_ENUM_FRAME_SIZES = _request(_READ | _WRITE, 74, _FRAME_SIZE.size)
+_INTERVAL = struct.Struct("=I4sIII6I8x")
+_ENUM_INTERVALS = _request(_READ | _WRITE, 75, _INTERVAL.size)
+_CAPTURES, _HAS_DEVICE_CAPABILITIES = 0x1 | 0x1000, 0x80000000
+_BUFFER_CAPTURE, _DISCRETE = 1, 1
+
+Ioctl = Callable[[int, int, bytearray], object]
+
+
+@dataclass(frozen=True, slots=True)
+class Mode:
+    """One way in which a camera sends pictures.
+
+    Attributes
+    ----------
+    fourcc
+        How pixels are sent, as `fourcc` in a rig file.
+    width, height
+        In px; the largest where a camera has sizes of any kind.
+    fps
+        The highest rate there is; 0 where that is not told.
+    """
+
+    fourcc: str
+    width: int
+    height: int
+    fps: float
+
+    def __str__(self) -> str:
+        rate = f" {self.fps:g} fps" if self.fps else ""
+        return f"{self.fourcc} {self.width} × {self.height}{rate}"
+
+
+@dataclass(frozen=True, slots=True)
+class Camera:
+    """A camera that is plugged in.
+
+    Attributes
+    ----------
+    number
+        What stands in a rig file as its `source`.
+    name
+        What it calls itself; empty where the system does not tell.
+    modes
+        Largest pictures first.
+    trouble
+        Why it cannot be asked; else empty.
+    """
+
+    number: int
+    name: str = ""
+    modes: list[Mode] = field(default_factory=list)
+    trouble: str = ""
+
+
+def list_cameras(
+    *, sys_folder: Path = _SYS, dev_folder: Path = _DEV, ioctl: Ioctl | None = None
+) -> list[Camera]:
+    """Return the cameras that are plugged in, by number.
+
+    Parameters
+    ----------
+    sys_folder, dev_folder
+        Where the kernel shows video devices, and their files.
+    ioctl
+        Asks a device; the system's by default.
+    """
+    if not sys.platform.startswith("linux"):
+        return list(_by_number())
+    ask = ioctl or _system_ioctl()
+    nodes = [path for path in sys_folder.glob("video*") if path.name[5:].isdecimal()]
+    cameras = (_asked(path, dev_folder, ask) for path in nodes)
+    return sorted(filter(None, cameras), key=lambda camera: camera.number)
+
+
+def _system_ioctl() -> Ioctl:
+    from fcntl import ioctl  # Unix alone has it
+
+    return ioctl
+
+
+def _asked(node: Path, dev_folder: Path, ioctl: Ioctl) -> Camera | None:
+    """Ask a video device; None for one that is no camera, as those of metadata and codecs."""
+    number, name = int(node.name[5:]), _name(node)
+    try:
+        descriptor = os.open(dev_folder / node.name, os.O_RDWR | os.O_NONBLOCK)
+    except OSError as error:
+        hint = "; join the group video" if error.errno == errno.EACCES else ""
+        return Camera(number, name, trouble=f"cannot be opened: {error.strerror}{hint}")
+    try:
+        if not _captures(descriptor, ioctl):
+            return None
+        found = {(m.fourcc, m.width, m.height): m for m in _modes(descriptor, ioctl)}
+    except OSError as error:
+        return Camera(number, name, trouble=f"cannot be asked: {error.strerror}")
+    finally:
+        os.close(descriptor)
+    modes = sorted(found.values(), key=lambda mode: (-mode.width * mode.height, mode.fourcc))
+    return Camera(number, name, modes)
+
+
+def _name(node: Path) -> str:
+    try:
+        name = (node / "name").read_text(encoding="utf-8", errors="replace").strip()
+    except OSError:
+        return ""
+    return "".join(character for character in name if character.isprintable())
+
+
+def _captures(descriptor: int, ioctl: Ioctl) -> bool:
+    told = bytearray(_CAPABILITY.size)
+    ioctl(descriptor, _QUERY_CAPABILITY, told)
+    *_, every, own = _CAPABILITY.unpack(told)
+    return bool((own if every & _HAS_DEVICE_CAPABILITIES else every) & _CAPTURES)
+
+
+def _enumerated(
+    descriptor: int, ioctl: Ioctl, request: int, entry: struct.Struct, *key: object
+) -> Iterator[tuple[Any, ...]]:
+    """Give the entries of an enumeration: the kernel ends it with an error."""
+    for index in range(_MOST_ENTRIES):
+        empty = entry.unpack(bytes(entry.size))
+        told = bytearray(entry.pack(index, *key, *empty[1 + len(key) :]))
+        try:
+            ioctl(descriptor, request, told)
+        except OSError as error:
+            if error.errno in (errno.EINVAL, errno.ENOTTY):
+                return
+            raise
+        yield entry.unpack(told)
+
+
+def _modes(descriptor: int, ioctl: Ioctl) -> Iterator[Mode]:
+    formats = _enumerated(descriptor, ioctl, _ENUM_FORMATS, _FORMAT, _BUFFER_CAPTURE)
+    for *_, code in list(formats):
+        sizes = _enumerated(descriptor, ioctl, _ENUM_FRAME_SIZES, _FRAME_SIZE, code)
+        for _, _, kind, *sides in list(sizes):
+            # Of sizes in steps: least width, greatest width, step, and the same of heights.
+            width, height = sides[:2] if kind == _DISCRETE else (sides[1], sides[4])
+            fps = _highest_rate(descriptor, ioctl, code, width, height)
+            yield Mode(code.decode("latin-1").strip("\0 "), width, height, fps)
+            if kind != _DISCRETE:
+                break
+
+
+def _highest_rate(descriptor: int, ioctl: Ioctl, code: bytes, width: int, height: int) -> float:
+    """Highest number of frames a second; 0 where none is told."""
+    entries = _enumerated(descriptor, ioctl, _ENUM_INTERVALS, _INTERVAL, code, width, height)
+    # An interval is a fraction of seconds; of those in steps the first is the shortest.
+    shortest = [(entry[5], entry[6]) for entry in entries]
+    return max((below / above for above, below in shortest if above), default=0.0)
+
+
+def _by_number() -> Iterator[Camera]:
+    import cv2
+
+    for number in range(_MOST_NUMBERS):
+        capture = cv2.VideoCapture(number)
+        try:
+            if not capture.isOpened():
+                return
+            width, height, fps = (
+                capture.get(prop)
+                for prop in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT, cv2.CAP_PROP_FPS)
+            )
+            yield Camera(number, modes=[Mode("", int(width), int(height), max(fps, 0.0))])
+        finally:
+            capture.release()

@@ -1,0 +1,90 @@
+"""`fingerpost cameras`: which cameras are plugged in, and what each of them shows."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from fingerpost.installation import need_opencv
+from fingerpost.signals import ending_at_once
+
+if TYPE_CHECKING:
+    from fingerpost.capture import Camera
+
+NONE = "no camera found; plug one in, or name films, URLs or a pipe in the rig file"
+
+_SHOWN_MODES = 6  # as many as people read; --json has all
+_SETTLED_FRAMES = 10  # until the exposure of most cameras has
+_WIDTH_PX = 320
+
+
+@click.command()
+@click.option(
+    "--thumbnails",
+    "folder",
+    metavar="DIR",
+    type=click.Path(path_type=Path, file_okay=False),
+    default=Path(),
+    help="Where camera-0.jpg and so on are written.  [default: here]",
+)
+@click.option("--no-thumbnails", is_flag=True, help="Open no camera; list them alone.")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object a camera, all modes.")
+def cameras(folder: Path, no_thumbnails: bool, as_json: bool) -> None:
+    """List the cameras that are plugged in: number, name, modes, and a picture of each.
+
+    The number is what stands in a rig file as the view's source; the modes, what its camera can be
+    asked for.
+    """
+    with ending_at_once():
+        need_opencv()
+        from fingerpost.capture import list_cameras
+
+    found = list_cameras()
+    for camera in found:
+        picture = None if no_thumbnails or camera.trouble else _thumbnail(camera, folder)
+        if as_json:
+            click.echo(json.dumps({**dataclasses.asdict(camera), "thumbnail": picture}))
+        else:
+            click.echo("\n".join(_lines(camera, picture)))
+    if not found:
+        click.echo(NONE, err=as_json)
+
+
+def _lines(camera: Camera, picture: str | None) -> list[str]:
+    """Say what is known of a camera, for people."""
+    lines = [f"camera {camera.number}   {camera.name}".rstrip()]
+    lines += [f"    {mode}" for mode in camera.modes[:_SHOWN_MODES]]
+    if len(camera.modes) > _SHOWN_MODES:
+        lines.append(f"    and {len(camera.modes) - _SHOWN_MODES} smaller ones")
+    if camera.trouble:
+        lines.append(f"    {camera.trouble}")
+    return [*lines, f"    picture: {picture}"] if picture else lines
+
+
+def _thumbnail(camera: Camera, folder: Path) -> str | None:
+    """Write what a camera shows to a file; None, with a word on why, if that cannot be."""
+    import cv2
+
+    from fingerpost.capture import Frame, open_source
+    from fingerpost.checks import opencv_path
+    from fingerpost.errors import CaptureError
+
+    path = folder / f"camera-{camera.number}.jpg"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with open_source(camera.number) as source:
+            seen = [next(source) for _ in range(_SETTLED_FRAMES)][-1]
+        if not isinstance(seen, Frame):
+            raise CaptureError(f"camera {camera.number}: {seen.why}")
+        scale = min(1.0, _WIDTH_PX / seen.image.shape[1])
+        small = cv2.resize(seen.image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+        if not cv2.imwrite(opencv_path(path, "--thumbnails"), small):
+            raise CaptureError(f"{path}: cannot be written")
+    except (CaptureError, OSError) as error:
+        click.echo(f"camera {camera.number}: no picture: {error}", err=True)
+        return None
+    return str(path)

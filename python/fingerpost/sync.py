@@ -1,0 +1,127 @@
+"""The offset between the clocks of a rig's views, from a film of a moving hand.
+
+The main loop follows the hand in every view; what each of them shows of its tip tells how far the
+clocks are apart (`fingerpost.consistency.offset`). Views far apart in time hinder each other, so a
+large offset is set right and looked at once more.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import msgspec
+import numpy as np
+
+from fingerpost.capture import Frame, Loss
+from fingerpost.config import Rig
+from fingerpost.consistency import Offset, Track, offset_between
+from fingerpost.errors import InvalidInputError
+from fingerpost.pipeline import Pointer, Step, steps
+from fingerpost.pointing import FingerLine
+
+ROUNDS = 3
+"""The footage is followed so often at most."""
+
+SETTLED_S = 0.02
+"""Offsets that change by less have settled: so small a one hinders no view."""
+
+Together = Sequence[Frame | Loss | None]
+
+
+@dataclass(frozen=True)
+class Synced:
+    """A rig whose views are of one time, and how that was told.
+
+    Attributes
+    ----------
+    rig
+        With the `offset_s` of every view but the first set.
+    offsets
+        By the view's name: what remained to be set right in the last round, and how sure it is.
+    """
+
+    rig: Rig
+    offsets: dict[str, Offset]
+
+
+def synchronise(rig: Rig, footage: Callable[[Rig], Iterable[Together]]) -> Synced:
+    """Set the clocks of a rig's views right, by a hand that moves in all of them.
+
+    Parameters
+    ----------
+    rig
+        At least two views.
+    footage
+        Plays its recordings, from the beginning, with the offsets of the rig that it is given.
+
+    Raises
+    ------
+    InvalidInputError
+        A rig that cannot point, or an offset that cannot be told; it says of which view, and why.
+    """
+    for _ in range(ROUNDS):
+        with _quiet():
+            tips = _tips(Pointer(rig), footage(rig))
+        offsets = {}
+        for view, tip in zip(rig.views[1:], tips[1:], strict=True):
+            try:
+                offsets[view.name] = offset_between(tips[0], tip)
+            except InvalidInputError as error:
+                raise InvalidInputError(
+                    f'view "{view.name}" against view "{rig.views[0].name}": {error}'
+                ) from error
+        rig = _with_offsets(rig, offsets)
+        if all(abs(offset.lag_s) < SETTLED_S for offset in offsets.values()):
+            break
+    return Synced(rig, offsets)
+
+
+def _tips(pointer: Pointer, footage: Iterable[Together]) -> list[Track]:
+    """Follow the footage; return where each view has seen the tip."""
+    seen: list[list[tuple[float, ...]]] = [[] for _ in pointer.views]
+    for step in steps(pointer, footage):
+        for k, entry in enumerate(_places(step)):
+            if entry is not None:
+                seen[k].append(entry)
+    rows = [np.array(entries, np.float64).reshape(-1, 4) for entries in seen]
+    return [Track(row[:, 0], row[:, 1:]) for row in rows]
+
+
+def _places(step: Step) -> Iterator[tuple[float, ...] | None]:
+    """When and where each view has seen the tip, in the first view's image of the plane."""
+    first = step.observations[0].plane_view
+    for seen in step.observations:
+        finger, view = seen.finger, seen.plane_view
+        if not isinstance(finger, FingerLine) or first is None or view is None:
+            yield None
+            continue
+        tip_px = finger.tip_px if view.lens is None else view.lens.undistort(finger.tip_px)
+        if not np.isfinite(tip_px).all():
+            yield None
+            continue
+        here = first.image_from_plane @ np.linalg.solve(view.image_from_plane, [*tip_px, 1.0])
+        yield (finger.time_s, *here.tolist())
+
+
+def _with_offsets(rig: Rig, offsets: dict[str, Offset]) -> Rig:
+    first, *others = rig.views
+    moved = (
+        msgspec.structs.replace(view, offset_s=view.offset_s - offsets[view.name].lag_s)
+        for view in others
+    )
+    return msgspec.structs.replace(rig, views=(first, *moved))
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Have nothing said of clocks that are about to be set right."""
+    logger = logging.getLogger("fingerpost")
+    before = logger.level
+    logger.setLevel(logging.ERROR)
+    try:
+        yield
+    finally:
+        logger.setLevel(before)
