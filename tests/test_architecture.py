@@ -47,6 +47,7 @@ PYTHON_GROUPS = {
     "installation": "checks",
     "signals": "errors",
     "rig_text": "checks",
+    "mcap_file": "mcap_file",
     "cli": "cli",
     "__main__": "cli",
     "_core": "core",
@@ -57,7 +58,7 @@ _BASE = {"errors", "checks"}
 _GEOMETRY = _BASE | {"geometry"}
 _POINTING = _GEOMETRY | {"pointing", "core"}
 _EDGES = {"references", "capture", "simulate", "recording", "robot"}
-_PIPELINE = _POINTING | _EDGES | {"config", "pipeline"}
+_PIPELINE = _POINTING | _EDGES | {"config", "mcap_file", "pipeline"}
 
 # What each group may import of the others. The edges never import each other, and nobody but the
 # command line itself imports it.
@@ -66,7 +67,8 @@ PYTHON_RULES = {
     "checks": {"errors"},
     "geometry": _GEOMETRY,
     "pointing": _GEOMETRY | {"core"},
-    **dict.fromkeys(_EDGES, _POINTING),
+    "mcap_file": {"errors"},
+    **dict.fromkeys(_EDGES, _POINTING | {"mcap_file"}),
     "config": _GEOMETRY | {"capture"},
     "pipeline": _PIPELINE,
     "application": _PIPELINE | {"application"},

@@ -390,6 +390,29 @@ class Rig(_Table, kw_only=True, frozen=True):
         return cls._of(_tables(path), path)
 
     @classmethod
+    def parse(cls, data: bytes, path: Path) -> Self:
+        """Turn the content of a rig file into a rig.
+
+        Parameters
+        ----------
+        data
+            The content.
+        path
+            What messages call it, and what relative sources are relative to.
+
+        Raises
+        ------
+        RigError
+            As `load`.
+        """
+        try:
+            return cls._of(parsed(data), path)
+        except RigError:
+            raise
+        except InvalidInputError as error:
+            raise RigError(f"{path}: {error}") from error
+
+    @classmethod
     def load_cameras(cls, path: str | Path) -> Self:
         """Read a rig file whose plane is still to be defined, as `load` reads a complete one.
 

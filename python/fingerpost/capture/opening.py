@@ -35,6 +35,8 @@ STILL_FRAMES = 25
 DEFAULT_TIMEOUT_S = 5.0
 """How long a live source may take to open, and to deliver its next frame."""
 
+_RECORDING = ".mcap"
+
 
 def open_source(
     source: str | int,
@@ -51,7 +53,8 @@ def open_source(
         A video file, an animation or a TIFF of many pages, one still image (shown `STILL_FRAMES`
         times), a glob of still images (`left/*.png`, taken in natural order: 2 before 10), a
         camera number, a camera device (`/dev/video0`) or a named pipe, or a URL (`http://`,
-        `https://`, `rtsp://`, ...): live, unless a web server says that it is a film.
+        `https://`, `rtsp://`, ...): live, unless a web server says that it is a film. A view of a
+        recording is `session.mcap#left`.
     fps
         Frames per second of still images and of videos whose file states no rate, > 0.
     timeout_s
@@ -104,6 +107,10 @@ def _opened(source: str | int, fps: float, timeout_s: float, clock: Callable[[],
         raise InvalidInputError(
             f"{source}: file names are written in {encoding} here; a UTF-8 locale is right"
         ) from error
+    if (in_recording := _view_of_recording(source)) is not None:
+        from fingerpost.capture.recorded import RecordedView  # needs the extra mcap
+
+        return RecordedView(*in_recording)
     path = Path(source)
     try:
         if path.is_char_device() or path.is_fifo():
@@ -134,6 +141,11 @@ def _open_file(path: Path, fps: float) -> Source:
     with path.open("rb") as file:
         if not file.read(1):
             raise CaptureError(f"{path}: the file is empty; a video or an image is needed")
+    if path.suffix.lower() == _RECORDING:
+        from fingerpost.mcap_file import read_about
+
+        views = " or ".join(f"{path}#{view}" for view in read_about(path)[0].views)
+        raise CaptureError(f"{path}: is a recording; name one of its views: {views}")
     if is_motion_jpeg(path):
         return JpegFilm(path, fps=fps)
     if cv2.haveImageReader(opencv_path(path, "source")):
@@ -141,6 +153,12 @@ def _open_file(path: Path, fps: float) -> Source:
             return PictureStack(path, count, fps=fps)
         return ImageSequence([path] * STILL_FRAMES, fps=fps, name=str(path))
     return VideoFile(path, fps=fps)
+
+
+def _view_of_recording(source: str) -> tuple[Path, str] | None:
+    """Return file and view of a source such as `session.mcap#left`; None of any other."""
+    name, mark, view = source.partition(f"{_RECORDING}#")
+    return (Path(f"{name}{_RECORDING}"), view) if name and mark and view else None
 
 
 def _matching(pattern: str) -> list[Path]:
@@ -155,6 +173,8 @@ def source_files(source: str | int) -> list[Path]:
     """
     if isinstance(source, int) or is_url(source):
         return []
+    if (in_recording := _view_of_recording(source)) is not None:
+        return [in_recording[0]]
     # Path.exists would raise where a name is too long to exist.
     if glob.has_magic(source) and not os.path.exists(source):  # noqa: PTH110
         return _matching(source)
@@ -229,6 +249,9 @@ def _what_is_read(source: str | int) -> list[str | int]:
     """
     if isinstance(source, str) and is_url(source):
         return [source]
+    if isinstance(source, str) and (in_recording := _view_of_recording(source)) is not None:
+        path, view = in_recording
+        return [f"{os.path.realpath(path)}#{view}"]
     is_camera = isinstance(source, int)
     files = [Path(_CAMERA_FILE.format(source))] if is_camera else source_files(source)
     # Path.exists would raise where no file can have such a name.
@@ -244,6 +267,8 @@ def resolve_source(source: str | int, directory: Path) -> str | int:
     if isinstance(source, int) or is_url(source):
         return source
     path = directory / source
+    if _view_of_recording(source) is not None:
+        return str(path)
     # Path.exists would raise where a name is too long to exist.
     if glob.has_magic(source) and not os.path.exists(path):  # noqa: PTH110
         return str(Path(glob.escape(str(directory))) / source)

@@ -1,0 +1,271 @@
+"""What `run` and `replay` have in common: a rig's views in, fixes out into tables and videos."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import sys
+import time
+import tomllib
+from collections import deque
+from collections.abc import Callable
+from contextlib import ExitStack, closing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from fingerpost.cli.endings import ending_as_interrupted
+from fingerpost.cli.live_status import LiveStatus
+from fingerpost.cli.live_views import hush_streams
+from fingerpost.cli.progress import StatusLine, status_line, watched
+from fingerpost.cli.recorder import open_recorder
+from fingerpost.cli.run_summary import RunSummary, source_notes
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from fingerpost.capture import Source
+    from fingerpost.config import Rig
+    from fingerpost.pipeline import Pointer, Step
+    from fingerpost.recording import TableWriter, TrackRow
+    from fingerpost.recording.session import Recorder
+
+_OVERLAY_FPS = 25.0
+_OVERLAY_TRAIL = 40  # points that the plan shows behind the newest one
+
+_OUT = click.Path(path_type=Path)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Following:
+    """What a command was asked to do with the fixes; a parameter of it per attribute."""
+
+    points: Path | None = None
+    tracks: Path | None = None
+    overlay: Path | None = None
+    record: Path | None = None
+    images: str | None = None
+    max_frames: int | None = None
+    give_up_after_s: float | None = None
+    model: str = "ribbon"
+    settings: tuple[str, ...] = ()
+    reference_sigma_px: float | None = None
+    as_json: bool = False
+
+    @property
+    def written(self) -> dict[str, Path | None]:
+        """Files that will be written, by their options."""
+        return {
+            "--points": self.points,
+            "--tracks": self.tracks,
+            "--overlay": self.overlay,
+            "--record": self.record,
+        }
+
+    def pointer(self, rig: Rig) -> Pointer:
+        """Return what follows a rig's views with these options."""
+        from fingerpost.pipeline import Pointer
+
+        known = _reference_noise(rig, self.reference_sigma_px)
+        options = {"model": self.model, **_settings(self.settings)}
+        return Pointer(rig, tracker_options=options, **known)
+
+
+_OPTIONS = (
+    click.option("--points", metavar="P.CSV", type=_OUT, help="Write the fixes, one row a frame."),
+    click.option(
+        "--tracks", metavar="T.CSV", type=_OUT, help="Write the finger lines of every view."
+    ),
+    click.option("--overlay", metavar="O.MP4", type=_OUT, help="Write a video that shows both."),
+    click.option(
+        "--max-frames", metavar="N", type=click.IntRange(min=1), help="Stop after N frames."
+    ),
+    click.option(
+        "--model",
+        type=click.Choice(["ribbon", "paper"]),
+        default="ribbon",
+        show_default=True,
+        help="The hand: bands of their own width, or the planar template of 1994.",
+    ),
+    click.option(
+        "--set",
+        "settings",
+        metavar="KEY=VALUE",
+        multiple=True,
+        help="Set an option of the tracker, as in refine.max_offset_px=3.",
+    ),
+    click.option(
+        "--reference-noise",
+        "reference_sigma_px",
+        metavar="PX",
+        type=float,
+        help="Sigma of reference points for which the rig file gives no covariance, px.  "
+        "[default: 0.5]",
+    ),
+    click.option(
+        "--json",
+        "as_json",
+        is_flag=True,
+        help="Print one JSON object a frame, no summary; one with notes at the end if there are "
+        "any.",
+    ),
+)
+
+
+def following_options(command: Callable[..., None]) -> Callable[..., None]:
+    """Give a command the options that are attributes of `Following`."""
+    for option in reversed(_OPTIONS):
+        command = option(command)
+    return command
+
+
+def follow(
+    rig: Rig,
+    asked: Following,
+    take: Callable[[Step], None] | None = None,
+    closing_words: Callable[[], list[str]] = list,
+) -> None:
+    """Follow the hand in all views of a rig; write and print what was asked for.
+
+    Parameters
+    ----------
+    rig
+        The rig.
+    asked
+        What to do with the fixes.
+    take
+        Takes every step as well.
+    closing_words
+        Gives lines that end the summary.
+    """
+    from fingerpost.capture import SourceKind, open_views, read_views
+    from fingerpost.pipeline import at_most, steps
+
+    pointer = asked.pointer(rig)
+    hush_streams(rig.sources)
+    summary = RunSummary()
+    sources: list[Source] = []
+    recorders: list[Recorder] = []
+    started_s = time.monotonic()
+    try:
+        with ending_as_interrupted(), ExitStack() as stack:
+            line = None
+            if not (asked.as_json and sys.stdout.isatty()):
+                line = stack.enter_context(status_line())
+            if line is not None:
+                line.show(f"opening {', '.join(rig.sources)}")
+            sources = stack.enter_context(open_views(rig.sources, rig.offsets_s))
+            takers = _takers(stack, pointer, rig.plane.unit, asked)
+            frames = read_views(sources, give_up_after_s=asked.give_up_after_s)
+            frames = at_most(frames, asked.max_frames)
+            if asked.record is not None:
+                recorder = open_recorder(asked.record, rig, sources, asked.images)
+                recorders.append(stack.enter_context(recorder))
+                takers.append(recorder.take)
+                frames = recorder.watch(frames)
+            if take is not None:
+                takers.append(take)
+            if line is not None:
+                line.clear()
+                counts = [
+                    n for n in (asked.max_frames, *(source.frame_count for source in sources)) if n
+                ]
+                if counts and sources[0].kind is SourceKind.RECORDED:
+                    bar = watched(frames, min(counts), "tracking")
+                    frames = stack.enter_context(closing(bar))
+                else:
+                    takers.append(_live_status(line, pointer, rig.plane.unit))
+            started_s = time.monotonic()
+            for step in steps(pointer, frames):
+                summary.add(step.fix)
+                for taker in takers:
+                    taker(step)
+    finally:
+        notes = [*source_notes(rig.sources, sources), *pointer.notes()]
+        notes += [note for recorder in recorders for note in recorder.notes()]
+        if summary.frames and not asked.as_json:
+            lines = summary.lines(time.monotonic() - started_s, notes)
+            click.echo("\n".join([*lines, *closing_words()]))
+        if notes and asked.as_json:
+            click.echo(json.dumps({"notes": notes}))
+
+
+def _settings(assignments: tuple[str, ...]) -> dict[str, Any]:
+    """Return options of the tracker; each is a line of TOML."""
+    try:
+        return tomllib.loads("\n".join(assignments))
+    except tomllib.TOMLDecodeError as error:
+        raise click.UsageError(
+            f"--set {' '.join(assignments)}: {error}; KEY=VALUE as in TOML is right, such as "
+            "refine.max_offset_px=3"
+        ) from error
+
+
+def _reference_noise(rig: Rig, sigma_px: float | None) -> dict[str, Any]:
+    """Give the option of `Pointer` that --reference-noise sets; refuse it where it sets nothing."""
+    if sigma_px is None:
+        return {}
+    if all(view.reference_covariances_px2 for view in rig.views):
+        raise click.UsageError(
+            "--reference-noise would do nothing: every view has its own reference_covariances_px2"
+        )
+    return {"reference_sigma_px": sigma_px}
+
+
+def _live_status(line: StatusLine, pointer: Pointer, unit: str) -> Callable[[Step], None]:
+    plane_size = pointer.plane_views[0].plane_size
+    return LiveStatus(line, unit=unit, plane_size=plane_size, clock=time.monotonic).take
+
+
+def _takers(
+    stack: ExitStack,
+    pointer: Pointer,
+    unit: str,
+    asked: Following,
+) -> list[Callable[[Step], None]]:
+    """Everything that takes the steps as they come: tables, video, standard output."""
+    from fingerpost.recording import write_points, write_tracks
+
+    takers: list[Callable[[Step], None]] = []
+    if asked.points:
+        point_table = stack.enter_context(write_points(asked.points))
+        takers.append(lambda step: point_table.write(step.point_row()))
+    if asked.tracks:
+        track_table = stack.enter_context(write_tracks(asked.tracks))
+        takers.append(lambda step: _write_tracks(track_table, step))
+    if asked.overlay:
+        takers.append(_overlay_video(stack, asked.overlay, pointer, unit))
+    if asked.as_json:
+        takers.append(lambda step: click.echo(json.dumps(dataclasses.asdict(step.point_row()))))
+    return takers
+
+
+def _write_tracks(table: TableWriter[TrackRow], step: Step) -> None:
+    for observation in step.observations:
+        row = observation.track_row()
+        if row is not None:
+            table.write(row)
+
+
+def _overlay_video(
+    stack: ExitStack, path: Path, pointer: Pointer, unit: str
+) -> Callable[[Step], None]:
+    from fingerpost.recording import VideoWriter
+    from fingerpost.recording.picture import Composition
+
+    video = stack.enter_context(VideoWriter(path, fps=_OVERLAY_FPS))
+    composition = Composition(pointer.plane_views, unit=unit, edges=True)
+    trail: deque[NDArray[np.float64]] = deque(maxlen=_OVERLAY_TRAIL)
+
+    def take(step: Step) -> None:
+        views = [observation.plane_view for observation in step.observations]
+        video.write(
+            composition.draw(step.observations, step.fix, trail=list(trail), plane_views=views)
+        )
+        if step.fix.point is not None:
+            trail.append(step.fix.point)
+
+    return take
