@@ -13,10 +13,8 @@ from contextlib import closing
 from pathlib import Path
 
 import msgspec
-import numpy as np
 
-from fingerpost.capture.images import UndecodableError, decoded_image
-from fingerpost.capture.messages import Listener
+from fingerpost.capture.as_sent import decoded
 from fingerpost.capture.source import UNDECODABLE, Frame, Loss, Source, SourceKind
 from fingerpost.errors import CaptureError, SourceError
 from fingerpost.mcap_file import (
@@ -61,19 +59,17 @@ class RecordedView(Source):
         self._path = path
         self._view = view
         self._place_of_view = about.views.index(view)
-        self._listener = Listener()
         self._entries = self._read()
 
     def _next_frame(self) -> Frame | Loss:
         self.step, seen, data = next(self._entries)
         if seen.why:
             return Loss(seen.index, seen.time_s, seen.why)
-        try:
-            image = decoded_image(data, self._place(seen.index), self._listener)
-        except UndecodableError as error:
-            self._detail = self._detail or str(error)
+        # Whether to believe it was asked when it was captured, and is not asked again.
+        image = decoded(data)
+        if image is None:
             return Loss(seen.index, seen.time_s, UNDECODABLE)
-        return Frame(seen.index, seen.time_s, np.asarray(image, np.uint8), data)
+        return Frame(seen.index, seen.time_s, image, data)
 
     def _read(self) -> Iterator[tuple[int, Captured, bytes]]:
         """Give each step that the view has a part in, and the picture's file."""
