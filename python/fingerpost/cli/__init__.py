@@ -21,6 +21,7 @@ from fingerpost.cli.demo import demo
 from fingerpost.cli.doctor import doctor
 from fingerpost.cli.experiment import experiment
 from fingerpost.cli.record import record
+from fingerpost.cli.recordings import info, recover
 from fingerpost.cli.replay import replay
 from fingerpost.cli.robot import robot
 from fingerpost.cli.run import run
@@ -89,5 +90,5 @@ def main(verbose: bool) -> None:
     )
 
 
-for _command in (demo, run, record, replay, advise, doctor, experiment, robot):
+for _command in (demo, run, record, replay, info, recover, advise, doctor, experiment, robot):
     main.add_command(_command)
