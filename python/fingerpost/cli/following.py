@@ -33,7 +33,6 @@ if TYPE_CHECKING:
     from fingerpost.recording import TableWriter, TrackRow
     from fingerpost.recording.session import Recorder
 
-_OVERLAY_FPS = 25.0
 _OVERLAY_TRAIL = 40  # points that the plan shows behind the newest one
 
 _OUT = click.Path(path_type=Path)
@@ -79,7 +78,7 @@ _OPTIONS = (
     click.option(
         "--tracks", metavar="T.CSV", type=_OUT, help="Write the finger lines of every view."
     ),
-    click.option("--overlay", metavar="O.MP4", type=_OUT, help="Write a video that shows both."),
+    click.option("--overlay", metavar="O.WEBM", type=_OUT, help="Write a video that shows both."),
     click.option(
         "--max-frames", metavar="N", type=click.IntRange(min=1), help="Stop after N frames."
     ),
@@ -158,7 +157,8 @@ def follow(
             if line is not None:
                 line.show(f"opening {', '.join(rig.sources)}")
             sources = stack.enter_context(open_views(rig.sources, rig.offsets_s))
-            takers = _takers(stack, pointer, rig.plane.unit, asked)
+            is_live = sources[0].kind is SourceKind.LIVE
+            takers = _takers(stack, pointer, rig.plane.unit, asked, is_live)
             frames = read_views(sources, give_up_after_s=asked.give_up_after_s)
             frames = at_most(frames, asked.max_frames)
             if asked.record is not None:
@@ -173,7 +173,7 @@ def follow(
                 counts = [
                     n for n in (asked.max_frames, *(source.frame_count for source in sources)) if n
                 ]
-                if counts and sources[0].kind is SourceKind.RECORDED:
+                if counts and not is_live:
                     bar = watched(frames, min(counts), "tracking")
                     frames = stack.enter_context(closing(bar))
                 else:
@@ -225,6 +225,7 @@ def _takers(
     pointer: Pointer,
     unit: str,
     asked: Following,
+    is_live: bool,
 ) -> list[Callable[[Step], None]]:
     """Everything that takes the steps as they come: tables, video, standard output."""
     from fingerpost.recording import write_points, write_tracks
@@ -237,7 +238,7 @@ def _takers(
         track_table = stack.enter_context(write_tracks(asked.tracks))
         takers.append(lambda step: _write_tracks(track_table, step))
     if asked.overlay:
-        takers.append(_overlay_video(stack, asked.overlay, pointer, unit))
+        takers.append(_overlay_video(stack, asked.overlay, pointer, unit, drops=is_live))
     if asked.as_json:
         takers.append(lambda step: click.echo(json.dumps(dataclasses.asdict(step.point_row()))))
     return takers
@@ -251,19 +252,20 @@ def _write_tracks(table: TableWriter[TrackRow], step: Step) -> None:
 
 
 def _overlay_video(
-    stack: ExitStack, path: Path, pointer: Pointer, unit: str
+    stack: ExitStack, path: Path, pointer: Pointer, unit: str, *, drops: bool
 ) -> Callable[[Step], None]:
     from fingerpost.recording import VideoWriter
     from fingerpost.recording.picture import Composition
 
-    video = stack.enter_context(VideoWriter(path, fps=_OVERLAY_FPS))
+    video = stack.enter_context(VideoWriter(path, fps=None, drops=drops))
     composition = Composition(pointer.plane_views, unit=unit, edges=True)
     trail: deque[NDArray[np.float64]] = deque(maxlen=_OVERLAY_TRAIL)
 
     def take(step: Step) -> None:
         views = [observation.plane_view for observation in step.observations]
         video.write(
-            composition.draw(step.observations, step.fix, trail=list(trail), plane_views=views)
+            composition.draw(step.observations, step.fix, trail=list(trail), plane_views=views),
+            step.fix.time_s,
         )
         if step.fix.point is not None:
             trail.append(step.fix.point)
