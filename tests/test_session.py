@@ -20,6 +20,7 @@ from fingerpost.config import Rig
 from fingerpost.errors import InvalidInputError, RecordingError, SourceError
 from fingerpost.mcap_file import read_about
 from fingerpost.pipeline import Pointer, steps
+from fingerpost.recording import read_points
 from fingerpost.recording.session import About, Images, Recorder
 from fingerpost.simulate import DevicePose, SimulatedRig, Trajectory, write_recording
 
@@ -111,9 +112,9 @@ def test_annotations_lie_where_the_hand_is_counted_from_the_corner(recording, ri
 
 
 def test_the_rig_in_a_recording_has_its_views(recording):
-    found, text = read_about(recording)
+    found, _ = read_about(recording)
     assert found.views == ("left", "right")
-    rig = Rig.parse(text, recording)
+    rig = Rig.load(recording)
     assert rig.sources == {view: str(recording) + f"#{view}" for view in found.views}
 
 
@@ -206,6 +207,33 @@ def test_a_view_that_is_not_in_a_recording_is_named(recording, tmp_path):
 def test_two_views_may_read_one_recording_but_not_one_view_of_it(recording):
     with pytest.raises(InvalidInputError, match=r'"a" and "b" both read .*#left'):
         open_views({"a": f"{recording}#left", "b": f"{recording}#left"}).__enter__()
+
+
+# --- export -----------------------------------------------------------------------------------
+
+
+def test_exported_tables_are_those_of_the_run(recording, tmp_path):
+    tables = [tmp_path / "p.csv", tmp_path / "t.csv"]
+    done = invoked("export", recording, "--points", tables[0], "--tracks", tables[1])
+    assert done.exit_code == 0, done.output
+    for table in tables:
+        assert table.read_bytes() == recording.with_name(table.name).read_bytes()
+    assert "nothing to write" in refused("export", recording)
+
+
+def test_an_exported_video_shows_every_step_at_its_time(recording, rig_file, tmp_path):
+    assert invoked("export", recording, "--video", tmp_path / "v.webm").exit_code == 0
+    with open_source(str(tmp_path / "v.webm")) as video:
+        frames = list(video)
+    times = [row.time_s for row in read_points(recording.with_name("p.csv"))]
+    assert [frame.time_s for frame in frames] == pytest.approx(times, abs=2e-3)
+    plain = [
+        cv2.imread(str(sorted((rig_file.parent / v).iterdir())[-1])) for v in ("left", "right")
+    ]
+    shown, views = frames[-1].image, np.hstack(plain)
+    assert shown.shape == views.shape
+    differs = np.abs(shown.astype(int) - views).max(axis=2) > 90
+    assert 0.002 < differs.mean() < 0.1  # lines and words, and nothing else
 
 
 # --- what happens to it -----------------------------------------------------------------------

@@ -28,6 +28,9 @@ from fingerpost.homography import MIN_REFERENCE_POINTS, estimate_image_from_plan
 from fingerpost.lens import Lens
 from fingerpost.rig_text import parsed
 
+RECORDING = ".mcap"
+"""What the name of a recording ends in."""
+
 Pair = tuple[float, float]
 Triple = tuple[float, float, float]
 
@@ -378,39 +381,36 @@ class Rig(_Table, kw_only=True, frozen=True):
         Parameters
         ----------
         path
-            The file, TOML in UTF-8.
+            The file, TOML in UTF-8; or a recording (`.mcap`), whose rig has its views as sources.
 
         Raises
         ------
         RigError
             The file cannot be read or used. The message is one line: the file, the key's path,
             its value, and what would be right.
+        SourceError
+            The recording cannot be read, or is none of fingerpost's.
+        MissingExtraError
+            Recordings need the extra `mcap`.
         """
         path = Path(path)
+        if path.suffix == RECORDING:
+            return cls._of_recording(path)
         return cls._of(_tables(path), path)
 
     @classmethod
-    def parse(cls, data: bytes, path: Path) -> Self:
-        """Turn the content of a rig file into a rig.
+    def _of_recording(cls, path: Path) -> Self:
+        from fingerpost.mcap_file import read_about  # needs the extra mcap
 
-        Parameters
-        ----------
-        data
-            The content.
-        path
-            What messages call it, and what relative sources are relative to.
-
-        Raises
-        ------
-        RigError
-            As `load`.
-        """
+        _, text = read_about(path)
         try:
-            return cls._of(parsed(data), path)
+            rig = cls._of(parsed(text), path)
         except RigError:
             raise
         except InvalidInputError as error:
             raise RigError(f"{path}: {error}") from error
+        views = (msgspec.structs.replace(view, source=f"{path}#{view.name}") for view in rig.views)
+        return msgspec.structs.replace(rig, views=tuple(views))
 
     @classmethod
     def load_cameras(cls, path: str | Path) -> Self:

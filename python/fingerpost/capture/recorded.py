@@ -7,7 +7,6 @@ that was cut gives all frames up to the cut.
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
@@ -28,8 +27,6 @@ from fingerpost.mcap_file import (
     image_topic,
     read_about,
 )
-
-_log = logging.getLogger(__name__)
 
 
 class RecordedView(Source):
@@ -59,6 +56,7 @@ class RecordedView(Source):
         self._path = path
         self._view = view
         self._place_of_view = about.views.index(view)
+        self._wrong = ""
         self._entries = self._read()
 
     def _next_frame(self) -> Frame | Loss:
@@ -87,8 +85,12 @@ class RecordedView(Source):
                     step, data = record.sequence, image_data(record.data)
                 elif topic == FRAMES_TOPIC and (entry := self._entry(record.data)) is not None:
                     yield *entry, data if entry[0] == step else b""
-        if records.wrong:
-            _log.warning("%s: %s", self._path, records.wrong)
+        self._wrong = records.wrong
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What else is to be said of the source in the end, for people."""
+        return (f"{self._path}: {self._wrong}",) if self._wrong else ()
 
     def _entry(self, message: bytes) -> tuple[int, Captured] | None:
         try:

@@ -69,19 +69,11 @@ class Following:
         from fingerpost.pipeline import Pointer
 
         known = _reference_noise(rig, self.reference_sigma_px)
-        options = {"model": self.model, **_settings(self.settings)}
+        options = settings_of(self.model, self.settings)
         return Pointer(rig, tracker_options=options, **known)
 
 
-_OPTIONS = (
-    click.option("--points", metavar="P.CSV", type=_OUT, help="Write the fixes, one row a frame."),
-    click.option(
-        "--tracks", metavar="T.CSV", type=_OUT, help="Write the finger lines of every view."
-    ),
-    click.option("--overlay", metavar="O.WEBM", type=_OUT, help="Write a video that shows both."),
-    click.option(
-        "--max-frames", metavar="N", type=click.IntRange(min=1), help="Stop after N frames."
-    ),
+_TRACKER_OPTIONS = (
     click.option(
         "--model",
         type=click.Choice(["ribbon", "paper"]),
@@ -95,6 +87,17 @@ _OPTIONS = (
         metavar="KEY=VALUE",
         multiple=True,
         help="Set an option of the tracker, as in refine.max_offset_px=3.",
+    ),
+)
+
+_OPTIONS = (
+    click.option("--points", metavar="P.CSV", type=_OUT, help="Write the fixes, one row a frame."),
+    click.option(
+        "--tracks", metavar="T.CSV", type=_OUT, help="Write the finger lines of every view."
+    ),
+    click.option("--overlay", metavar="O.WEBM", type=_OUT, help="Write a video that shows both."),
+    click.option(
+        "--max-frames", metavar="N", type=click.IntRange(min=1), help="Stop after N frames."
     ),
     click.option(
         "--reference-noise",
@@ -111,7 +114,15 @@ _OPTIONS = (
         help="Print one JSON object a frame, no summary; one with notes at the end if there are "
         "any.",
     ),
+    *_TRACKER_OPTIONS,
 )
+
+
+def tracker_options(command: Callable[..., None]) -> Callable[..., None]:
+    """Give a command the parameters of `settings_of`."""
+    for option in reversed(_TRACKER_OPTIONS):
+        command = option(command)
+    return command
 
 
 def following_options(command: Callable[..., None]) -> Callable[..., None]:
@@ -193,13 +204,13 @@ def follow(
             click.echo(json.dumps({"notes": notes}))
 
 
-def _settings(assignments: tuple[str, ...]) -> dict[str, Any]:
-    """Return options of the tracker; each is a line of TOML."""
+def settings_of(model: str, settings: tuple[str, ...]) -> dict[str, Any]:
+    """Return options of the tracker; each of the settings is a line of TOML."""
     try:
-        return tomllib.loads("\n".join(assignments))
+        return {"model": model, **tomllib.loads("\n".join(settings))}
     except tomllib.TOMLDecodeError as error:
         raise click.UsageError(
-            f"--set {' '.join(assignments)}: {error}; KEY=VALUE as in TOML is right, such as "
+            f"--set {' '.join(settings)}: {error}; KEY=VALUE as in TOML is right, such as "
             "refine.max_offset_px=3"
         ) from error
 

@@ -15,7 +15,6 @@ from fingerpost.installation import need_opencv
 from fingerpost.signals import ending_at_once
 
 if TYPE_CHECKING:
-    from fingerpost.config import Rig
     from fingerpost.pipeline import Step
 
 
@@ -36,12 +35,13 @@ def replay(recording: Path, beside: Path | None, **asked: Any) -> None:
     """
     with ending_at_once():
         need_opencv()
+        from fingerpost.config import Rig
         from fingerpost.recording.session.comparison import Comparison, write_beside
 
     check_recording(recording)
     following = Following(**asked)
     keep_apart({**following.written, "--beside": beside}, [("the recording itself", recording)])
-    rig = recorded_rig(recording)
+    rig = Rig.load(recording)
     comparison = Comparison.with_recording(recording)
     with ExitStack() as stack:
         table = stack.enter_context(write_beside(beside)) if beside else None
@@ -52,24 +52,3 @@ def replay(recording: Path, beside: Path | None, **asked: Any) -> None:
                 table.write(row)
 
         follow(rig, following, take, lambda: comparison.lines(rig.plane.unit))
-
-
-def recorded_rig(recording: Path) -> Rig:
-    """Return the rig of a recording; its views are those that were recorded.
-
-    Raises
-    ------
-    SourceError
-        The file cannot be read, or is no recording of fingerpost's.
-    RigError
-        The rig in it cannot be used.
-    """
-    from msgspec import structs
-
-    from fingerpost.config import Rig
-    from fingerpost.mcap_file import read_about
-
-    _, text = read_about(recording)
-    rig = Rig.parse(text, recording)
-    views = tuple(structs.replace(view, source=f"{recording}#{view.name}") for view in rig.views)
-    return structs.replace(rig, views=views)

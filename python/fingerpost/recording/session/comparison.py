@@ -5,34 +5,10 @@ from __future__ import annotations
 from collections import Counter
 from pathlib import Path
 
-import msgspec
 import numpy as np
 
-from fingerpost.errors import SourceError
-from fingerpost.mcap_file import FIX_TOPIC, Channel, Message, Records
+from fingerpost.recording.session.export import recorded_points
 from fingerpost.recording.tables import BesideRow, PointRow, TableWriter
-
-
-def recorded_points(path: Path) -> dict[int, PointRow]:
-    """Return the fixes of a recording by their frames; none if no hand was followed.
-
-    Raises
-    ------
-    SourceError
-        The file cannot be read, is no MCAP file, or its fixes cannot be understood.
-    """
-    topics: dict[int, str] = {}
-    rows: dict[int, PointRow] = {}
-    for record in Records(path):
-        if isinstance(record, Channel):
-            topics[record.id] = record.topic
-        elif isinstance(record, Message) and topics.get(record.channel_id) == FIX_TOPIC:
-            try:
-                row = msgspec.json.decode(record.data, type=PointRow)
-            except msgspec.MsgspecError as error:
-                raise SourceError(f"{path}: {FIX_TOPIC} cannot be understood: {error}") from error
-            rows[row.frame] = row
-    return rows
 
 
 def write_beside(path: Path) -> TableWriter[BesideRow]:
@@ -65,7 +41,7 @@ class Comparison:
     @classmethod
     def with_recording(cls, path: Path) -> Comparison:
         """Compare with the fixes of a recording; raises as `recorded_points`."""
-        return cls(recorded_points(path))
+        return cls({row.frame: row for row in recorded_points(path)})
 
     def add(self, row: PointRow) -> BesideRow:
         """Compare a fix with the recorded one of its frame, and return both as a row."""
