@@ -3,6 +3,8 @@
 import itertools
 import json
 import os
+import re
+import subprocess
 import sys
 import threading
 from pathlib import Path
@@ -244,6 +246,27 @@ def test_a_recording_replaces_no_file(rig_file, recording):
     assert "is there already" in refused("record", rig_file, recording)
     assert recording.read_bytes() == before
     assert "ends in .mcap" in refused("run", rig_file, "--record", recording.with_suffix(".avi"))
+
+
+def test_what_is_refused_from_the_first_frame_on_leaves_no_recording(rig_file, tmp_path):
+    wrong = rig_file.with_name("wrong.toml")
+    wrong.write_text(re.sub(r"size_px = .*", "size_px = [99, 99]", rig_file.read_text()))
+    for command in (["run", wrong, "--record"], ["record", wrong]):
+        assert "size_px = [99, 99]" in refused(*command, tmp_path / "s.mcap")
+        assert not (tmp_path / "s.mcap").exists()
+
+
+def test_without_the_extra_one_line_says_how_to_install_it(recording, rig_file, tmp_path):
+    program = (
+        "import sys; sys.modules['mcap.records'] = None; "
+        "from fingerpost.cli import main; main(sys.argv[1:])"
+    )
+    for arguments in (["info", recording], ["replay", recording], ["record", rig_file, "s.mcap"]):
+        command = [sys.executable, "-c", program, *map(str, arguments)]
+        done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=tmp_path)
+        assert done.returncode == 1
+        (line,) = done.stderr.splitlines()
+        assert "pip install 'fingerpost[mcap]'" in line
 
 
 class Held:

@@ -37,6 +37,7 @@ try:
     from mcap.data_stream import ReadDataStream
     from mcap.exceptions import McapError
     from mcap.opcode import Opcode
+    from mcap.reader import make_reader
     from mcap.records import Attachment as Attachment
     from mcap.records import Channel as Channel
     from mcap.records import Header as Header
@@ -44,6 +45,7 @@ try:
     from mcap.records import Message as Message
     from mcap.records import Metadata as Metadata
     from mcap.records import Schema as Schema
+    from mcap.summary import Summary as Summary
 except ImportError as error:
     raise MissingExtraError(
         f"recordings need what is not installed ({error}); install it with: "
@@ -276,6 +278,29 @@ def _decompressed(compression: str, data: bytes, size: int, path: Path) -> bytes
             f"{path}: chunks are compressed by {compression!r}; none, zstd or lz4 can be read"
         )
     return data
+
+
+def read_summary(path: Path) -> Summary | None:
+    """Return the index at the end of an MCAP file; None if there is none, or not a whole one."""
+    try:
+        with path.open("rb") as file:
+            file.seek(-len(MAGIC), 2)
+            if file.read() != MAGIC:
+                return None
+            return make_reader(file).get_summary()
+    except (McapError, struct.error, OSError, ValueError, StopIteration):
+        return None
+
+
+def message_counts(summary: Summary) -> dict[str, int]:
+    """Return how many messages of each topic there are, by an index; nothing if it does not say."""
+    if summary.statistics is None:
+        return {}
+    counts = summary.statistics.channel_message_counts
+    topics: dict[str, int] = {}
+    for channel in summary.channels.values():
+        topics[channel.topic] = topics.get(channel.topic, 0) + counts.get(channel.id, 0)
+    return topics
 
 
 def read_about(path: Path) -> tuple[About, bytes]:

@@ -25,7 +25,9 @@ from fingerpost.mcap_file import (
     Together,
     image_data,
     image_topic,
+    message_counts,
     read_about,
+    read_summary,
 )
 
 
@@ -56,6 +58,9 @@ class RecordedView(Source):
         self._path = path
         self._view = view
         self._place_of_view = about.views.index(view)
+        summary = read_summary(path)
+        if summary is not None:
+            self.frame_count = message_counts(summary).get(image_topic(view))
         self._wrong = ""
         self._entries = self._read()
 

@@ -12,12 +12,10 @@ from typing import Any
 import msgspec
 from mcap.exceptions import McapError
 from mcap.reader import make_reader
-from mcap.summary import Summary
 
 from fingerpost.mcap_file import (
     END_NAME,
     FRAMES_TOPIC,
-    MAGIC,
     METADATA_NAME,
     About,
     Channel,
@@ -26,6 +24,9 @@ from fingerpost.mcap_file import (
     Metadata,
     Records,
     Schema,
+    Summary,
+    message_counts,
+    read_summary,
 )
 
 
@@ -109,16 +110,12 @@ def contents(path: Path) -> Contents:
 
 def _by_index(path: Path) -> Contents | None:
     """Use the index at the end of a file; None if there is none, or not a whole one."""
+    summary = read_summary(path)
+    if summary is None or summary.statistics is None:
+        return None
     try:
         with path.open("rb") as file:
-            file.seek(-len(MAGIC), 2)
-            if file.read() != MAGIC:
-                return None
-            file.seek(0)
             reader = make_reader(file)
-            summary = reader.get_summary()
-            if summary is None or summary.statistics is None:
-                return None
             notes = {metadata.name: metadata.metadata for metadata in reader.iter_metadata()}
             library = reader.get_header().library
     except (McapError, struct.error, OSError, ValueError, StopIteration):
@@ -129,10 +126,8 @@ def _by_index(path: Path) -> Contents | None:
 def _of_summary(
     path: Path, summary: Summary, notes: Mapping[str, dict[str, str]], library: str
 ) -> Contents:
-    counts, schemas = summary.statistics.channel_message_counts, {}  # type: ignore[union-attr]
-    messages: Counter[str] = Counter()
+    schemas = {}
     for channel in summary.channels.values():
-        messages[channel.topic] += counts.get(channel.id, 0)
         schema = summary.schemas.get(channel.schema_id)
         schemas[channel.topic] = schema.name if schema else channel.message_encoding
     return Contents(
@@ -140,7 +135,7 @@ def _of_summary(
         size_bytes=path.stat().st_size,
         library=library,
         about=_about(notes.get(METADATA_NAME, {})),
-        messages=messages,
+        messages=message_counts(summary),
         schemas=schemas,
         start_ns=summary.statistics.message_start_time,  # type: ignore[union-attr]
         end_ns=summary.statistics.message_end_time,  # type: ignore[union-attr]

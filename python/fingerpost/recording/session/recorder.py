@@ -24,7 +24,7 @@ from mcap.writer import Writer
 from mcap_protobuf.schema import register_schema
 from numpy.typing import NDArray
 
-from fingerpost.errors import RecordingError
+from fingerpost.errors import InvalidInputError, RecordingError
 from fingerpost.lens import Lens
 from fingerpost.mcap_file import (
     END_NAME,
@@ -168,7 +168,7 @@ class Recorder:
         self._calibrated: set[str] = set()
         self._writer: Any = Writer(self._stream)  # type: ignore[arg-type]
         self._queue: queue.Queue[Callable[[], None] | None] = queue.Queue(_WAITING)
-        self._steps = 0
+        self._steps = self._taken = 0
         self._dropped = 0
         self._failure: RecordingError | None = None
         self._begin(rig_text)
@@ -196,6 +196,7 @@ class Recorder:
         RecordingError
             As `watch`.
         """
+        self._taken += 1
         self._put(lambda: self._write_step(step))
 
     def notes(self) -> list[str]:
@@ -236,7 +237,12 @@ class Recorder:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        self.close()
+        try:
+            self.close()
+        finally:
+            # Whatever is refused from the first frame on leaves nothing behind.
+            if isinstance(error, InvalidInputError) and self._steps <= 1 and not self._taken:
+                self._stream.path.unlink(missing_ok=True)
 
     def _put(self, entry: Callable[[], None]) -> None:
         while True:
