@@ -312,6 +312,22 @@ def test_recorded_frames_wait_for_the_recorder(tmp_path):
     assert [m["step"] for topic, *_, m in messages(path) if topic == "/frames"] == list(range(200))
 
 
+def test_ctrl_c_leaves_a_whole_recording(tmp_path):
+    picture = np.zeros((4, 6), np.uint8)
+    path = tmp_path / "s.mcap"
+
+    def record():
+        with Recorder(path, about("a"), "", [None], images=Images.PNG) as recorder:
+            for (frame,) in recorder.watch((Frame(k, 0.1 * k, picture),) for k in range(9)):
+                if frame.index == 5:
+                    raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        record()
+    assert [m["step"] for topic, *_, m in messages(path) if topic == "/frames"] == list(range(6))
+    assert json.loads(invoked("info", path, "--json").stdout)["wrong"] == ""
+
+
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="needs /dev/full's error")
 def test_a_full_disk_is_told_when_it_happens(rig_file, tmp_path, monkeypatch):
     def full(_descriptor):

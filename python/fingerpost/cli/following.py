@@ -8,7 +8,7 @@ import sys
 import time
 import tomllib
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -181,14 +181,12 @@ def follow(
                 takers.append(take)
             if line is not None:
                 line.clear()
-                counts = [
-                    n for n in (asked.max_frames, *(source.frame_count for source in sources)) if n
-                ]
-                if counts and not is_live:
-                    bar = watched(frames, min(counts), "tracking")
-                    frames = stack.enter_context(closing(bar))
-                else:
+                count = None if is_live else _frame_count(asked.max_frames, sources)
+                if count is None:
                     takers.append(_live_status(line, pointer, rig.plane.unit))
+                else:
+                    bar = watched(frames, count, "tracking")
+                    frames = stack.enter_context(closing(bar))
             started_s = time.monotonic()
             for step in steps(pointer, frames):
                 summary.add(step.fix)
@@ -197,11 +195,20 @@ def follow(
     finally:
         notes = [*source_notes(rig.sources, sources), *pointer.notes()]
         notes += [note for recorder in recorders for note in recorder.notes()]
-        if summary.frames and not asked.as_json:
-            lines = summary.lines(time.monotonic() - started_s, notes)
-            click.echo("\n".join([*lines, *closing_words()]))
-        if notes and asked.as_json:
-            click.echo(json.dumps({"notes": notes}))
+        if asked.as_json:
+            lines = [json.dumps({"notes": notes})] if notes else []
+        elif summary.frames:
+            lines = [*summary.lines(time.monotonic() - started_s, notes), *closing_words()]
+        else:
+            lines = []
+        if lines:
+            click.echo("\n".join(lines))
+
+
+def _frame_count(max_frames: int | None, sources: Sequence[Source]) -> int | None:
+    """Return how many frames there should be, as far as anybody knows."""
+    counts = (max_frames, *(source.frame_count for source in sources))
+    return min((count for count in counts if count), default=None)
 
 
 def settings_of(model: str, settings: tuple[str, ...]) -> dict[str, Any]:

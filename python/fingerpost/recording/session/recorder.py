@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from enum import Enum
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Protocol, Self, TypeVar
+from typing import Any, Self, TypeVar
 
 import msgspec
 import numpy as np
@@ -41,15 +41,14 @@ from fingerpost.mcap_file import (
     image_topic,
     track_topic,
 )
-from fingerpost.pointing import Fix, PlaneView
 from fingerpost.recording.interrupts import uninterrupted
-from fingerpost.recording.picture.marks import Observed
 from fingerpost.recording.session.messages import (
     calibration,
     compressed_image,
     drawn_over,
     plane_scene,
 )
+from fingerpost.recording.session.recordable import RecordableStep, Seen
 from fingerpost.recording.session.stream import RecordingStream
 from fingerpost.recording.tables import PointRow, TrackRow
 
@@ -70,56 +69,6 @@ class Images(Enum):
     """Without loss."""
     JPEG = "jpeg"
     """JPEG of quality 95: ten times as fast, and a fifth of the size."""
-
-
-class Seen(Protocol):
-    """A view's frame, or its loss, which has no image but says why."""
-
-    @property
-    def index(self) -> int:
-        """Position in its source."""
-
-    @property
-    def time_s(self) -> float:
-        """Capture time [s]."""
-
-
-class WholeFromReduced(Protocol):
-    """How frames were reduced; `fingerpost.references.Reduction` is one."""
-
-    @property
-    def whole_from_reduced(self) -> NDArray[np.float64]:
-        """(3, 3) From pixels of the reduced image to those of the whole one."""
-
-
-class Recordable(Observed, Protocol):
-    """What one view saw; `fingerpost.pipeline.Observation` is one."""
-
-    @property
-    def reduction(self) -> WholeFromReduced:
-        """How its frame was reduced."""
-
-    @property
-    def plane_view(self) -> PlaneView | None:
-        """How it saw the plane."""
-
-    def track_row(self) -> TrackRow | None:
-        """Return its row of `tracks.csv`."""
-
-
-class RecordableStep(Protocol):
-    """What was made of the frames of a time; `fingerpost.pipeline.Step` is one."""
-
-    @property
-    def observations(self) -> Sequence[Recordable]:
-        """One per view."""
-
-    @property
-    def fix(self) -> Fix:
-        """Where the hand points."""
-
-    def point_row(self) -> PointRow:
-        """Return its row of `points.csv`."""
 
 
 Together_ = TypeVar("Together_", bound=Sequence[Seen | None])
