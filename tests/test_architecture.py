@@ -48,9 +48,11 @@ PYTHON_GROUPS = {
     "rehearsal": "application",
     "sync": "application",
     "workers": "application",
+    "batch": "application",
     "installation": "checks",
     "signals": "errors",
     "rig_text": "checks",
+    "mcap_file": "mcap_file",
     "cli": "cli",
     "__main__": "cli",
     "_core": "core",
@@ -61,7 +63,7 @@ _BASE = {"errors", "checks"}
 _GEOMETRY = _BASE | {"geometry"}
 _POINTING = _GEOMETRY | {"pointing", "core"}
 _EDGES = {"references", "capture", "simulate", "recording", "robot"}
-_PIPELINE = _POINTING | _EDGES | {"config", "pipeline"}
+_PIPELINE = _POINTING | _EDGES | {"config", "mcap_file", "pipeline"}
 
 # What each group may import of the others. The edges never import each other, and nobody but the
 # command line itself imports it.
@@ -70,8 +72,9 @@ PYTHON_RULES = {
     "checks": {"errors"},
     "geometry": _GEOMETRY,
     "pointing": _GEOMETRY | {"core"},
-    **dict.fromkeys(_EDGES, _POINTING),
-    "config": _GEOMETRY | {"capture"},
+    "mcap_file": {"errors"},
+    **dict.fromkeys(_EDGES, _POINTING | {"mcap_file"}),
+    "config": _GEOMETRY | {"capture", "mcap_file"},
     "pipeline": _PIPELINE,
     "application": _PIPELINE | {"application"},
     "cli": _PIPELINE | {"application", "cli", "front"},

@@ -22,6 +22,7 @@ import pytest
 from patience import PATIENCE_S, wait_until
 
 from fingerpost.capture import Frame, Loss, SourceKind, open_source, opening, read_views
+from fingerpost.capture.as_sent import picture_of
 from fingerpost.capture.live import LiveSource
 from fingerpost.capture.opening import STILL_FRAMES, refuse_repeated
 from fingerpost.capture.video import FrameTimes
@@ -732,6 +733,29 @@ def test_a_stream_read_slowly_stays_fresh(server):
             reached = sent - server.HELD_BACK
             wait_until(lambda reached=reached: source.frames_grabbed >= reached)
             assert number_in(next(source).image) >= reached - 1
+
+
+def test_a_stream_of_jpegs_gives_them_as_they_were_sent(server):
+    with open_source(server.url, timeout_s=PATIENCE_S) as source:
+        frame = next(source)
+    sent = cv2.imencode(".jpg", painted(number_in(frame.image)))[1]
+    assert frame.encoded == sent.tobytes()
+    assert (frame.image == cv2.imdecode(sent, cv2.IMREAD_ANYCOLOR)).all()
+
+
+@pytest.mark.parametrize("sent", [b"\xff\xd8\xff", b"\xff\xd8\xff\xe0no jpeg\xff\xd9"])
+def test_a_jpeg_that_cannot_be_decoded_is_no_picture(sent):
+    picture, _ = picture_of(np.frombuffer(sent, np.uint8)[None])
+    assert picture is None
+
+
+def test_pictures_that_come_decoded_stay_as_they_are():
+    flat = np.full((1, 30), 7, np.uint8)
+    padded = np.frombuffer(cv2.imencode(".jpg", painted(3))[1].tobytes() + bytes(9), np.uint8)
+    assert picture_of(flat)[0].tolist() == flat.tolist()
+    picture, encoded = picture_of(padded[None])
+    assert number_in(picture) == 3
+    assert encoded == padded.tobytes()[:-9]
 
 
 def test_a_stream_that_ends_is_lost_and_comes_back(server, monkeypatch):

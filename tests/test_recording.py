@@ -2,9 +2,12 @@
 
 import math
 import os
+import re
 import signal
+import struct
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import cv2
@@ -21,6 +24,7 @@ from fingerpost.recording import (
     VideoWriter,
     read_points,
     read_tracks,
+    webm,
     write_points,
     write_tracks,
 )
@@ -312,7 +316,7 @@ def frames_of(path: Path) -> list[np.ndarray]:
     return frames
 
 
-@pytest.mark.parametrize("suffix", [".mp4", ".mkv", ".avi", ".MP4"])
+@pytest.mark.parametrize("suffix", [".webm", ".mp4", ".mkv", ".avi", ".MP4"])
 @pytest.mark.parametrize("size", [(64, 48), (63, 47)])
 def test_a_video_holds_every_frame(tmp_path, suffix, size):
     path = tmp_path / f"o{suffix}"
@@ -332,6 +336,78 @@ def test_colours_stay_what_they_are(tmp_path):
     with VideoWriter(tmp_path / "o.avi", fps=25) as video:
         video.write(np.full((48, 64, 3), colour, np.uint8))
     np.testing.assert_allclose(frames_of(tmp_path / "o.avi")[0].mean(axis=(0, 1)), colour, atol=4)
+
+
+UNEVEN_S = [10.0, 10.04, 10.08, 10.2, 10.2, 13.0, 12.0, 14.5]
+
+
+def times_of(path: Path) -> list[float]:
+    video = cv2.VideoCapture(str(path))
+    times = []
+    while video.grab():
+        times.append(video.get(cv2.CAP_PROP_POS_MSEC) / 1000)
+    return times
+
+
+def test_a_webm_keeps_every_time_to_the_millisecond(tmp_path):
+    path = tmp_path / "o.webm"
+    with VideoWriter(path, fps=None) as video:
+        for time_s in UNEVEN_S:
+            video.write(np.full((48, 64), 90, np.uint8), time_s)
+    # What does not go forward follows a millisecond later.
+    wanted = [0.0, 0.04, 0.08, 0.2, 0.201, 3.0, 3.001, 4.5]
+    np.testing.assert_allclose(times_of(path), wanted, atol=1e-6)
+    data = path.read_bytes()
+    duration = data[data.index(b"\x44\x89\x01") + 10 :][:8]
+    assert struct.unpack(">d", duration) == (4500 + 1499,)
+    assert (
+        int.from_bytes(data[data.index(b"\x18\x53\x80\x67") + 5 :][:7], "big")
+        == len(data) - data.index(b"\x18\x53\x80\x67") - 12
+    )
+
+
+def test_a_webm_that_was_cut_plays_up_to_the_cut(tmp_path):
+    path = tmp_path / "o.webm"
+    rng = np.random.default_rng(0)
+    with VideoWriter(path, fps=None) as video:
+        for k in range(20):
+            video.write(rng.integers(0, 256, (48, 64), dtype=np.uint8), k / 10)
+    data = path.read_bytes()
+    clusters = [found.start() for found in re.finditer(b"\x1f\x43\xb6\x75", data)]
+    assert len(clusters) == 20
+    (tmp_path / "cut.webm").write_bytes(data[: clusters[12] + 30])
+    assert times_of(tmp_path / "cut.webm")[:12] == pytest.approx([k / 10 for k in range(12)])
+
+
+@pytest.mark.parametrize("suffix", [".mp4", ".mkv", ".avi"])
+def test_videos_of_one_rate_keep_to_the_times_by_showing_frames_again(tmp_path, suffix):
+    path = tmp_path / f"o{suffix}"
+    levels = {0.0: 0, 0.1: 120, 0.5: 240}  # the first two tell the rate: 10 a second
+    with VideoWriter(path, fps=None) as video:
+        for time_s, level in levels.items():
+            video.write(np.full((48, 64), level, np.uint8), time_s)
+    shown = [int(frame.mean()) for frame in frames_of(path)]
+    assert shown == pytest.approx([0, 120, 120, 120, 120, 240], abs=12)
+
+
+def test_an_encoder_that_is_behind_drops_live_frames_alone(tmp_path, monkeypatch):
+    may_go, is_held = threading.Event(), threading.Event()
+    frame = webm._key_frame(np.zeros((48, 64, 3), np.uint8))
+
+    def held(_image):
+        is_held.set()
+        assert may_go.wait(PATIENCE_S)
+        return frame
+
+    monkeypatch.setattr(webm, "_key_frame", held)
+    with VideoWriter(tmp_path / "o.webm", fps=None, drops=True) as video:
+        video.write(np.zeros((48, 64), np.uint8), 0.0)
+        assert is_held.wait(PATIENCE_S)
+        video.write(np.zeros((48, 64), np.uint8), 0.1)
+        may_go.set()
+        video._film._settle()
+        video.write(np.zeros((48, 64), np.uint8), 0.2)
+    assert times_of(tmp_path / "o.webm") == pytest.approx([0.0, 0.2])
 
 
 def test_an_interrupted_run_leaves_a_whole_video(tmp_path):
@@ -384,10 +460,12 @@ for path in sys.argv[1:]:
     except FingerpostError as error:
         print(error)
 """
-    paths = [str(tmp_path / f"o{suffix}") for suffix in (".mp4", ".mkv", ".avi")]
+    paths = [str(tmp_path / f"o{suffix}") for suffix in (".webm", ".mp4", ".mkv", ".avi")]
     done = subprocess.run(
         [sys.executable, "-c", program, *paths], check=True, capture_output=True, text=True
     )
+    assert "o.part.webm: cannot be written any more: File too large; it plays up to" in done.stdout
+    assert len(frames_of(tmp_path / "o.part.webm")) > 1
     assert done.stdout.count("not all of 30 frames could be written; is the disk full?") == 3
     assert not any(map(os.path.exists, paths))
 
@@ -416,7 +494,7 @@ def test_ctrl_c_while_a_frame_is_written_leaves_a_whole_video(tmp_path, monkeypa
 def test_a_video_that_cannot_be_made_is_refused_at_once(tmp_path):
     for name, said in [
         ("none/o.mp4", "the folder .*none does not exist"),
-        ("o.webm", r"a name ending in \.mp4, \.mkv, \.avi is needed"),
+        ("o.gif", r"a name ending in \.webm, \.mp4, \.mkv, \.avi is needed"),
     ]:
         with pytest.raises(InvalidInputError, match=said):
             VideoWriter(tmp_path / name, fps=25)

@@ -383,7 +383,7 @@ def test_the_bar_ends_its_line_before_the_summary_of_what_was_interrupted(rig_fi
 
     counted, lines = RunSummary.add, RunSummary.lines
     monkeypatch.setattr("fingerpost.cli.progress._is_watched", lambda: True)
-    monkeypatch.setattr(sys.modules["fingerpost.cli.run"], "watched", bar)
+    monkeypatch.setattr(sys.modules["fingerpost.cli.following"], "watched", bar)
     monkeypatch.setattr(RunSummary, "add", interrupted)
     monkeypatch.setattr(RunSummary, "lines", lambda *given: order.append("sum") or lines(*given))
     done = invoked("run", rig_file)

@@ -39,6 +39,9 @@ from fingerpost.lens import Lens
 from fingerpost.rig_text import parsed
 from fingerpost.targets import Target, Targets
 
+RECORDING = ".mcap"
+"""What the name of a recording ends in."""
+
 Pair = tuple[float, float]
 Triple = tuple[float, float, float]
 
@@ -403,6 +406,12 @@ class View(_Table, kw_only=True, frozen=True):
             return np.tile(otherwise_sigma_px**2 * np.eye(2), (len(self.reference_points_px), 1, 1))
         return np.array([[[uu, uv], [uv, vv]] for uu, uv, vv in self.reference_covariances_px2])
 
+    def recorded_as(self, source: str) -> Self:
+        """Return the same view of a recording, whose frames are turned and timed already."""
+        return msgspec.structs.replace(
+            self, source=source, offset_s=0.0, camera=None, rotate_deg=0, mirror=False, crop=None
+        )
+
     @property
     def arrangement(self) -> Arrangement:
         """How its pictures are turned."""
@@ -602,16 +611,36 @@ class Rig(_Table, kw_only=True, frozen=True):
         Parameters
         ----------
         path
-            The file, TOML in UTF-8.
+            The file, TOML in UTF-8; or a recording (`.mcap`), whose rig has its views as sources.
 
         Raises
         ------
         RigError
             The file cannot be read or used. The message is one line: the file, the key's path,
             its value, and what would be right.
+        SourceError
+            The recording cannot be read, or is none of fingerpost's.
+        MissingExtraError
+            Recordings need the extra `mcap`.
         """
         path = Path(path)
+        if path.suffix == RECORDING:
+            return cls._of_recording(path)
         return cls._of(_tables(path), path)
+
+    @classmethod
+    def _of_recording(cls, path: Path) -> Self:
+        from fingerpost.mcap_file import read_about  # needs the extra mcap
+
+        _, text = read_about(path)
+        try:
+            rig = cls._of(parsed(text), path)
+        except RigError:
+            raise
+        except InvalidInputError as error:
+            raise RigError(f"{path}: {error}") from error
+        views = (view.recorded_as(f"{path}#{view.name}") for view in rig.views)
+        return msgspec.structs.replace(rig, views=tuple(views))
 
     @classmethod
     def load_cameras(cls, path: str | Path) -> Self:

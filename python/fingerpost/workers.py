@@ -114,6 +114,8 @@ def _held_back() -> Iterator[None]:
 
 def _start(heard: Connection, given_start: bytes) -> None:
     threading.Thread(target=_end_with, args=(heard,), daemon=True).start()
+    for library in ("OPENBLAS", "MKL", "OMP", "VECLIB_MAXIMUM"):  # asked when NumPy is imported
+        os.environ[f"{library}_NUM_THREADS"] = "1"
     import cv2
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # where it cannot be blocked

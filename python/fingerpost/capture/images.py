@@ -28,6 +28,7 @@ from fingerpost.capture.source import DAMAGED, UNDECODABLE, Frame, Loss, Source,
 from fingerpost.checks import opencv_path
 from fingerpost.errors import CaptureError
 
+_PASSED_ON = (b"\xff\xd8\xff", b"\x89PNG")  # what viewers of recordings show as it is
 _DIGITS = re.compile(r"(\d+)")
 _JPEG_START = b"\xff\xd8"
 _JPEG_END = b"\xff\xd9"
@@ -69,6 +70,10 @@ class _Pictures(Source):
     @abstractmethod
     def _time_s(self, index: int) -> float: ...
 
+    def _encoded(self) -> bytes:
+        """Return the file of the picture loaded last, if it holds this one alone."""
+        return b""
+
     def _number(self, index: int) -> int:
         """Return the position of a picture in the stream that it is of."""
         return index
@@ -96,7 +101,8 @@ class _Pictures(Source):
         index, self._index = self._index, self._index + 1
         number, time_s = self._number(index), self._time_s(index)
         try:
-            image = self._depth.eight_bits(self._load(index))
+            loaded = self._load(index)
+            image = self._depth.eight_bits(loaded)
         except UndecodableError as error:
             self._detail = self._detail or str(error)
             return Loss(number, time_s, UNDECODABLE)
@@ -104,7 +110,8 @@ class _Pictures(Source):
             more = f"{self._place(number)}: holds more than {self._depth.bits} bits"
             self._detail = self._detail or more
             return Loss(number, time_s, DAMAGED)
-        return Frame(number, time_s, image)
+        encoded = self._encoded() if loaded.dtype == np.uint8 else b""
+        return Frame(number, time_s, image, encoded if encoded.startswith(_PASSED_ON) else b"")
 
     def close(self) -> None:
         """Stop: no more frames will come."""
@@ -117,6 +124,7 @@ class ImageSequence(_Pictures):
     def __init__(self, paths: Sequence[Path], *, fps: float, name: str) -> None:
         super().__init__(name, len(paths))
         self._paths = paths
+        self._data = b""
         self._taken = taken(paths, fps, name)
         if len(set(paths)) == 1:
             self._need_first()
@@ -129,7 +137,11 @@ class ImageSequence(_Pictures):
             raise CaptureError(str(error)) from error
 
     def _load(self, index: int) -> NDArray[np.generic]:
-        return decode_image(self._paths[index], self._listener)
+        self._data = read_image(self._paths[index])
+        return decoded_image(self._data, str(self._paths[index]), self._listener)
+
+    def _encoded(self) -> bytes:
+        return self._data
 
     def _time_s(self, index: int) -> float:
         return self._taken[index].time_s
@@ -152,12 +164,17 @@ class JpegFilm(_Pictures):
         with path.open("rb") as file:
             self._data = _mapped(file)
         self._places = list(_jpegs(self._data))
+        self._picture = b""
         super().__init__(str(path), len(self._places))
         self._fps = fps
 
     def _load(self, index: int) -> NDArray[np.generic]:
         start, end = self._places[index]
-        return _decoded(self._data[start:end], self._place(index), self._listener)
+        self._picture = self._data[start:end]
+        return decoded_image(self._picture, self._place(index), self._listener)
+
+    def _encoded(self) -> bytes:
+        return self._picture
 
     def _time_s(self, index: int) -> float:
         return index / self._fps
@@ -277,17 +294,13 @@ def path_is_animation(path: Path) -> bool:
         return file.read(4) not in _TIFF_STARTS
 
 
-def decode_image(path: Path, listener: Listener) -> NDArray[np.generic]:
-    """Read an image file as grey (h, w) or blue-green-red (h, w, 3) of 8 or 16 bits.
-
-    An alpha channel is dropped and the colour kept as stored. Palettes become colour.
+def read_image(path: Path) -> bytes:
+    """Return the content of an image file.
 
     Raises
     ------
     UndecodableError
-        The file cannot be read, is cut off or damaged, or is no image.
-    CaptureError
-        It holds floating-point pixels.
+        The file cannot be read, or is empty.
     """
     try:
         data = path.read_bytes()
@@ -295,10 +308,31 @@ def decode_image(path: Path, listener: Listener) -> NDArray[np.generic]:
         raise UndecodableError(f"{path}: {error.strerror}") from error
     if not data:
         raise UndecodableError(f"{path}: the file is empty; an image is needed")
-    return _decoded(data, str(path), listener)
+    return data
 
 
-def _decoded(data: bytes, place: str, listener: Listener) -> NDArray[np.generic]:
+def decoded_image(data: bytes, place: str, listener: Listener) -> NDArray[np.generic]:
+    """Decode the content of an image file to grey (h, w) or blue-green-red (h, w, 3).
+
+    It has 8 or 16 bits. An alpha channel is dropped and the colour kept as stored. Palettes become
+    colour.
+
+    Parameters
+    ----------
+    data
+        The content.
+    place
+        Where it was found, for messages.
+    listener
+        Hears whether the decoder mends it.
+
+    Raises
+    ------
+    UndecodableError
+        It is cut off or damaged, or is no image.
+    CaptureError
+        It holds floating-point pixels.
+    """
     import cv2
 
     image = None

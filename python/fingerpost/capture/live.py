@@ -23,8 +23,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
 
-import numpy as np
-
+from fingerpost.capture.as_sent import as_sent, picture_of
 from fingerpost.capture.raw import STDIN, RawStream, StreamEndedError, raw_format
 from fingerpost.capture.remote import is_url, masked
 from fingerpost.capture.settings import CameraSettings, Control
@@ -72,8 +71,8 @@ def _connect(source: str | int, timeout_s: float, camera: CameraSettings | None 
         capture = cv2.VideoCapture(device)
         # Two cameras that send raw pixels exceed one USB bus; most can send JPEG instead.
         capture.set(cv2.CAP_PROP_FOURCC, cv2.VideoWriter.fourcc(*"MJPG"))
-        return capture
-    return cv2.VideoCapture(source, cv2.CAP_FFMPEG, _limits(timeout_s))
+        return as_sent(capture)
+    return as_sent(cv2.VideoCapture(source, cv2.CAP_FFMPEG, _limits(timeout_s)))
 
 
 def _limits(timeout_s: float) -> list[int]:
@@ -358,15 +357,15 @@ class LiveSource(Source):
         while not self._closed:
             grabbed = device.grab()
             time_ns = self._clock()
-            ok, image = device.retrieve() if grabbed else (False, None)
-            if not ok:
+            ok, sent = device.retrieve() if grabbed else (False, None)
+            image, encoded = picture_of(sent) if ok and sent is not None else (None, b"")
+            if image is None:
                 silent_s = min(self.silent_s, time.monotonic() - started_s)
                 if self._frames_grabbed and silent_s > self._timeout_s:
                     return
                 time.sleep(_RETRY_S)
                 continue
-            image = np.ascontiguousarray(image, dtype=np.uint8)
-            frame = Frame(self._frames_grabbed, time_ns / 1e9, image)
+            frame = Frame(self._frames_grabbed, time_ns / 1e9, image, encoded)
             with self._changed:
                 if not self._closed:
                     self._newest = frame

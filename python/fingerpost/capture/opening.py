@@ -37,6 +37,8 @@ STILL_FRAMES = 25
 DEFAULT_TIMEOUT_S = 5.0
 """How long a live source may take to open, and to deliver its next frame."""
 
+_RECORDING = ".mcap"
+
 
 def open_source(
     source: str | int,
@@ -55,7 +57,8 @@ def open_source(
         times), a glob of still images (`left/*.png`, taken in natural order: 2 before 10), a
         camera number, a camera device (`/dev/video0`) or a named pipe, or a URL (`http://`,
         `https://`, `rtsp://`, ...): live, unless a web server says that it is a film; or `-`: raw
-        frames on standard input (`fingerpost.capture.raw`), which are live as well.
+        frames on standard input (`fingerpost.capture.raw`), which are live as well. A view of a
+        recording is `session.mcap#left`.
     camera
         What a camera is asked for, or the format of the raw frames on a pipe.
     fps
@@ -128,6 +131,10 @@ def _opened(
         raise InvalidInputError(
             f"{source}: file names are written in {encoding} here; a UTF-8 locale is right"
         ) from error
+    if (in_recording := _view_of_recording(source)) is not None:
+        from fingerpost.capture.recorded import RecordedView  # needs the extra mcap
+
+        return RecordedView(*in_recording)
     path = Path(source)
     try:
         if path.is_fifo():
@@ -160,6 +167,11 @@ def _open_file(path: Path, fps: float) -> Source:
     with path.open("rb") as file:
         if not file.read(1):
             raise CaptureError(f"{path}: the file is empty; a video or an image is needed")
+    if path.suffix.lower() == _RECORDING:
+        from fingerpost.mcap_file import read_about
+
+        views = " or ".join(f"{path}#{view}" for view in read_about(path)[0].views)
+        raise CaptureError(f"{path}: is a recording; name one of its views: {views}")
     if is_motion_jpeg(path):
         return JpegFilm(path, fps=fps)
     if cv2.haveImageReader(opencv_path(path, "source")):
@@ -167,6 +179,12 @@ def _open_file(path: Path, fps: float) -> Source:
             return PictureStack(path, count, fps=fps)
         return ImageSequence([path] * STILL_FRAMES, fps=fps, name=str(path))
     return VideoFile(path, fps=fps)
+
+
+def _view_of_recording(source: str) -> tuple[Path, str] | None:
+    """Return file and view of a source such as `session.mcap#left`; None of any other."""
+    name, mark, view = source.partition(f"{_RECORDING}#")
+    return (Path(f"{name}{_RECORDING}"), view) if name and mark and view else None
 
 
 def _matching(pattern: str) -> list[Path]:
@@ -181,6 +199,8 @@ def source_files(source: str | int) -> list[Path]:
     """
     if isinstance(source, int) or is_url(source) or source == STDIN:
         return []
+    if (in_recording := _view_of_recording(source)) is not None:
+        return [in_recording[0]]
     # Path.exists would raise where a name is too long to exist.
     if glob.has_magic(source) and not os.path.exists(source):  # noqa: PTH110
         return _matching(source)
@@ -258,6 +278,9 @@ def _what_is_read(source: str | int) -> list[str | int]:
     """
     if isinstance(source, str) and (is_url(source) or source == STDIN):
         return [source]
+    if isinstance(source, str) and (in_recording := _view_of_recording(source)) is not None:
+        path, view = in_recording
+        return [f"{os.path.realpath(path)}#{view}"]
     is_camera = isinstance(source, int)
     files = [Path(_CAMERA_FILE.format(source))] if is_camera else source_files(source)
     # Path.exists would raise where no file can have such a name.
@@ -273,6 +296,8 @@ def resolve_source(source: str | int, directory: Path) -> str | int:
     if isinstance(source, int) or is_url(source) or source == STDIN:
         return source
     path = directory / source
+    if _view_of_recording(source) is not None:
+        return str(path)
     # Path.exists would raise where a name is too long to exist.
     if glob.has_magic(source) and not os.path.exists(path):  # noqa: PTH110
         return str(Path(glob.escape(str(directory))) / source)

@@ -7,6 +7,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from types import TracebackType
 from typing import Self
 
@@ -31,11 +32,15 @@ class Frame:
         sources give the machine's monotonic clock, the same for all of them.
     image
         `uint8`, C-contiguous, shape (height, width) grey or (height, width, 3) blue-green-red.
+    encoded
+        The JPEG or PNG that `image` was decoded from, where OpenCV decodes it to the same pixels
+        again; else empty.
     """
 
     index: int
     time_s: float
     image: NDArray[np.uint8]
+    encoded: bytes = field(default=b"", repr=False)
     _grey: NDArray[np.uint8] | None = field(default=None, init=False, repr=False)
     _has_colours: bool | None = field(default=None, init=False, repr=False)
 
@@ -154,10 +159,16 @@ class Source(ABC):
         How pictures are turned before they are handed out.
     losses
         How many pictures so far were lost.
+    recording
+        The file that also knows which frames of several views came together; None of most sources.
+    step
+        In which step the last frame came there.
     """
 
     kind: SourceKind
     name: str
+    recording: Path | None = None
+    step: int = -1
     frame_count: int | None = None
     offset_s: float = 0.0
     arrangement: Arrangement = AS_IT_IS

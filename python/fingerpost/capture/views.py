@@ -39,7 +39,7 @@ def read_views(
         One entry per source, in their order. Recorded views advance by their times and end with
         the shortest; an entry is None where a view has no frame of about that time, as it was
         recorded at a lower rate. Live views wait until every view has a new frame, or is lost, and
-        then give the newest of each.
+        then give the newest of each. Views of one recording come as they came when it was made.
 
     Raises
     ------
@@ -59,7 +59,27 @@ def read_views(
         in_range(give_up_after_s, "give_up_after_s", *_GIVE_UP_AFTER_S)
     if kinds == {SourceKind.LIVE}:
         return _newest_together(sources, give_up_after_s)
+    recordings = {source.recording for source in sources}
+    if len(recordings) == 1 and None not in recordings:
+        return _as_recorded(sources)
     return _in_step(sources)
+
+
+def _as_recorded(sources: Sequence[Source]) -> Iterator[tuple[Frame | Loss | None, ...]]:
+    heads = [next(source, None) for source in sources]
+    while any(head is not None for head in heads):
+        step = min(
+            source.step for source, head in zip(sources, heads, strict=True) if head is not None
+        )
+        is_due = [
+            head is not None and source.step == step
+            for source, head in zip(sources, heads, strict=True)
+        ]
+        yield tuple(head if due else None for head, due in zip(heads, is_due, strict=True))
+        heads = [
+            next(source, None) if due else head
+            for source, head, due in zip(sources, heads, is_due, strict=True)
+        ]
 
 
 def _in_step(sources: Sequence[Source]) -> Iterator[tuple[Frame | Loss | None, ...]]:

@@ -17,10 +17,14 @@ from typing import Any, NoReturn
 import click
 
 from fingerpost.cli.advise import advise
+from fingerpost.cli.batch import batch
 from fingerpost.cli.cameras import cameras
 from fingerpost.cli.demo import demo
 from fingerpost.cli.doctor import doctor
 from fingerpost.cli.experiment import experiment
+from fingerpost.cli.record import record
+from fingerpost.cli.recordings import export, info, recover
+from fingerpost.cli.replay import replay
 from fingerpost.cli.robot import robot
 from fingerpost.cli.run import run
 from fingerpost.cli.sync import sync
@@ -89,5 +93,7 @@ def main(verbose: bool) -> None:
     )
 
 
-for _command in (demo, run, cameras, sync, advise, doctor, experiment, robot):
+_RECORDINGS = (record, replay, info, recover, export, batch)
+
+for _command in (demo, run, cameras, sync, *_RECORDINGS, advise, doctor, experiment, robot):
     main.add_command(_command)

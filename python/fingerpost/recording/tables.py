@@ -18,7 +18,7 @@ import stat
 from collections.abc import Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import Any, ClassVar, Generic, Self, TypeVar, get_args, get_type_hints
+from typing import Any, ClassVar, Generic, Self, TypeAlias, TypeVar, get_args, get_type_hints
 
 from fingerpost.errors import InvalidInputError, RecordingError
 
@@ -135,7 +135,42 @@ class TrackRow:
                 raise InvalidInputError(f"{name} is {sigma}; 0 or more is right")
 
 
-Row = TypeVar("Row", PointRow, TrackRow)
+@dataclasses.dataclass(frozen=True, slots=True, kw_only=True)
+class BesideRow:
+    """One frame's fix beside the recorded one: a row of what `fingerpost replay --beside` writes.
+
+    Attributes
+    ----------
+    frame, time_s, status, x, y
+        As in `PointRow`, of now.
+    recorded_status, recorded_x, recorded_y
+        Of the recording; empty where it has no fix of that frame.
+    distance
+        Between both points, in plane units; None unless there are two.
+    """
+
+    STATUSES: ClassVar = PointRow.STATUSES
+    ADDED: ClassVar[tuple[str, ...]] = ()
+    """Columns that tables of earlier versions lack."""
+
+    frame: int
+    time_s: float
+    status: str
+    x: float | None = None
+    y: float | None = None
+    recorded_status: str = ""
+    recorded_x: float | None = None
+    recorded_y: float | None = None
+    distance: float | None = None
+
+    def __post_init__(self) -> None:
+        _check_cells(self)
+        _together(self, "x", "y")
+        _together(self, "recorded_x", "recorded_y")
+
+
+_AnyRow: TypeAlias = PointRow | TrackRow | BesideRow
+Row = TypeVar("Row", PointRow, TrackRow, BesideRow)
 
 
 class TableWriter(Generic[Row]):
@@ -295,7 +330,7 @@ def _row(row_type: type[Row], header: list[str], cells: list[str]) -> Row:
     return row_type(**values)
 
 
-def _columns(row_type: type[PointRow | TrackRow]) -> list[str]:
+def _columns(row_type: type[_AnyRow]) -> list[str]:
     return [field.name for field in dataclasses.fields(row_type)]
 
 
@@ -319,7 +354,7 @@ def _value(cell: str, column: str, kind: object) -> float | str | None:
     raise InvalidInputError(f"{column} is {cell!r}; {wanted} is needed")
 
 
-def _check_cells(row: PointRow | TrackRow) -> None:
+def _check_cells(row: _AnyRow) -> None:
     if isinstance(row.frame, bool) or not isinstance(row.frame, int) or row.frame < 0:
         raise InvalidInputError(f"frame is {row.frame!r}; a whole number from 0 is needed")
     if row.status not in row.STATUSES:
@@ -332,7 +367,7 @@ def _check_cells(row: PointRow | TrackRow) -> None:
             raise InvalidInputError(f"{column} is {value!r}; one line of printable text is needed")
 
 
-def _together(row: PointRow | TrackRow, *columns: str) -> None:
+def _together(row: _AnyRow, *columns: str) -> None:
     empty = [getattr(row, column) is None for column in columns]
     if any(empty) and not all(empty):
         raise InvalidInputError(f"{', '.join(columns)} must all be given or all be empty")

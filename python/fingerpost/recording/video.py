@@ -1,14 +1,19 @@
 """Overlay videos.
 
-The codec follows from the file's suffix: MPEG-4 for `.mp4` and `.mkv`, motion JPEG for `.avi`.
+The codec follows from the file's suffix: VP8 for `.webm`, which browsers play and in which every
+frame has its own time (`webm`); MPEG-4 for `.mp4` and `.mkv`, motion JPEG for `.avi`, in which
+frames are shown again or left out to keep to the times.
+
 Frames go to `name.part.suffix`, which takes its final name when it is closed: a file under the
 final name is always whole. Where there is such a file already it is somebody's, and the part is
-called `name.part2.suffix` and so on. A run that is killed leaves the part behind: `.avi` and `.mkv`
-can be played up to their last seconds, while an `.mp4` cannot, because its index comes at the end.
+called `name.part2.suffix` and so on. A run that is killed leaves the part behind: `.webm` plays up
+to its last frame, `.avi` and `.mkv` up to their last seconds, while an `.mp4` cannot be played,
+because its index comes at the end.
 """
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Self
@@ -19,23 +24,34 @@ from numpy.typing import NDArray
 from fingerpost.checks import opencv_path
 from fingerpost.errors import InvalidInputError, RecordingError
 from fingerpost.recording.interrupts import uninterrupted
+from fingerpost.recording.webm import WebmFilm
 
 if TYPE_CHECKING:
     import cv2
 
-_CODECS = {".mp4": "mp4v", ".mkv": "mp4v", ".avi": "MJPG"}
+_CODECS = {".webm": "VP8", ".mp4": "mp4v", ".mkv": "mp4v", ".avi": "MJPG"}
+DEFAULT_FPS = 25.0
+"""Of frames that come without times, where nobody has told a rate."""
+
+_LEAST_FREE_BYTES = 1 << 20
+_FPS = (1.0, 240.0)
+_LONGEST_GAP = 250
+"""Frames of a gap that is filled: 10 s at 25 frames a second; a longer one is shortened."""
 
 
 class VideoWriter:
-    """A video of constant frame rate, opened at the size of its first frame; use it by `with`.
+    """A video that is opened at the size of its first frame; use it by `with`.
 
     Parameters
     ----------
     path
-        The file; an existing one is replaced when the video is complete. Suffix `.mp4`, `.mkv`
-        or `.avi`.
+        The file; an existing one is replaced when the video is complete. Suffix `.webm`, `.mp4`,
+        `.mkv` or `.avi`.
     fps
-        Frames per second, > 0.
+        Frames per second, > 0: of frames that come without times, and of containers that know one
+        rate alone. None for the rate of the first two times.
+    drops
+        Whether a `.webm` leaves out frames for which its encoder has no time; else `write` waits.
 
     Raises
     ------
@@ -51,7 +67,7 @@ class VideoWriter:
         The file that holds the frames until the video is complete; it is there, empty, at once.
     """
 
-    def __init__(self, path: str | Path, *, fps: float) -> None:
+    def __init__(self, path: str | Path, *, fps: float | None, drops: bool = False) -> None:
         self.path = Path(path)
         if self.path.suffix.lower() not in _CODECS:
             raise InvalidInputError(f"{path}: a name ending in {', '.join(_CODECS)} is needed")
@@ -59,11 +75,18 @@ class VideoWriter:
             raise InvalidInputError(f"{path}: the folder {self.path.parent} does not exist")
         if self.path.is_dir():
             raise InvalidInputError(f"{path}: is a folder; the name of a video is needed")
-        if not 0 < fps < float("inf"):
+        if fps is not None and not 0 < fps < float("inf"):
             raise InvalidInputError(f"fps = {fps}: must be a finite number above 0")
         opencv_path(self.path, "video")  # refused before there is a part
         self.part = self._reserved()
         self._fps = fps
+        self._film: WebmFilm | None = None
+        if self.path.suffix.lower() == ".webm":
+            self._film = WebmFilm(self.part, drops=drops)
+        self._held: tuple[NDArray[np.uint8], float] | None = None
+        self._start_s = 0.0
+        self._given = 0
+        self._shown = np.empty((0, 0, 3), np.uint8)
         self._writer: cv2.VideoWriter | None = None
         self._size = (0, 0)
         self._count = 0
@@ -88,7 +111,7 @@ class VideoWriter:
             else:
                 return part
 
-    def write(self, image: NDArray[np.uint8]) -> None:
+    def write(self, image: NDArray[np.uint8], time_s: float | None = None) -> None:
         """Append a frame.
 
         Codecs want even sizes: an odd last row or column is written twice.
@@ -97,14 +120,35 @@ class VideoWriter:
         ----------
         image : (height, width) or (height, width, 3), uint8
             Grey, or blue-green-red; all of one size.
+        time_s
+            From when on it is shown, counted from the first one's time; None for the next at `fps`.
 
         Raises
         ------
         InvalidInputError
             Not such an image, or not of the first one's size.
         RecordingError
-            The encoder refuses to open the file at this size.
+            The encoder refuses to open the file at this size, or the disk is full.
         """
+        image = self._checked(image)
+        if time_s is None:
+            time_s = self._given / (self._fps or DEFAULT_FPS)
+        self._given += 1
+        if self._film is not None:
+            self._film.write(image, time_s)
+        elif self._fps is not None:
+            self._write_at(image, time_s)
+        elif self._held is None:
+            self._held = image, time_s
+        else:
+            first, first_s = self._held
+            step_s = time_s - first_s
+            self._fps = float(np.clip(1.0 / step_s, *_FPS)) if step_s > 0.0 else DEFAULT_FPS
+            self._write_at(first, first_s)
+            self._write_at(image, time_s)
+
+    def _checked(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """Return an image with three channels and even sides; refuse what is none."""
         import cv2
 
         if image.dtype != np.uint8 or image.ndim not in (2, 3) or image.shape[2:] not in ((), (3,)):
@@ -113,8 +157,8 @@ class VideoWriter:
                 "(height, width) or (height, width, 3) of uint8 is needed"
             )
         size = image.shape[1], image.shape[0]
-        if self._writer is None:
-            self._size, self._writer = size, self._open(size)
+        if not self._given:
+            self._size = size
         if size != self._size:
             raise InvalidInputError(
                 f"image of {size[0]} x {size[1]} pixels: "
@@ -124,9 +168,24 @@ class VideoWriter:
             image = np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR), dtype=np.uint8)
         if size[0] % 2 or size[1] % 2:
             image = np.pad(image, ((0, size[1] % 2), (0, size[0] % 2), (0, 0)), mode="edge")
-        with uninterrupted():  # a frame that is written counts
-            self._writer.write(image)
-            self._count += 1
+        return image
+
+    def _write_at(self, image: NDArray[np.uint8], time_s: float) -> None:
+        """Write a frame in the place of its time, and the one before up to there.
+
+        One whose place is taken is left out.
+        """
+        if self._writer is None:
+            self._start_s, self._writer = time_s, self._open(self._size)
+        place = round((time_s - self._start_s) * (self._fps or DEFAULT_FPS))
+        missing = min(place - self._count, _LONGEST_GAP)
+        for shown in (self._shown,) * missing + (image,) * (missing >= 0):
+            with uninterrupted():  # a frame that is written counts
+                self._writer.write(shown)
+                self._count += 1
+        self._shown = image
+        if shutil.disk_usage(self.part.parent).free < _LEAST_FREE_BYTES:
+            raise RecordingError(f"{self.part}: cannot be written any more: the disk is full")
 
     def _open(self, size: tuple[int, int]) -> cv2.VideoWriter:
         import cv2
@@ -134,11 +193,12 @@ class VideoWriter:
         even = size[0] + size[0] % 2, size[1] + size[1] % 2
         codec = _CODECS[self.path.suffix.lower()]
         part = opencv_path(self.part, "video")
-        writer = cv2.VideoWriter(part, cv2.VideoWriter.fourcc(*codec), self._fps, even)
+        fps = self._fps or DEFAULT_FPS
+        writer = cv2.VideoWriter(part, cv2.VideoWriter.fourcc(*codec), fps, even)
         if not writer.isOpened():
             raise RecordingError(
                 f"{self.path}: the encoder {codec} does not open for {size[0]} x {size[1]} pixels "
-                f"at {self._fps:g} frames a second"
+                f"at {fps:g} frames a second"
             )
         return writer
 
@@ -153,12 +213,21 @@ class VideoWriter:
         if self._is_closed:
             return
         self._is_closed = True
-        if self._writer is None:
+        if self._film is not None:
+            self._film.close()
+        elif self._held is not None and self._writer is None:
+            self._write_at(*self._held)
+        if not self._given or (self._film is None and self._writer is None):
             self.part.unlink(missing_ok=True)
             return
+        if self._writer is not None:
+            self._close_writer(self._writer)
+        self.part.replace(self.path)
+
+    def _close_writer(self, writer: cv2.VideoWriter) -> None:
         import cv2
 
-        self._writer.release()
+        writer.release()
         self._writer = None
         written = cv2.VideoCapture(opencv_path(self.part, "video"))
         count = written.get(cv2.CAP_PROP_FRAME_COUNT)
@@ -167,7 +236,6 @@ class VideoWriter:
             raise RecordingError(
                 f"{self.part}: not all of {self._count} frames could be written; is the disk full?"
             )
-        self.part.replace(self.path)
 
     def __enter__(self) -> Self:
         return self

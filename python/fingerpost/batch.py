@@ -1,0 +1,279 @@
+"""Many recordings at once: every core works, what is done is not done again, what fails is listed.
+
+Each recording gets a folder of its own with `points.csv`, `tracks.csv` and `outcome.json`. It is
+called `NAME.part` until it is complete; so a batch that is stopped goes on where it was.
+"""
+
+from __future__ import annotations
+
+import glob
+import logging
+import os
+import shutil
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import as_completed
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from fingerpost.capture import SourceKind, open_views, read_views
+from fingerpost.config import Rig
+from fingerpost.errors import FingerpostError, InvalidInputError
+from fingerpost.pipeline import Pointer, steps
+from fingerpost.pointing import Status
+from fingerpost.recording import write_points, write_tracks
+from fingerpost.uncertainty import confidence_ellipse
+from fingerpost.workers import sharing, worker_count
+
+_OUTCOME = "outcome.json"
+_PART = ".part"
+_TRIES = 2
+
+
+class Task(msgspec.Struct, frozen=True, kw_only=True):
+    """One recording to work through.
+
+    Attributes
+    ----------
+    name
+        What its folder is called.
+    rig
+        The rig file or recording, as an absolute path.
+    changed_ns
+        When that file was changed last.
+    options
+        What differs from the tracker's defaults.
+    """
+
+    name: str
+    rig: str
+    changed_ns: int
+    options: dict[str, Any]
+
+
+class Outcome(msgspec.Struct, frozen=True, kw_only=True):
+    """What came of a recording.
+
+    Attributes
+    ----------
+    task
+        The recording.
+    unit
+        The plane's unit; empty if it failed.
+    statuses
+        How many fixes of each status.
+    semi_axis
+        Median of the larger semi-axis of the 95 % ellipses, in plane units; None without a point.
+    reason
+        Why it failed; empty if it did not.
+    notes
+        What was noticed of its views, for people.
+    """
+
+    task: Task
+    unit: str = ""
+    statuses: dict[str, int] = {}
+    semi_axis: float | None = None
+    reason: str = ""
+    notes: tuple[str, ...] = ()
+
+    @property
+    def frames(self) -> int:
+        """How many fixes there are."""
+        return sum(self.statuses.values())
+
+
+def tasks(patterns: Sequence[str], options: Mapping[str, Any]) -> list[Task]:
+    """Return the recordings that patterns name.
+
+    Parameters
+    ----------
+    patterns
+        Rig files and recordings, by name or as globs.
+    options
+        What differs from the tracker's defaults.
+
+    Raises
+    ------
+    InvalidInputError
+        A pattern that no file matches.
+    """
+    paths: dict[Path, None] = {}
+    for pattern in patterns:
+        found = sorted(glob.glob(pattern, recursive=True))  # noqa: PTH207 - takes absolute ones
+        if not found:
+            raise InvalidInputError(f"{pattern}: no file matches; rig files or recordings are")
+        paths.update(dict.fromkeys(Path(os.path.abspath(name)) for name in found))  # noqa: PTH100
+    return [
+        Task(
+            name=name,
+            rig=str(path),
+            changed_ns=path.stat().st_mtime_ns,
+            options=dict(options),
+        )
+        for name, path in zip(_names(list(paths)), paths, strict=True)
+    ]
+
+
+def _names(paths: Sequence[Path]) -> list[str]:
+    """Return a name for each path: its own, with as many folders before it as tell all apart."""
+    for depth in range(1, max(len(path.parts) for path in paths) + 1):
+        names = ["-".join(path.with_suffix("").parts[-depth:]) for path in paths]
+        if len(set(names)) == len(names):
+            return names
+    return [f"{k}-{path.stem}" for k, path in enumerate(paths)]  # they differ in their suffix
+
+
+def run_batch(
+    todo: Sequence[Task],
+    folder: Path,
+    *,
+    workers: int | None = None,
+    tell: Callable[[int, int], None] = lambda _done, _of: None,
+) -> list[Outcome]:
+    """Work through recordings; those of which the folder holds the outcome are not done again.
+
+    Parameters
+    ----------
+    todo
+        The recordings.
+    folder
+        Gets a folder for each; made if need be.
+    workers
+        How many processes; None for all cores.
+    tell
+        Told how many of all are done.
+
+    Returns
+    -------
+    list of Outcome
+        In the order of the recordings; of those that failed with the reason.
+
+    Raises
+    ------
+    InvalidInputError
+        Fewer than one worker, or a folder that cannot be made.
+    """
+    count = worker_count(workers)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InvalidInputError(
+            f"{folder}: cannot be made: {error.strerror}; name a folder that may be written into"
+        ) from error
+    done = {task.name: known for task in todo if (known := _known(task, folder)) is not None}
+    begun: Counter[str] = Counter()
+    tell(len(done), len(todo))
+    while left := [task for task in todo if task.name not in done]:
+        for outcome in _shared(left, folder, min(count, len(left))):
+            done[outcome.task.name] = outcome
+            tell(len(done), len(todo))
+        for task in left:
+            if task.name not in done and _part(task, folder).exists():
+                begun[task.name] += 1
+                if begun[task.name] >= _TRIES:
+                    reason = "its worker process died, perhaps for want of memory"
+                    done[task.name] = Outcome(task=task, reason=reason)
+    return [done[task.name] for task in todo]
+
+
+def _shared(left: Sequence[Task], folder: Path, workers: int) -> Iterable[Outcome]:
+    """Share recordings among processes, until all are done or a process has died."""
+    for task in left:
+        shutil.rmtree(_part(task, folder), ignore_errors=True)
+    with sharing(workers) as pool:
+        waiting = {pool.submit(work, task, str(folder)): task for task in left}
+        for future in as_completed(waiting):
+            try:
+                yield future.result()
+            except BrokenProcessPool:
+                return
+
+
+def _part(task: Task, folder: Path) -> Path:
+    return folder / f"{task.name}{_PART}"
+
+
+def _known(task: Task, folder: Path) -> Outcome | None:
+    """Return the outcome of a recording that was worked through before, with these options."""
+    try:
+        data = (folder / task.name / _OUTCOME).read_bytes()
+        outcome = msgspec.json.decode(data, type=Outcome)
+    except (OSError, msgspec.MsgspecError):
+        return None
+    return outcome if outcome.task == task else None
+
+
+def work(task: Task, folder: str) -> Outcome:
+    """Work through one recording, in a process of its own; an error of it is its outcome."""
+    part = _part(task, Path(folder))
+    try:
+        part.mkdir(parents=True, exist_ok=True)
+        with _warnings() as warnings:
+            outcome = _follow(task, part)
+        notes = *outcome.notes, *dict.fromkeys(warnings)
+        outcome = msgspec.structs.replace(outcome, notes=notes)
+        (part / _OUTCOME).write_bytes(msgspec.json.encode(outcome))
+        complete = Path(folder) / task.name
+        shutil.rmtree(complete, ignore_errors=True)
+        part.replace(complete)
+    except (FingerpostError, OSError) as error:
+        shutil.rmtree(part, ignore_errors=True)
+        return Outcome(task=task, reason=" ".join(str(error).split()))
+    return outcome
+
+
+@contextmanager
+def _warnings() -> Iterator[list[str]]:
+    """Keep what is logged meanwhile, which would stand between the lines of the progress."""
+    heard: list[str] = []
+    handler = logging.Handler(logging.WARNING)
+    handler.emit = lambda record: heard.append(record.getMessage())  # type: ignore[method-assign]
+    logger = logging.getLogger("fingerpost")
+    logger.addHandler(handler)
+    logger.propagate = False
+    try:
+        yield heard
+    finally:
+        logger.propagate = True
+        logger.removeHandler(handler)
+
+
+def _follow(task: Task, part: Path) -> Outcome:
+    rig = Rig.load(task.rig)
+    pointer = Pointer(rig, tracker_options=task.options)
+    statuses: Counter[str] = Counter()
+    semi_axes: list[float] = []
+    with (
+        open_views(rig.sources, rig.readings) as sources,
+        write_points(part / "points.csv") as points,
+        write_tracks(part / "tracks.csv") as tracks,
+    ):
+        if sources[0].kind is SourceKind.LIVE:
+            raise InvalidInputError(f"{task.rig}: has live views; a batch works on recordings")
+        for step in steps(pointer, read_views(sources)):
+            statuses[step.fix.status.value] += 1
+            points.write(step.point_row())
+            for row in (seen.track_row() for seen in step.observations):
+                if row is not None:
+                    tracks.write(row)
+            if step.fix.point is not None and step.fix.covariance is not None:
+                ellipse = confidence_ellipse(step.fix.point, step.fix.covariance, 0.95)
+                semi_axes.append(float(ellipse.semi_axes[0]))
+        notes = [note for source in sources for note in (source.damage, *source.notes) if note]
+    return Outcome(
+        task=task,
+        unit=rig.plane.unit,
+        statuses=dict(statuses),
+        notes=tuple(dict.fromkeys([*notes, *pointer.notes()])),
+        semi_axis=float(np.median(semi_axes)) if semi_axes else None,
+    )
+
+
+STATUSES = tuple(status.value for status in Status)
+"""Of fixes, in the order of the table's columns."""

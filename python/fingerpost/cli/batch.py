@@ -1,0 +1,76 @@
+"""`fingerpost batch`: many recordings, on all cores."""
+
+from __future__ import annotations
+
+import csv
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from fingerpost.cli.endings import ending_as_interrupted
+from fingerpost.cli.following import settings_of, tracker_options
+from fingerpost.cli.progress import counting
+from fingerpost.errors import RecordingError
+from fingerpost.installation import need_opencv
+from fingerpost.signals import ending_at_once
+
+if TYPE_CHECKING:
+    from fingerpost.batch import Outcome
+
+_COLUMNS = ("recording", "frames", "ok", "acquiring", "lost", "ill_conditioned", "semi_axis_95")
+_FAILED = 1
+
+
+@click.command()
+@click.argument("rigs", metavar="RIG.TOML...", nargs=-1, required=True)
+@click.option(
+    "--out",
+    "folder",
+    metavar="FOLDER",
+    required=True,
+    type=click.Path(path_type=Path),
+    help="Gets a folder for each recording, batch.csv and batch.png.",
+)
+@click.option("--workers", metavar="N", type=int, help="Processes.  [default: one a core]")
+@tracker_options
+def batch(rigs: tuple[str, ...], folder: Path, workers: int | None, **options: Any) -> None:
+    """Work through many rig files and recordings, named or as globs in quotes.
+
+    Every recording gets a folder with its tables; batch.csv and batch.png show all of them. What is
+    done already, with the same options, is not done again. What fails is listed with its reason and
+    stops nothing; the exit code is 1 then.
+    """
+    with ending_at_once():
+        need_opencv()
+        from fingerpost.batch import run_batch, tasks
+        from fingerpost.recording import write_picture
+        from fingerpost.recording.picture.shares import draw_shares
+
+    todo = tasks(rigs, settings_of(**options))
+    with ending_as_interrupted(), counting("recordings") as tell:
+        outcomes = run_batch(todo, folder, workers=workers, tell=tell)
+    _write_table(folder / "batch.csv", outcomes)
+    shares = [(one.task.name, one.statuses, one.reason) for one in outcomes]
+    write_picture(folder / "batch.png", draw_shares(shares))
+    failed = [one for one in outcomes if one.reason]
+    click.echo(f"{len(outcomes) - len(failed)} of {len(outcomes)} recordings: {folder}/batch.csv")
+    for one in failed:
+        click.echo(f"{one.task.name}: {one.reason}", err=True)
+    if failed:
+        sys.exit(_FAILED)
+
+
+def _write_table(path: Path, outcomes: list[Outcome]) -> None:
+    try:
+        with path.open("w", encoding="utf-8", newline="") as file:
+            table = csv.writer(file, lineterminator="\n")
+            table.writerow([*_COLUMNS, "unit", "reason", "notes"])
+            for one in outcomes:
+                counts = [one.statuses.get(status, 0) for status in _COLUMNS[2:6]]
+                semi_axis = "" if one.semi_axis is None else one.semi_axis
+                words = [one.unit, one.reason, "; ".join(one.notes)]
+                table.writerow([one.task.name, one.frames, *counts, semi_axis, *words])
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be written: {error.strerror}") from error

@@ -1,0 +1,89 @@
+"""How commands record a session."""
+
+from __future__ import annotations
+
+from datetime import datetime
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from fingerpost.errors import InvalidInputError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from fingerpost.capture import Source
+    from fingerpost.config import Rig
+    from fingerpost.recording.session import Recorder
+
+SUFFIX = ".mcap"
+
+images_option = click.option(
+    "--images",
+    type=click.Choice(["png", "jpeg"]),
+    help="How images are recorded that are neither JPEG nor PNG already: without loss, or with "
+    "quality 95.  [default: png, jpeg of live views]",
+)
+"""Gives a command the parameter `images`."""
+
+
+def check_recording(path: Path) -> None:
+    """Refuse a name that is not a recording's.
+
+    Raises
+    ------
+    InvalidInputError
+        It does not end in .mcap.
+    """
+    if path.suffix != SUFFIX:
+        raise InvalidInputError(f"{path}: a recording's name ends in {SUFFIX}")
+
+
+def open_recorder(path: Path, rig: Rig, sources: Sequence[Source], images: str | None) -> Recorder:
+    """Begin to record the views of a rig.
+
+    Parameters
+    ----------
+    path
+        The recording, which must not exist.
+    rig
+        The rig.
+    sources
+        Of its views, open.
+    images
+        "png" or "jpeg", for images that are neither; None for what suits the sources.
+
+    Raises
+    ------
+    InvalidInputError
+        A name that does not end in .mcap, or a file that exists or cannot be created.
+    MissingExtraError
+        The extra `mcap` is not installed.
+    """
+    from msgspec import structs
+
+    from fingerpost.capture import SourceKind
+    from fingerpost.recording.session import About, Images, Recorder
+
+    check_recording(path)
+    is_live = sources[0].kind is SourceKind.LIVE
+    views = tuple(
+        structs.replace(view, source=f"{path.name}#{view.name}", offset_s=0.0) for view in rig.views
+    )
+    about = About(
+        version=version("fingerpost"),
+        views=tuple(rig.sources),
+        sources=tuple(source.name for source in sources),
+        started=datetime.now().astimezone().isoformat(timespec="seconds"),
+        unit=rig.plane.unit,
+        is_live=is_live,
+    )
+    return Recorder(
+        path,
+        about,
+        structs.replace(rig, views=views).dumps(),
+        [view.lens for view in rig.views],
+        images=Images(images or ("jpeg" if is_live else "png")),
+    )

@@ -1,0 +1,336 @@
+"""MCAP files as recordings of fingerpost: what stands in them, and how to read one that was cut.
+
+A recording is an MCAP file (https://mcap.dev) of these parts, so that common viewers show it:
+
+- an attachment `rig.toml`, the rig whose views are those of the recording, and metadata
+  `fingerpost`: version, views, where their frames came from;
+- `/frames`, JSON: which frames came together, with the exact index and time of each (`Together`).
+  It stands behind the images of its step, so that a step counts when this message is there;
+- `/VIEW/image`, foxglove.CompressedImage, whose bytes decode to the very pixels that were followed
+  where they were passed through or are PNG; `/VIEW/calibration`, foxglove.CameraCalibration;
+- of a run that followed hands: `/VIEW/annotations`, foxglove.ImageAnnotations; `/VIEW/track` and
+  `/fix`, JSON with the columns of the tables; `/plane`, foxglove.SceneUpdate in plane units.
+
+All messages of a step have one log time, and its number as their sequence. The library reads files
+from their end, where the index is; what a crash leaves has none. `Records` reads from the start, up
+to the last byte that can be understood, within a chunk that was cut as well.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Iterator
+from io import BytesIO
+from pathlib import Path
+from typing import BinaryIO
+
+import msgspec
+
+from fingerpost.errors import InvalidInputError, MissingExtraError, SourceError
+
+try:
+    import lz4.frame
+    import zstandard
+    from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
+    from google.protobuf.message import DecodeError
+    from mcap.data_stream import ReadDataStream
+    from mcap.exceptions import McapError
+    from mcap.opcode import Opcode
+    from mcap.reader import make_reader
+    from mcap.records import Attachment as Attachment
+    from mcap.records import Channel as Channel
+    from mcap.records import Header as Header
+    from mcap.records import McapRecord as McapRecord
+    from mcap.records import Message as Message
+    from mcap.records import Metadata as Metadata
+    from mcap.records import Schema as Schema
+    from mcap.summary import Summary as Summary
+except ImportError as error:
+    raise MissingExtraError(
+        f"recordings need what is not installed ({error}); install it with: "
+        "pip install 'fingerpost[mcap]'"
+    ) from error
+
+MAGIC = b"\x89MCAP0\r\n"
+FRAMES_TOPIC = "/frames"
+FIX_TOPIC = "/fix"
+PLANE_TOPIC = "/plane"
+METADATA_NAME = "fingerpost"
+END_NAME = "fingerpost/end"
+RIG_NAME = "rig.toml"
+
+_HEAD = struct.Struct("<BQ")
+_CHUNK_HEAD = struct.Struct("<QQQII")  # start, end, size, CRC, length of the compression's name
+# What stands for itself; indices and statistics are made anew by whoever writes a file.
+_KEPT: dict[int, type[McapRecord]] = {
+    Opcode.HEADER: Header,
+    Opcode.SCHEMA: Schema,
+    Opcode.CHANNEL: Channel,
+    Opcode.MESSAGE: Message,
+    Opcode.ATTACHMENT: Attachment,
+    Opcode.METADATA: Metadata,
+}
+_LARGEST_CHUNK_BYTES = 1 << 31
+
+
+def image_topic(view: str) -> str:
+    """Return the topic of a view's images."""
+    return f"/{view}/image"
+
+
+def annotations_topic(view: str) -> str:
+    """Return the topic of what is drawn over a view's images."""
+    return f"/{view}/annotations"
+
+
+def calibration_topic(view: str) -> str:
+    """Return the topic of a view's lens."""
+    return f"/{view}/calibration"
+
+
+def track_topic(view: str) -> str:
+    """Return the topic of a view's rows of `tracks.csv`."""
+    return f"/{view}/track"
+
+
+def image_data(message: bytes) -> bytes:
+    """Return the JPEG or PNG of a message of images; nothing if it cannot be understood."""
+    try:
+        return bytes(CompressedImage.FromString(message).data)
+    except DecodeError:
+        return b""
+
+
+class Captured(msgspec.Struct, frozen=True, omit_defaults=True):
+    """One view's frame of a step, or its loss.
+
+    Attributes
+    ----------
+    index, time_s
+        As a `fingerpost.capture.Frame`'s.
+    why
+        Why there is no picture; empty if there is one.
+    """
+
+    index: int
+    time_s: float
+    why: str = ""
+
+
+class Together(msgspec.Struct, frozen=True):
+    """Which frames came together: a message of `/frames`.
+
+    Attributes
+    ----------
+    step
+        Counts from 0; steps that were dropped leave a gap.
+    frames
+        One per view, in their order; None where a view had none of that time.
+    """
+
+    step: int
+    frames: tuple[Captured | None, ...]
+
+
+class About(msgspec.Struct, frozen=True, kw_only=True):
+    """What a recording says of itself: its metadata.
+
+    Attributes
+    ----------
+    version
+        Of fingerpost.
+    views
+        Names, in the rig's order.
+    sources
+        Where the frames came from, in that order; secrets are masked.
+    started
+        When recording began, ISO 8601.
+    unit
+        The plane's.
+    is_live
+        Whether the frames came from cameras or streams.
+    """
+
+    version: str
+    views: tuple[str, ...]
+    sources: tuple[str, ...]
+    started: str
+    unit: str
+    is_live: bool
+
+    def metadata(self) -> dict[str, str]:
+        """Return it as MCAP stores it."""
+        return {"about": msgspec.json.encode(self).decode()}
+
+    @classmethod
+    def of(cls, metadata: dict[str, str]) -> About:
+        """Undo `metadata`; raises `msgspec.MsgspecError` or `KeyError`."""
+        return msgspec.json.decode(metadata["about"], type=cls)
+
+
+class Records:
+    """The records of an MCAP file that stand for themselves, in the order of the file.
+
+    Iterate once. Those of chunks come like all others.
+
+    Parameters
+    ----------
+    path
+        The file.
+
+    Attributes
+    ----------
+    wrong
+        After the iteration, what is wrong with the file, for people; empty if it is whole.
+
+    Raises
+    ------
+    SourceError
+        The file cannot be read, or is no MCAP file.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.wrong = ""
+        self._path = path
+        try:
+            self._size = path.stat().st_size
+            self._file: BinaryIO = path.open("rb")
+            start = self._file.read(len(MAGIC))
+        except OSError as error:
+            raise SourceError(f"{path}: {error.strerror}; a recording (MCAP) is needed") from error
+        if start != MAGIC:
+            self._file.close()
+            kind = "is empty" if not start else "is no MCAP file"
+            raise SourceError(f"{path}: {kind}; a recording as `fingerpost record` writes is right")
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+    def __iter__(self) -> Iterator[McapRecord]:
+        with self._file:
+            while (head := self._file.read(_HEAD.size)) and len(head) == _HEAD.size:
+                opcode, length = _HEAD.unpack(head)
+                place = self._file.tell()
+                if opcode == Opcode.FOOTER:
+                    self._judge_end(place + length)
+                    return
+                is_whole = place + length <= self._size
+                if opcode == Opcode.CHUNK:
+                    yield from self._in_chunk(self._file.read(length), is_whole)
+                elif opcode in _KEPT and is_whole:
+                    yield from self._read(opcode, self._file.read(length))
+                else:
+                    self._file.seek(min(length, self._size), 1)
+                if not is_whole:
+                    break
+            self.wrong = self.wrong or f"cut off at byte {self._size}"
+
+    def _judge_end(self, end: int) -> None:
+        self._file.seek(end)
+        if self._file.read() != MAGIC:
+            self.wrong = self.wrong or f"cut off at byte {self._size}"
+
+    def _read(self, opcode: int, data: bytes) -> Iterator[McapRecord]:
+        """Give a record; none if it cannot be understood."""
+        stream = ReadDataStream(BytesIO(data))
+        try:
+            if opcode == Opcode.MESSAGE:
+                yield Message.read(stream, len(data))
+            else:
+                yield _KEPT[opcode].read(stream)  # type: ignore[attr-defined]
+        except (McapError, struct.error, UnicodeDecodeError, EOFError):
+            self.wrong = self.wrong or f"damaged before byte {self._file.tell()}"
+
+    def _in_chunk(self, data: bytes, is_whole: bool) -> Iterator[McapRecord]:
+        if len(data) < _CHUNK_HEAD.size:
+            return
+        *_, size, crc, name_length = _CHUNK_HEAD.unpack_from(data)
+        start = _CHUNK_HEAD.size + name_length
+        compression = data[_CHUNK_HEAD.size : start].decode("utf-8", "replace")
+        content = _decompressed(compression, data[start + 8 :], size, self._path)
+        if is_whole and (len(content) != size or (crc and zlib.crc32(content) != crc)):
+            self.wrong = self.wrong or f"damaged before byte {self._file.tell()}"
+            return
+        place = 0
+        while place + _HEAD.size <= len(content):
+            opcode, length = _HEAD.unpack_from(content, place)
+            place += _HEAD.size
+            if opcode in _KEPT and place + length <= len(content):
+                yield from self._read(opcode, content[place : place + length])
+            place += length
+
+
+def _decompressed(compression: str, data: bytes, size: int, path: Path) -> bytes:
+    """Return what a chunk holds, as far as its data are there; nothing where they are damaged."""
+    if size > _LARGEST_CHUNK_BYTES:
+        return b""
+    try:
+        if compression == "zstd":
+            return zstandard.ZstdDecompressor().decompressobj().decompress(data)
+        if compression == "lz4":
+            return bytes(lz4.frame.LZ4FrameDecompressor().decompress(data))
+    except (zstandard.ZstdError, RuntimeError, EOFError):
+        return b""
+    if compression:
+        raise InvalidInputError(
+            f"{path}: chunks are compressed by {compression!r}; none, zstd or lz4 can be read"
+        )
+    return data
+
+
+def read_summary(path: Path) -> Summary | None:
+    """Return the index at the end of an MCAP file; None if there is none, or not a whole one."""
+    try:
+        with path.open("rb") as file:
+            file.seek(-len(MAGIC), 2)
+            if file.read() != MAGIC:
+                return None
+            return make_reader(file).get_summary()
+    except (McapError, struct.error, OSError, ValueError, StopIteration):
+        return None
+
+
+def message_counts(summary: Summary) -> dict[str, int]:
+    """Return how many messages of each topic there are, by an index; nothing if it does not say."""
+    if summary.statistics is None:
+        return {}
+    counts = summary.statistics.channel_message_counts
+    topics: dict[str, int] = {}
+    for channel in summary.channels.values():
+        topics[channel.topic] = topics.get(channel.topic, 0) + counts.get(channel.id, 0)
+    return topics
+
+
+def read_about(path: Path) -> tuple[About, bytes]:
+    """Return what a recording says of itself, and its rig as TOML.
+
+    Raises
+    ------
+    SourceError
+        The file cannot be read, is no MCAP file, or not one of fingerpost's.
+    """
+    about: About | None = None
+    library = ""
+    records = Records(path)
+    for record in records:
+        if isinstance(record, Header):
+            library = record.library
+        elif isinstance(record, Metadata) and record.name == METADATA_NAME:
+            try:
+                about = About.of(record.metadata)
+            except (msgspec.MsgspecError, KeyError):
+                break
+        elif isinstance(record, Attachment) and record.name == RIG_NAME and about is not None:
+            records.close()
+            return about, record.data
+        elif isinstance(record, Message):
+            break
+    records.close()
+    if not library:
+        raise SourceError(f"{path}: {records.wrong}: nothing is left of the recording")
+    raise SourceError(
+        f"{path}: is an MCAP file of another program ({library}) or the start of one; "
+        "a recording as `fingerpost record` writes is right"
+    )

@@ -1,0 +1,90 @@
+"""Fixes of a recording beside those that the same frames give now."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+
+from fingerpost.recording.session.export import recorded_points
+from fingerpost.recording.tables import BesideRow, PointRow, TableWriter
+
+
+def write_beside(path: Path) -> TableWriter[BesideRow]:
+    """Open a table of fixes beside recorded ones; it replaces a file of that name.
+
+    Raises
+    ------
+    InvalidInputError
+        The file cannot be created.
+    """
+    return TableWriter(path, BesideRow)
+
+
+class Comparison:
+    """How fixes differ from recorded ones.
+
+    Parameters
+    ----------
+    recorded
+        The recorded ones, by their frames.
+    """
+
+    def __init__(self, recorded: dict[int, PointRow]) -> None:
+        self._recorded = recorded
+        self._equal = self._compared = 0
+        self._before: Counter[str] = Counter()
+        self._now: Counter[str] = Counter()
+        self._apart: list[float] = []
+
+    @classmethod
+    def with_recording(cls, path: Path) -> Comparison:
+        """Compare with the fixes of a recording; raises as `recorded_points`."""
+        return cls({row.frame: row for row in recorded_points(path)})
+
+    def add(self, row: PointRow) -> BesideRow:
+        """Compare a fix with the recorded one of its frame, and return both as a row."""
+        before = self._recorded.get(row.frame)
+        if before is None:
+            return BesideRow(
+                frame=row.frame, time_s=row.time_s, status=row.status, x=row.x, y=row.y
+            )
+        self._compared += 1
+        self._equal += before == row
+        self._before[before.status] += 1
+        self._now[row.status] += 1
+        distance = None
+        if None not in (row.x, row.y, before.x, before.y):
+            distance = float(np.hypot(row.x - before.x, row.y - before.y))  # type: ignore[operator]
+            self._apart.append(distance)
+        return BesideRow(
+            frame=row.frame,
+            time_s=row.time_s,
+            status=row.status,
+            x=row.x,
+            y=row.y,
+            recorded_status=before.status,
+            recorded_x=before.x,
+            recorded_y=before.y,
+            distance=distance,
+        )
+
+    def lines(self, unit: str) -> list[str]:
+        """Say how the fixes compare, for people; nothing if there was nothing to compare with."""
+        if not self._compared:
+            return []
+        if self._equal == self._compared:
+            return [f"all {self._equal} fixes are the recorded ones, to the last bit"]
+        others = self._compared - self._equal
+        lines = [
+            f"{others} of {self._compared} fixes differ from the recorded ones",
+            *(
+                f"{status:<16} {self._before[status]:5d} -> {self._now[status]:5d}"
+                for status in self._before | self._now
+            ),
+        ]
+        if self._apart:
+            median, most = np.median(self._apart), max(self._apart)
+            lines.append(f"points are {median:.3g} {unit} apart at the median, {most:.3g} at most")
+        return lines

@@ -1,0 +1,93 @@
+"""The file that a recording is written to: what is complete stays, and what happens to it is told.
+
+`flush` hands what was written to the disk itself, so that a crash of the machine or a stick that is
+pulled costs what came since. Where writing fails, the file is cut to the last flush.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from pathlib import Path
+
+from fingerpost.errors import InvalidInputError, RecordingError
+
+
+class RecordingStream:
+    """A new file to write a recording to; a file that is there already is left alone.
+
+    Parameters
+    ----------
+    path
+        The file.
+
+    Raises
+    ------
+    InvalidInputError
+        The file exists or cannot be created.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._place = self._whole = 0
+        try:
+            self._file = path.open("xb", buffering=0)
+        except FileExistsError as error:
+            raise InvalidInputError(
+                f"{path}: is there already; a recording replaces no file, name a new one"
+            ) from error
+        except (OSError, ValueError) as error:  # ValueError: a name that no file can have
+            reason = error.strerror if isinstance(error, OSError) else error
+            raise InvalidInputError(
+                f"{path}: cannot be written: {reason}; name a file in an existing folder"
+            ) from error
+
+    def write(self, data: bytes) -> int:
+        """Write all of the data.
+
+        Raises
+        ------
+        RecordingError
+            The disk is full, or has gone.
+        """
+        left = memoryview(data)
+        try:
+            while left:
+                left = left[self._file.write(left) or 0 :]
+        except OSError as error:
+            raise self._failed(error) from error
+        self._place += len(data)
+        return len(data)
+
+    def tell(self) -> int:
+        """Return how many bytes were written."""
+        return self._place
+
+    def flush(self) -> None:
+        """Have everything on the disk.
+
+        Raises
+        ------
+        RecordingError
+            As `write`; or the file has been removed.
+        """
+        try:
+            os.fsync(self._file.fileno())
+            links = os.fstat(self._file.fileno()).st_nlink
+        except OSError as error:
+            raise self._failed(error) from error
+        if not links:
+            raise RecordingError(f"{self.path}: was removed while it was written; nothing is left")
+        self._whole = self._place
+
+    def close(self) -> None:
+        """Close the file; closing twice does nothing."""
+        self._file.close()
+
+    def _failed(self, error: OSError) -> RecordingError:
+        with contextlib.suppress(OSError):
+            self._file.truncate(self._whole)
+        return RecordingError(
+            f"{self.path}: cannot be written any more: {error.strerror}; "
+            "what was recorded until the last second is there, `fingerpost recover` makes it whole"
+        )
