@@ -76,6 +76,8 @@ def points_outside(view: View, size_px: tuple[int, int]) -> Contradiction | None
     images. Those that were measured in smaller ones lie inside: nothing shows it.
     """
     points_px = np.array(view.reference_points_px)
+    if len(points_px) == 0:
+        return None
     inside = ((points_px >= -0.5) & (points_px <= np.array(size_px) - 0.5)).all(axis=1)
     if inside.sum() * 2 >= len(points_px):
         return None

@@ -69,6 +69,7 @@ pub mod fit;
 pub mod frame;
 pub mod image;
 mod logarithm;
+pub mod outline;
 pub mod refine;
 pub mod search;
 pub mod shape_space;

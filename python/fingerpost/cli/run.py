@@ -184,13 +184,17 @@ def _overlay_video(
     from fingerpost.recording.picture import Composition
 
     video = stack.enter_context(VideoWriter(path, fps=_OVERLAY_FPS))
-    composition = Composition(pointer.plane_views, unit=unit, edges=True)
+    compositions: list[Composition] = []  # one, from when the views know the plane
     trail: deque[NDArray[np.float64]] = deque(maxlen=_OVERLAY_TRAIL)
 
     def take(step: Step) -> None:
         views = [observation.plane_view for observation in step.observations]
+        if not pointer.sees_plane:
+            return
+        if not compositions:
+            compositions.append(Composition(pointer.plane_views, unit=unit, edges=True))
         video.write(
-            composition.draw(step.observations, step.fix, trail=list(trail), plane_views=views)
+            compositions[0].draw(step.observations, step.fix, trail=list(trail), plane_views=views)
         )
         if step.fix.point is not None:
             trail.append(step.fix.point)
