@@ -43,6 +43,7 @@ PYTHON_GROUPS = {
     "demo": "application",
     "doctor": "application",
     "rehearsal": "application",
+    "setting_up": "application",
     "workers": "application",
     "installation": "checks",
     "signals": "errors",

@@ -34,6 +34,10 @@ UPRIGHT_WEIGHT = 0.15
 
 LEAST_LIKENESS = 0.05
 
+LOOK_EVERY = 16
+"""While one is missing, frames are looked at whose number is a power of two or a multiple of this.
+"""
+
 
 @dataclass(frozen=True, eq=False)
 class Placed:
@@ -64,6 +68,7 @@ class ReferenceSearch:
         self._rig = rig
         self._places: dict[int, list[Placed]] = {}
         self._pictures: dict[int, Picture] = {}
+        self._looks = 0
 
     @staticmethod
     def is_needed(rig: Rig) -> bool:
@@ -84,6 +89,9 @@ class ReferenceSearch:
             The rig with the reference points of every view and their covariances, once all are
             found.
         """
+        self._looks += 1
+        if self._looks & (self._looks - 1) and self._looks % LOOK_EVERY:
+            return None
         for k, picture in pictures.items():
             view = self._rig.views[k]
             if is_open(view) and k not in self._places:
@@ -192,7 +200,7 @@ class ReferenceSearch:
                 views[k],
                 reference_points_px=tuple((u, v) for u, v in place.sides.corners_px.tolist()),
                 reference_covariances_px2=tuple(
-                    (c[0, 0], c[0, 1], c[1, 1]) for c in place.sides.covariances_px2
+                    (uu, uv, vv) for (uu, uv), (_, vv) in place.sides.covariances_px2.tolist()
                 ),
             )
         return structs.replace(self._rig, views=tuple(views))

@@ -489,6 +489,11 @@ class Pointer:
         return tuple(view.plane_view for view in self.views)
 
     @property
+    def rig(self) -> Rig:
+        """The rig, with the reference points that were found once `sees_plane`."""
+        return self._rig
+
+    @property
     def sees_plane(self) -> bool:
         """Whether the references of all views are known: those to be found have been."""
         return self._search is None

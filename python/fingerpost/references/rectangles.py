@@ -41,6 +41,9 @@ SMALLEST = 0.002
 BARE_COST = 0.5
 """What a stretch of the outline without an edge costs, where one with an edge counts 1."""
 
+LEAST_SHOWN = 0.1
+"""What an outline must count so at least, as a part of its length: two fifths of it show."""
+
 BEYOND = 1.0
 """Corners lie outside of the picture by no more than so many times its longer side."""
 
@@ -131,7 +134,9 @@ def _fitted(
             continue
         if any(_is_same(sides.corners_px, other.sides.corners_px) for other in found):
             continue
-        found.append(Candidate(sides, _score(sides, picture.shape, size, near_px)))
+        score = _score(sides, picture.shape, size, near_px)
+        if score > 0.0:
+            found.append(Candidate(sides, score))
     return sorted(found, key=lambda one: -one.score)[:MOST_KEPT]
 
 
@@ -142,11 +147,13 @@ def _score(
     even = np.minimum(steps / (EVEN * max(float(np.median(steps)), 1.0)), 1.0)
     shares = sides.shares * even
     shown = float((shares - BARE_COST * (1.0 - shares)) @ sides.seen_px)
+    if shown < LEAST_SHOWN * sides.seen_px.sum():
+        return 0.0
     one_way = abs(float(np.sign(sides.steps).sum())) == 4.0
     quads = sides.corners_px[None]
     near = float(_nearness(quads, near_px, shape)[0])
     likeness = _likeness(sides.corners_px, size, shape)
-    return max(shown, 0.0) * (1.0 if one_way else MIXED) * likeness * near
+    return shown * (1.0 if one_way else MIXED) * likeness * near
 
 
 def channel_of(picture: Picture, quad: Array) -> int | None:
