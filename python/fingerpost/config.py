@@ -45,8 +45,10 @@ _RIGHT = {
     "view.reference_points_px": "one pixel [u, v] per point of the plane, in its order",
     "view.size_px": "width and height of the images in which the points were measured, [w, h]",
     "view.offset_s": "seconds to add to this view's times, such as -0.2",
-    "view.reference": '{ kind = "fixed" }, or { kind = "rectangle", size = "A4" }',
+    "view.reference": '{ kind = "fixed" }, { kind = "rectangle", size = "A4" }, '
+    '{ kind = "markers" } or { kind = "screen", size = [w, h] }',
     "view.reference.size": NAMES,
+    "view.reference.sheet": "the number of the sheet, 1 to 6",
     "view.reference.corners_px": "about where its four corners are, as pixels [u, v] in the order "
     "of the plane's points",
     "view.reference.near_px": "one pixel [u, v] inside of it",
@@ -73,6 +75,7 @@ _LARGEST_CAMERA = 2**31 - 1
 _LENGTHS_PX = (0.1, 1e5)
 _FOCAL_LENGTHS_PX = (1.0, 1e9)
 _LARGEST_OFFSET_S = 3600.0
+_MOST_SHEETS = 6
 _VARIANCES_PX2 = (1e-12, 1e12)
 
 # Sides that differ by a smaller part are of one rectangle: people round them.
@@ -142,7 +145,48 @@ class RectangleReference(_Table, kw_only=True, frozen=True, tag_field="kind", ta
                 finite_array(getattr(self, name), name, shape)
 
 
-Reference = FixedReference | RectangleReference
+class MarkersReference(_Table, kw_only=True, frozen=True, tag_field="kind", tag="markers"):
+    """A sheet of markers that lies on the plane, as `fingerpost markers` writes it.
+
+    The plane's points are the corners of the paper: its lower left one is the origin, X runs to the
+    right. One marker in sight is enough.
+
+    Attributes
+    ----------
+    size
+        That of the paper; see `fingerpost.formats`.
+    sheet
+        Number of the sheet, 1 to 6.
+    """
+
+    size: Size = "A4"
+    sheet: int = 1
+
+    def __post_init__(self) -> None:
+        sides_of(self.size, "mm")
+        if not 1 <= self.sheet <= _MOST_SHEETS:
+            raise InvalidInputError(f"sheet is {self.sheet}; 1 to {_MOST_SHEETS} are right")
+
+
+class ScreenReference(_Table, kw_only=True, frozen=True, tag_field="kind", tag="screen"):
+    """A screen that shows a sheet of markers in full size, as `fingerpost markers --screen` does.
+
+    Attributes
+    ----------
+    size
+        Width and height of what shines, in the plane's unit.
+    sheet
+        Number of the sheet, 1 to 6.
+    """
+
+    size: Size
+    sheet: int = 1
+
+    def __post_init__(self) -> None:
+        MarkersReference(size=self.size, sheet=self.sheet)
+
+
+Reference = FixedReference | RectangleReference | MarkersReference | ScreenReference
 
 
 class LensParameters(_Table, kw_only=True, frozen=True):
@@ -389,7 +433,7 @@ class Rig(_Table, kw_only=True, frozen=True):
                 f"view: {count} views are called {_shown(name)}; each needs a name of its own"
             )
         for view in self.views:
-            if isinstance(view.reference, RectangleReference):
+            if not isinstance(view.reference, FixedReference):
                 self._refuse_other_rectangle(view, view.reference)
             if view.reference_points_px:
                 self._refuse_undetermined(view)
@@ -404,20 +448,24 @@ class Rig(_Table, kw_only=True, frozen=True):
         """What is added to the times of each view, in the views' order."""
         return tuple(view.offset_s for view in self.views)
 
-    def _refuse_other_rectangle(self, view: View, reference: RectangleReference) -> None:
+    def _refuse_other_rectangle(
+        self, view: View, reference: RectangleReference | MarkersReference | ScreenReference
+    ) -> None:
         """Refuse a rectangle whose corners are not the points of the plane."""
         place = f"view {_shown(view.name)}: reference"
         try:
             size = sides_of(reference.size, self.plane.unit)
         except InvalidInputError as error:
             raise InvalidInputError(f"{place}: {error}") from error
+        # What a sheet of markers shows, tells its width from its height.
+        is_bare = isinstance(reference, RectangleReference)
         points = np.array(self.plane.points)
         sides = np.linalg.norm(np.roll(points, -1, axis=0) - points, axis=1)
         across = np.linalg.norm(points[2:4] - points[:2], axis=1)
         is_right = len(points) == 4 and any(
             np.allclose(sides, [w, h, w, h], rtol=_SAME_SIZE)
             and np.allclose(across, np.hypot(w, h), rtol=_SAME_SIZE)
-            for w, h in (size, size[::-1])
+            for w, h in ([size, size[::-1]] if is_bare else [size])
         )
         if not is_right:
             raise InvalidInputError(
@@ -555,6 +603,8 @@ _TABLES: dict[str, type[_Table]] = {
 _REFERENCES: dict[object, type[_Table]] = {
     "fixed": FixedReference,
     "rectangle": RectangleReference,
+    "markers": MarkersReference,
+    "screen": ScreenReference,
 }
 
 
@@ -568,13 +618,15 @@ def _complete(tables: dict[str, Any]) -> None:
         if isinstance(view, dict) and "references" in view and "reference" not in view:
             view["reference"] = view.pop("references")
         reference = view.get("reference") if isinstance(view, dict) else None
-        if not isinstance(reference, dict) or reference.get("kind") != "rectangle":
+        kind = reference.get("kind") if isinstance(reference, dict) else None
+        if not isinstance(reference, dict) or kind not in ("rectangle", "markers", "screen"):
             continue
         plane = tables.setdefault("plane", {"unit": "mm"})
         if not isinstance(plane, dict) or "points" in plane:
             continue
         with contextlib.suppress(msgspec.ValidationError, InvalidInputError):
-            size = msgspec.convert(reference.get("size"), Size)
+            default = "A4" if kind == "markers" else None
+            size = msgspec.convert(reference.get("size", default), Size)
             plane["points"] = corners_of(sides_of(size, str(plane.get("unit"))))
 
 

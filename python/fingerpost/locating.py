@@ -16,11 +16,27 @@ import numpy as np
 from msgspec import structs
 from numpy.typing import NDArray
 
-from fingerpost.config import RectangleReference, Rig, View
+from fingerpost.config import (
+    FixedReference,
+    MarkersReference,
+    RectangleReference,
+    Rig,
+    ScreenReference,
+    View,
+)
 from fingerpost.consistency import Scenery
 from fingerpost.homography import transfer_jacobian_by_point
 from fingerpost.pointing import PlaneView
-from fingerpost.references import Sides, find_rectangles, likeness, turned
+from fingerpost.references import (
+    MarkersMeter,
+    Measured,
+    Meter,
+    RectangleMeter,
+    Sides,
+    find_rectangles,
+    likeness,
+    turned,
+)
 
 Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]
@@ -41,17 +57,17 @@ LOOK_EVERY = 16
 
 @dataclass(frozen=True, eq=False)
 class Placed:
-    """A rectangle in a picture, each corner of it known.
+    """Where a picture may show the plane's points.
 
     Attributes
     ----------
-    sides
-        Its sides and corners, in the order of the plane's points.
+    measured
+        The points, in their order.
     worth
         Logarithm of how likely it is, as far as its own view tells.
     """
 
-    sides: Sides
+    measured: Measured
     worth: float
 
 
@@ -114,8 +130,14 @@ class ReferenceSearch:
         }
 
     def _proposed(self, view: View, picture: Picture) -> list[Placed]:
-        reference = view.reference
-        assert isinstance(reference, RectangleReference)
+        if isinstance(view.reference, RectangleReference):
+            return self._rectangles(view, view.reference, picture)
+        measured = meter_of(self._rig, view).search(picture, np.zeros((4, 2)))
+        return [] if measured is None else [Placed(measured, 0.0)]
+
+    def _rectangles(
+        self, view: View, reference: RectangleReference, picture: Picture
+    ) -> list[Placed]:
         size = sides_of_plane(self._rig)
         near = view.reference_points_px or reference.corners_px or reference.near_px
         near_px = None if near is None else np.array(near, np.float64)
@@ -133,12 +155,12 @@ class ReferenceSearch:
                     ),
                     key=lambda sides: np.abs(sides.corners_px - near_px).max(),
                 )
-                places.append(Placed(best, worth))
+                places.append(_placed(best, worth))
                 continue
             for sides in turned(candidate.sides, clockwise=clockwise):
                 like = likeness(sides.corners_px, size, picture.shape)
                 worth_so = worth + SIDE_WEIGHT * math.log(max(like, LEAST_LIKENESS))
-                places.append(Placed(sides, worth_so))
+                places.append(_placed(sides, worth_so))
         return places
 
     def _is_clockwise(self) -> bool:
@@ -168,7 +190,7 @@ class ReferenceSearch:
                 worths = [
                     one.worth
                     + scenery.agreement_of(
-                        {anchor: first.sides.corners_px, k: one.sides.corners_px}, (anchor, k)
+                        {anchor: first.measured.points_px, k: one.measured.points_px}, (anchor, k)
                     )
                     + self._upright(one, first)
                     for one in options[k]
@@ -181,8 +203,8 @@ class ReferenceSearch:
 
     def _upright(self, place: Placed, other: Placed | None) -> float:
         """Return what a place counts by where its camera stands, as another view's or upright."""
-        up = self._up(place.sides.corners_px)
-        to = np.array([0.0, 1.0]) if other is None else self._up(other.sides.corners_px)
+        up = self._up(place.measured.points_px)
+        to = np.array([0.0, 1.0]) if other is None else self._up(other.measured.points_px)
         return UPRIGHT_WEIGHT * float(up @ to)
 
     def _up(self, corners_px: Array) -> Array:
@@ -198,9 +220,9 @@ class ReferenceSearch:
         for k, place in places.items():
             views[k] = structs.replace(
                 views[k],
-                reference_points_px=tuple((u, v) for u, v in place.sides.corners_px.tolist()),
+                reference_points_px=tuple((u, v) for u, v in place.measured.points_px.tolist()),
                 reference_covariances_px2=tuple(
-                    (uu, uv, vv) for (uu, uv), (_, vv) in place.sides.covariances_px2.tolist()
+                    (uu, uv, vv) for (uu, uv), (_, vv) in place.measured.covariances_px2.tolist()
                 ),
             )
         return structs.replace(self._rig, views=tuple(views))
@@ -208,15 +230,27 @@ class ReferenceSearch:
 
 def is_open(view: View) -> bool:
     """Tell whether a view's references are to be found: it has no covariances of found ones."""
-    return isinstance(view.reference, RectangleReference) and (
+    return not isinstance(view.reference, FixedReference) and (
         not view.reference_points_px or view.reference_covariances_px2 is None
     )
 
 
+def meter_of(rig: Rig, view: View) -> Meter:
+    """Return what measures a view's references, of the kinds that are found."""
+    reference, size = view.reference, sides_of_plane(rig)
+    if isinstance(reference, MarkersReference | ScreenReference):
+        points = np.array(rig.plane.points, np.float64)
+        return MarkersMeter(size, reference.sheet, points, view.lens)
+    return RectangleMeter(size, view.lens)
+
+
+def _placed(sides: Sides, worth: float) -> Placed:
+    return Placed(Measured(sides.corners_px, sides.covariance), worth)
+
+
 def _as_given(view: View) -> Placed:
     corners_px = np.array(view.reference_points_px, np.float64)
-    known = np.ones(4)
-    return Placed(Sides(corners_px, np.eye(2 * len(corners_px)), known, known, known, known), 0.0)
+    return Placed(Measured(corners_px, np.eye(corners_px.size)), 0.0)
 
 
 def sides_of_plane(rig: Rig) -> tuple[float, float]:
@@ -227,12 +261,17 @@ def sides_of_plane(rig: Rig) -> tuple[float, float]:
 
 
 def _absence(view: View) -> str:
-    reference = view.reference
-    assert isinstance(reference, RectangleReference)
-    size = f"{reference.size} rectangle" if isinstance(reference.size, str) else "rectangle"
+    reference, place = view.reference, f'view "{view.name}"'
+    if isinstance(reference, RectangleReference):
+        size = f"{reference.size} rectangle" if isinstance(reference.size, str) else "rectangle"
+        return (
+            f"{place}: no {size} is found; all four of its sides must show in part, plainly "
+            "lighter or darker than what is around, or name its corners as corners_px"
+        )
+    sheet = getattr(reference, "sheet", 1)
     return (
-        f'view "{view.name}": no {size} is found; all four of its sides must show in part, plainly '
-        "lighter or darker than what is around, or name its corners as corners_px"
+        f"{place}: no marker of sheet {sheet} is found; one must show whole with its white margin, "
+        "20 px wide or more, flat and without glare (`fingerpost markers` writes the sheet)"
     )
 
 

@@ -52,7 +52,7 @@ from fingerpost.finding import (
     other_fingers,
     tell_from_hands,
 )
-from fingerpost.locating import ReferenceSearch, sides_of_plane, stand_in
+from fingerpost.locating import ReferenceSearch, meter_of, stand_in
 from fingerpost.pointing import (
     BARE_HAND,
     FingerLine,
@@ -67,7 +67,6 @@ from fingerpost.recording import PointRow, TrackRow
 from fingerpost.recording.picture import SearchMarks
 from fingerpost.references import (
     Measured,
-    RectangleMeter,
     Reduction,
     ReferenceFollower,
     ReferenceWatch,
@@ -673,7 +672,7 @@ class Pointer:
         points = np.array(self._rig.plane.points, np.float64)
         covariances = view.reference_covariances(self._reference_sigma_px)
         first = Measured(np.array(view.reference_points_px), joint_of(covariances))
-        meter = RectangleMeter(sides_of_plane(self._rig), view.lens)
+        meter = meter_of(self._rig, view)
         return ReferenceFollower(points, meter, first, view.lens)
 
     def _watch(self, frames: Sequence[Frame | None]) -> None:

@@ -11,10 +11,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from msgspec import structs
 from numpy.typing import NDArray
 
 from fingerpost.capture import Frame, Loss, is_url, resolve_source
-from fingerpost.config import Pair, Plane, RectangleReference, Rig, View
+from fingerpost.config import MarkersReference, Pair, Plane, RectangleReference, Rig, View
 from fingerpost.errors import FingerpostError, InvalidInputError
 from fingerpost.formats import NAMES, SIZES_MM, Size, corners_of, sides_of
 from fingerpost.pipeline import Pointer, Step, steps
@@ -56,6 +57,25 @@ class SetUp:
     without_hand: tuple[str, ...]
 
 
+def reference_of(words: str) -> RectangleReference | MarkersReference:
+    """Return the reference that a person means: a rectangle, or "markers" and the paper's size.
+
+    Parameters
+    ----------
+    words
+        As for `plane_size`; "markers", for a sheet of A4, or such as "markers:letter".
+
+    Raises
+    ------
+    InvalidInputError
+        As `plane_size`.
+    """
+    kind, _, size = words.partition(":")
+    if kind.lower() == "markers":
+        return MarkersReference(size=plane_size(size or "A4"))
+    return RectangleReference(size=plane_size(words))
+
+
 def plane_size(words: str) -> Size:
     """Return the size of a rectangle by what a person calls it: its name, or its sides in mm.
 
@@ -79,7 +99,9 @@ def plane_size(words: str) -> Size:
 
 
 def rig_of(
-    sources: Sequence[str | int], size: Size, near_px: Mapping[str, Pair] | None = None
+    sources: Sequence[str | int],
+    reference: RectangleReference | MarkersReference,
+    near_px: Mapping[str, Pair] | None = None,
 ) -> Rig:
     """Return a rig whose references are still to be found.
 
@@ -87,8 +109,8 @@ def rig_of(
     ----------
     sources
         Two or more, as a rig file has them; relative ones to the current directory.
-    size
-        The rectangle's, as `plane_size` gives it.
+    reference
+        What lies on the table in all views, as `reference_of` gives it.
     near_px
         A pixel inside of the rectangle, by the name of the view.
 
@@ -109,11 +131,23 @@ def rig_of(
         View(
             name=name,
             source=resolve_source(source, Path.cwd()),
-            reference=RectangleReference(size=size, near_px=near.get(name)),
+            reference=_near(reference, near.get(name)),
         )
         for name, source in zip(names, sources, strict=True)
     )
-    return Rig(plane=Plane(unit=UNIT, points=corners_of(sides_of(size, UNIT))), views=views)
+    return Rig(
+        plane=Plane(unit=UNIT, points=corners_of(sides_of(reference.size, UNIT))), views=views
+    )
+
+
+def _near(
+    reference: RectangleReference | MarkersReference, near_px: Pair | None
+) -> RectangleReference | MarkersReference:
+    if near_px is None:
+        return reference
+    if isinstance(reference, MarkersReference):
+        raise InvalidInputError("near is for rectangles; markers have numbers")
+    return structs.replace(reference, near_px=near_px)
 
 
 def view_names(sources: Sequence[str | int]) -> list[str]:

@@ -21,6 +21,7 @@ from fingerpost.cli.demo import demo
 from fingerpost.cli.doctor import doctor
 from fingerpost.cli.experiment import experiment
 from fingerpost.cli.init import init
+from fingerpost.cli.markers import markers
 from fingerpost.cli.robot import robot
 from fingerpost.cli.run import run
 from fingerpost.errors import FingerpostError, InvalidInputError
@@ -88,5 +89,5 @@ def main(verbose: bool) -> None:
     )
 
 
-for _command in (demo, init, run, advise, doctor, experiment, robot):
+for _command in (demo, init, markers, run, advise, doctor, experiment, robot):
     main.add_command(_command)

@@ -53,7 +53,8 @@ class _FromMany(click.Command):
 @click.option(
     "--plane",
     metavar="SIZE",
-    help="The rectangle on the table: A4, letter, A3, credit-card, or WxH in mm, such as 350x220.",
+    help="What lies on the table: A4, letter, A3, credit-card, WxH in mm such as 350x220, or "
+    "markers (a sheet of `fingerpost markers`; markers:letter for another paper).",
 )
 @click.option(
     "-o", "--output", metavar="RIG.TOML", type=_FILE, help="The rig file.  [default: rig.toml]"
@@ -96,14 +97,14 @@ def init(
     with ending_at_once():
         need_opencv()
         from fingerpost.recording import check_picture, write_picture
-        from fingerpost.setting_up import plane_size, rig_of
+        from fingerpost.setting_up import reference_of, rig_of
 
     asks = _is_terminal()
     given = list(sources) or _asked_sources(asks)
     words = plane or _asked(asks, "--plane", "Size of the rectangle on the table", "A4")
     output = output or Path(_asked(asks, "-o", "Rig file", "rig.toml") if asks else "rig.toml")
     picture = picture or output.with_suffix(".png")
-    rig = rig_of([_source(name) for name in given], plane_size(words), _near(near))
+    rig = rig_of([_source(name) for name in given], reference_of(words), _near(near))
     keep_apart({"-o": output, "--picture": picture}, [*rig_files(output, rig)][1:])
     check_picture(picture)
     may_write = force or not output.exists()

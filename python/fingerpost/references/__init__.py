@@ -5,7 +5,8 @@ the working plane has moved in its picture if it does not.
 """
 
 from fingerpost.references.following import Measured, ReferenceFollower
-from fingerpost.references.meters import RectangleMeter
+from fingerpost.references.markers import MarkersMeter, marker_cells, sheet_markers
+from fingerpost.references.meters import Meter, RectangleMeter
 from fingerpost.references.rectangles import Candidate, find_rectangles, likeness, turned
 from fingerpost.references.reduction import Reduction
 from fingerpost.references.registration import PlaneMotion, PlaneRegistration, Segment
@@ -17,7 +18,9 @@ __all__ = [
     "LOOK_EVERY",
     "MOVED_PX",
     "Candidate",
+    "MarkersMeter",
     "Measured",
+    "Meter",
     "PlaneMotion",
     "PlaneRegistration",
     "RectangleMeter",
@@ -29,5 +32,7 @@ __all__ = [
     "find_rectangles",
     "fit_sides",
     "likeness",
+    "marker_cells",
+    "sheet_markers",
     "turned",
 ]

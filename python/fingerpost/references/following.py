@@ -21,6 +21,7 @@ from fingerpost.lens import Lens
 from fingerpost.pointing import PlaneView
 from fingerpost.references.registration import Segment
 from fingerpost.references.watch import ReferenceWatch
+from fingerpost.uncertainty import blocks_of
 
 if TYPE_CHECKING:
     from fingerpost.references.meters import Meter
@@ -71,6 +72,11 @@ class Measured:
 
     points_px: Array
     covariance: Array
+
+    @property
+    def covariances_px2(self) -> Array:
+        """(4, 2, 2) The covariance of each point alone."""
+        return blocks_of(self.covariance)
 
 
 class _Mean:
