@@ -69,6 +69,22 @@ def other_size(view: View, size_px: tuple[int, int]) -> Contradiction | None:
     )
 
 
+def refuse_unknown_points(rig: Rig) -> None:
+    """Refuse a rig whose reference points are still to be found, where pictures are not looked at.
+
+    Raises
+    ------
+    InvalidInputError
+        A view has none.
+    """
+    for view in rig.views:
+        if not view.reference_points_px:
+            raise InvalidInputError(
+                f'view "{view.name}": its reference points are still to be found; '
+                "`fingerpost init` finds them and writes them into a rig file"
+            )
+
+
 def points_outside(view: View, size_px: tuple[int, int]) -> Contradiction | None:
     """Tell whether most reference points lie outside an image (width, height) of their view.
 

@@ -320,6 +320,8 @@ class Step:
 
 def _moved(seen: Observation) -> str:
     moved_px = seen.reduction.factor * seen.moved_px
+    if moved_px == 0.0:
+        return "its references are not seen"
     return f"the camera has moved the reference points by {moved_px:.0f} px"
 
 

@@ -20,6 +20,9 @@ NEAR_PX = 3.0
 FAR_PX = 12.0
 """How far sides are looked for from where they were: of a still camera, and of one that moves."""
 
+CLOSE_PX = 0.5
+"""Corners that are found no further from where they were need not be looked for once more."""
+
 LEAST_SUPPORT = 0.35
 LEAST_SIDE = 0.15
 """The part of the outline in the picture, and of its least visible side, that must show."""
@@ -67,9 +70,12 @@ class RectangleMeter:
             rough = fit_sides(levels, near_px, self._lens, reach_px=reach_px, steps=self._steps)
             if rough is None:
                 continue
-            sides = fit_sides(
-                levels, rough.corners_px, self._lens, reach_px=NEAR_PX, steps=rough.steps
-            )
+            sides: Sides | None = rough
+            # From nearby, with the steps known, the first fit is as good as any.
+            if self._steps is None or np.abs(rough.corners_px - near_px).max() > CLOSE_PX:
+                sides = fit_sides(
+                    levels, rough.corners_px, self._lens, reach_px=NEAR_PX, steps=rough.steps
+                )
             if sides is not None and self._is_believed(sides):
                 if self._steps is None:
                     self._steps = sides.steps
