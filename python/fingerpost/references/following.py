@@ -195,15 +195,16 @@ class ReferenceFollower:
         """
         self._frames += 1
         picture = grey if picture is None else picture
-        if self._mean.is_done and not self.is_adrift and self._frames % MEASURE_EVERY != 0:
-            self._watched(grey, hand)
+        self._watched(grey, hand)
+        has_moved = self._watch is not None and self._watch.moved_px > 0.0
+        stands = self._mean.is_done and not (self.is_adrift or self.is_held or has_moved)
+        if stands and self._frames % MEASURE_EVERY != 0:
             return
         measured = None if self.is_adrift else self._meter.measure(picture, self._mean.points_px)
         if measured is not None:
             self._take(measured)
-            self._watched(grey, hand)
-            return
-        self._without(grey, hand, picture)
+        else:
+            self._without(picture)
 
     def _watched(self, grey: Picture, hand: Segment | None) -> None:
         """Have the texture known of a camera that stands, for when the references are covered."""
@@ -234,11 +235,10 @@ class ReferenceFollower:
         if self._mean.count >= SETTLED_FRAMES:
             self.moved_px = 0.0
 
-    def _without(self, grey: Picture, hand: Segment | None, picture: Picture) -> None:
+    def _without(self, picture: Picture) -> None:
         """Do without measurement: hold what stands still, follow by texture, or search."""
         watch = self._watch
         if watch is not None:
-            watch.look(grey, hand)
             if watch.motion is not None:
                 guess = self._moved(watch)
                 measured = self._meter.measure(picture, guess)
