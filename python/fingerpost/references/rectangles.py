@@ -24,7 +24,7 @@ Picture = NDArray[np.uint8]
 LARGEST_PX = 800
 """Pictures with a longer side are searched in a reduced size."""
 
-MOST_TRIED = 40
+MOST_TRIED = 28
 """Quadrilaterals whose sides are fitted."""
 
 MOST_KEPT = 6
