@@ -1955,3 +1955,107 @@ class Diagnostics:
         line of sight. None where the flanks of either part do not tell, for a fit that is refused
         for another reason, and for the paper's model.
         """
+
+class EdgePoints:
+    """Edges along a path, one for each stretch of it that has one, in its order."""
+
+    def __len__(self) -> int: ...
+    @property
+    def position_px(self) -> NDArray[np.float64]:
+        """Where they are, (N, 2) [px]."""
+
+    @property
+    def offset_px(self) -> NDArray[np.float64]:
+        """Their distances from the path along its normal, (N,) [px]."""
+
+    @property
+    def contrast(self) -> NDArray[np.float64]:
+        """The steps of grey levels across them, (N,); positive where they rise along the normal."""
+
+    @property
+    def sigma_px(self) -> NDArray[np.float64]:
+        """Standard deviations of the distances by noise of 2 grey levels, and roughness [px]."""
+
+class LineFit:
+    """The line that most of some edges lie on."""
+
+    @property
+    def point_px(self) -> tuple[float, float]:
+        """A point of it, in the middle of its edges [px]."""
+
+    @property
+    def angle_rad(self) -> float:
+        """Its direction [rad]: up to a half turn, for edges tell no more."""
+
+    @property
+    def covariance(self) -> NDArray[np.float64]:
+        """Of the offset at the point along the normal [px] and the angle [rad], (2, 2)."""
+
+    @property
+    def share(self) -> float:
+        """The part of the edges that lie on it, from 0 to 1."""
+
+    @property
+    def inliers(self) -> NDArray[np.bool_]:
+        """Which edges lie on it, (N,)."""
+
+    @property
+    def rms_px(self) -> float:
+        """Root mean square of their residuals [px]."""
+
+def edges_along(
+    image: NDArray[np.uint8],
+    path_px: ArrayLike,
+    reach_px: float,
+    polarity: int,
+    least_contrast: float,
+) -> EdgePoints:
+    """Locate an edge along a path, to part of a pixel.
+
+    Rows or columns of pixels across each of some 32 stretches of the path, at most 8 px long, are
+    taken together and correlated with the derivative of a Gaussian, which moves over them: no
+    pixel is interpolated, and no place in the pixel grid is preferred.
+
+    Parameters
+    ----------
+    image
+        (H, W) Grey levels.
+    path_px
+        (K, 2) Corners of a polyline that runs near the edge [px]. Parts of it so near to the
+        border that the kernel leaves the image have no edges.
+    reach_px
+        How far from the path edges are looked for, 0.5 to 100 [px].
+    polarity
+        1 for edges that rise along the normal, which is the path's direction turned by 90° from +u
+        towards +v; -1 for those that fall; 0 for both.
+    least_contrast
+        The least step of an edge [grey levels].
+
+    Raises
+    ------
+    InvalidInputError
+        Another reach or polarity, or a path that is not finite.
+    """
+
+def fit_line(points_px: ArrayLike, sigmas_px: ArrayLike) -> LineFit | None:
+    """Fit the line that most edges lie on, by least squares with biweights.
+
+    The covariance follows from the residuals: neighbours that err alike count as fewer.
+
+    Parameters
+    ----------
+    points_px
+        (N, 2) [px]
+    sigmas_px
+        (N,) Standard deviation of each, up to one factor, > 0 [px].
+
+    Returns
+    -------
+    LineFit or None
+        None for fewer than 5 points, or if they lie on no line.
+
+    Raises
+    ------
+    InvalidInputError
+        Other numbers of both, or values that are not finite.
+    """

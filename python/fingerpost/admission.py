@@ -69,6 +69,22 @@ def other_size(view: View, size_px: tuple[int, int]) -> Contradiction | None:
     )
 
 
+def refuse_unknown_points(rig: Rig) -> None:
+    """Refuse a rig whose reference points are still to be found, where pictures are not looked at.
+
+    Raises
+    ------
+    InvalidInputError
+        A view has none.
+    """
+    for view in rig.views:
+        if not view.reference_points_px:
+            raise InvalidInputError(
+                f'view "{view.name}": its reference points are still to be found; '
+                "`fingerpost init` finds them and writes them into a rig file"
+            )
+
+
 def points_outside(view: View, size_px: tuple[int, int]) -> Contradiction | None:
     """Tell whether most reference points lie outside an image (width, height) of their view.
 
@@ -76,6 +92,8 @@ def points_outside(view: View, size_px: tuple[int, int]) -> Contradiction | None
     images. Those that were measured in smaller ones lie inside: nothing shows it.
     """
     points_px = np.array(view.reference_points_px)
+    if len(points_px) == 0:
+        return None
     inside = ((points_px >= -0.5) & (points_px <= np.array(size_px) - 0.5)).all(axis=1)
     if inside.sum() * 2 >= len(points_px):
         return None

@@ -14,6 +14,7 @@ import json
 import os
 import re
 from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal, Self
 
@@ -30,6 +31,7 @@ from fingerpost.capture import (
 )
 from fingerpost.checks import finite_array, in_range
 from fingerpost.errors import InvalidInputError, RigError
+from fingerpost.formats import NAMES, Size, corners_of, sides_of
 from fingerpost.homography import (
     MIN_REFERENCE_POINTS,
     estimate_image_from_plane,
@@ -62,7 +64,13 @@ _RIGHT = {
     "view.reference_points_px": "one pixel [u, v] per point of the plane, in its order",
     "view.size_px": "width and height of the images in which the points were measured, [w, h]",
     "view.offset_s": "seconds to add to this view's times, such as -0.2",
-    "view.reference": '{ kind = "fixed" }, the only kind there is so far',
+    "view.reference": '{ kind = "fixed" }, { kind = "rectangle", size = "A4" }, '
+    '{ kind = "markers" } or { kind = "screen", size = [w, h] }',
+    "view.reference.size": NAMES,
+    "view.reference.sheet": "the number of the sheet, 1 to 6",
+    "view.reference.corners_px": "about where its four corners are, as pixels [u, v] in the order "
+    "of the plane's points",
+    "view.reference.near_px": "one pixel [u, v] inside of it",
     "view.lens": "{ fx = ..., fy = ..., cx = ..., cy = ..., k1 = ... }, and k2 where it is known",
     "view.reference_covariances_px2": "one covariance [uu, uv, vv] in px² per reference point",
     "view.start": "one [view.start] table with tip_px, angle_deg, length_px and thumb",
@@ -101,7 +109,11 @@ _CAMERA_RANGES = {
 }
 _FOCAL_LENGTHS_PX = (1.0, 1e9)
 _LARGEST_OFFSET_S = 3600.0
+_MOST_SHEETS = 6
 _VARIANCES_PX2 = (1e-12, 1e12)
+
+# Sides that differ by a smaller part are of one rectangle: people round them.
+_SAME_SIZE = 0.01
 
 
 class _Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
@@ -116,7 +128,8 @@ class _Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defau
             try:
                 taken = msgspec.convert(_plain(value), field.type)
             except msgspec.ValidationError as error:
-                table = next(name for name, kind in _TABLES.items() if kind is type(self))
+                named = {kind: name for name, kind in _TABLES.items()}
+                table = named.get(type(self), "view.reference")
                 right = _right(f"{table}.{field.encode_name}".strip("."))
                 raise InvalidInputError(
                     f"{field.name} is {_shown(value)}; needed: {right}"
@@ -154,6 +167,81 @@ class FixedReference(_Table, frozen=True, tag_field="kind", tag="fixed"):
     While it has moved all the same, its view tells nothing of the plane; see
     `fingerpost.references`.
     """
+
+
+class RectangleReference(_Table, kw_only=True, frozen=True, tag_field="kind", tag="rectangle"):
+    """A rectangle that lies on the plane, whose corners are the reference points.
+
+    They are found in the first frames and followed in every later one; see
+    `fingerpost.references`.
+
+    Attributes
+    ----------
+    size
+        Its name, or its sides (w, h) in the plane's unit; see `fingerpost.formats`.
+    corners_px
+        About where its corners are (u, v), in px, in the order of the plane's points: they tell
+        which rectangle is meant, and which of its corners is which.
+    near_px
+        A pixel (u, v) inside of it, which tells only which one is meant.
+    """
+
+    size: Size
+    corners_px: tuple[Pair, Pair, Pair, Pair] | None = None
+    near_px: Pair | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        sides_of(self.size, "mm")
+        for name, shape in (("corners_px", (4, 2)), ("near_px", (2,))):
+            if getattr(self, name) is not None:
+                finite_array(getattr(self, name), name, shape)
+
+
+class MarkersReference(_Table, kw_only=True, frozen=True, tag_field="kind", tag="markers"):
+    """A sheet of markers that lies on the plane, as `fingerpost markers` writes it.
+
+    The plane's points are the corners of the paper: its lower left one is the origin, X runs to the
+    right. One marker in sight is enough.
+
+    Attributes
+    ----------
+    size
+        That of the paper; see `fingerpost.formats`.
+    sheet
+        Number of the sheet, 1 to 6.
+    """
+
+    size: Size = "A4"
+    sheet: int = 1
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        sides_of(self.size, "mm")
+        if not 1 <= self.sheet <= _MOST_SHEETS:
+            raise InvalidInputError(f"sheet is {self.sheet}; 1 to {_MOST_SHEETS} are right")
+
+
+class ScreenReference(_Table, kw_only=True, frozen=True, tag_field="kind", tag="screen"):
+    """A screen that shows a sheet of markers in full size, as `fingerpost markers --screen` does.
+
+    Attributes
+    ----------
+    size
+        Width and height of what shines, in the plane's unit.
+    sheet
+        Number of the sheet, 1 to 6.
+    """
+
+    size: Size
+    sheet: int = 1
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        MarkersReference(size=self.size, sheet=self.sheet)
+
+
+Reference = FixedReference | RectangleReference | MarkersReference | ScreenReference
 
 
 class LensParameters(_Table, kw_only=True, frozen=True):
@@ -275,7 +363,7 @@ class View(_Table, kw_only=True, frozen=True):
         What `fingerpost.capture.open_source` opens; None where a program pushes the images.
     reference_points_px
         The reference points (u, v) in this view's image, in px: one per point of the plane, in
-        its order. They may lie outside the image.
+        its order. They may lie outside the image. None where the reference is to be found.
     size_px
         Width and height of the images in which pixels of this table were measured: images of
         another size are refused. None where nobody has told.
@@ -286,7 +374,7 @@ class View(_Table, kw_only=True, frozen=True):
         Covariance (uu, uv, vv) of each reference point in px², uu and vv from 1e-12 to 1e12; None
         where nobody has told, and whoever uses the rig has to assume one.
     reference
-        How the reference points are followed.
+        How the reference points are found and followed.
     camera
         What the camera is asked for when it is opened, or how the raw frames on a pipe lie.
     rotate_deg, mirror, crop
@@ -301,11 +389,11 @@ class View(_Table, kw_only=True, frozen=True):
 
     name: str
     source: str | int | None = None
-    reference_points_px: tuple[Pair, ...]
+    reference_points_px: tuple[Pair, ...] = ()
     size_px: tuple[int, int] | None = None
     offset_s: float = 0.0
     reference_covariances_px2: tuple[Triple, ...] | None = None
-    reference: FixedReference = FixedReference()
+    reference: Reference = FixedReference()
     camera: CameraTable | None = None
     rotate_deg: int = 0
     mirror: bool = False
@@ -322,7 +410,8 @@ class View(_Table, kw_only=True, frozen=True):
             raise InvalidInputError(
                 f"source is {_shown(self.source)}; needed: {_RIGHT['view.source']}"
             )
-        finite_array(self.reference_points_px, "reference_points_px", ("N", 2))
+        if self.reference_points_px or isinstance(self.reference, FixedReference):
+            self._refuse_no_points()
         self.arrangement  # noqa: B018 - refuses what is none
         in_range(self.offset_s, "offset_s", -_LARGEST_OFFSET_S, _LARGEST_OFFSET_S)
         if self.size_px is not None and not 1 <= min(self.size_px) <= max(self.size_px) < 2**31:
@@ -370,6 +459,12 @@ class View(_Table, kw_only=True, frozen=True):
             points_px = lens.lens().distort(points_px)
         pairs = tuple((u, v) for u, v in points_px.tolist())
         return cls(name=name, reference_points_px=pairs, **others)
+
+    def _refuse_no_points(self) -> None:
+        if not self.reference_points_px:
+            right = _RIGHT["view.reference_points_px"]
+            raise InvalidInputError(f"reference_points_px is missing; needed: {right}")
+        finite_array(self.reference_points_px, "reference_points_px", ("N", 2))
 
     def _refuse_no_covariances(self, covariances_px2: tuple[Triple, ...]) -> None:
         name = "reference_covariances_px2"
@@ -552,7 +647,10 @@ class Rig(_Table, kw_only=True, frozen=True):
                         "its own"
                     )
         for view in self.views:
-            self._refuse_undetermined(view)
+            if not isinstance(view.reference, FixedReference):
+                self._refuse_other_rectangle(view, view.reference)
+            if view.reference_points_px:
+                self._refuse_undetermined(view)
 
     @property
     def sources(self) -> dict[str, str | int]:
@@ -586,6 +684,32 @@ class Rig(_Table, kw_only=True, frozen=True):
             )
             for view in self.views
         )
+
+    def _refuse_other_rectangle(
+        self, view: View, reference: RectangleReference | MarkersReference | ScreenReference
+    ) -> None:
+        """Refuse a rectangle whose corners are not the points of the plane."""
+        place = f"view {_shown(view.name)}: reference"
+        try:
+            size = sides_of(reference.size, self.plane.unit)
+        except InvalidInputError as error:
+            raise InvalidInputError(f"{place}: {error}") from error
+        # What a sheet of markers shows, tells its width from its height.
+        is_bare = isinstance(reference, RectangleReference)
+        points = np.array(self.plane.points)
+        sides = np.linalg.norm(np.roll(points, -1, axis=0) - points, axis=1)
+        across = np.linalg.norm(points[2:4] - points[:2], axis=1)
+        is_right = len(points) == 4 and any(
+            np.allclose(sides, [w, h, w, h], rtol=_SAME_SIZE)
+            and np.allclose(across, np.hypot(w, h), rtol=_SAME_SIZE)
+            for w, h in ([size, size[::-1]] if is_bare else [size])
+        )
+        if not is_right:
+            raise InvalidInputError(
+                f"{place}: size is {_shown(reference.size)}, and plane.points are not the corners "
+                f"of such a rectangle; leave them out, or give "
+                f"{_shown([list(corner) for corner in corners_of(size)])}"
+            )
 
     def _refuse_undetermined(self, view: View) -> None:
         points_px = finite_array(view.reference_points_px, "reference_points_px", ("N", 2))
@@ -667,6 +791,7 @@ class Rig(_Table, kw_only=True, frozen=True):
     @classmethod
     def _of(cls, tables: dict[str, Any], path: Path) -> Self:
         """Turn a file's tables into a rig."""
+        _complete(tables)
         try:
             rig = msgspec.convert(tables, cls)
         except msgspec.ValidationError as error:
@@ -734,17 +859,46 @@ _TABLES: dict[str, type[_Table]] = {
     "plane": Plane,
     "view": View,
     "view.camera": CameraTable,
-    "view.reference": FixedReference,
     "view.lens": LensParameters,
     "view.start": Start,
     "target": TargetTable,
     "robot": RobotTable,
 }
 
+_REFERENCES: dict[object, type[_Table]] = {
+    "fixed": FixedReference,
+    "rectangle": RectangleReference,
+    "markers": MarkersReference,
+    "screen": ScreenReference,
+}
+
+
+def _complete(tables: dict[str, Any]) -> None:
+    """Fill in what follows from a rectangle: the plane's points, and a unit if none is given.
+
+    What is no table, or has values that cannot be used, is left for others to refuse.
+    """
+    views = tables.get("view")
+    for view in views if isinstance(views, list) else ():
+        if isinstance(view, dict) and "references" in view and "reference" not in view:
+            view["reference"] = view.pop("references")
+        reference = view.get("reference") if isinstance(view, dict) else None
+        kind = reference.get("kind") if isinstance(reference, dict) else None
+        if not isinstance(reference, dict) or kind not in ("rectangle", "markers", "screen"):
+            continue
+        plane = tables.setdefault("plane", {"unit": "mm"})
+        if not isinstance(plane, dict) or "points" in plane:
+            continue
+        with contextlib.suppress(msgspec.ValidationError, InvalidInputError):
+            default = "A4" if kind == "markers" else None
+            size = msgspec.convert(reference.get("size", default), Size)
+            plane["points"] = corners_of(sides_of(size, str(plane.get("unit"))))
+
 
 def rig_tables() -> dict[str, type[msgspec.Struct]]:
     """Return the schema of every table of a rig file, by its dotted name; "" is the file."""
-    return dict(_TABLES)
+    kinds = {f"view.reference of kind {kind}": table for kind, table in _REFERENCES.items()}
+    return {**_TABLES, **kinds}
 
 
 def part_of(path: Path) -> Path:
@@ -830,13 +984,20 @@ def _explained(error: msgspec.ValidationError, tables: dict[str, object]) -> str
     place = f"{path}.{key}" if path else key
     if field[1] == "missing required":
         return f"{place} is missing; needed: {_right(f'{table}.{key}'.strip('.'))}"
-    schema = _TABLES[table]
+    schema = _REFERENCES[_kind(tables, steps)] if table == "view.reference" else _TABLES[table]
     known = [known.encode_name for known in msgspec.structs.fields(schema)]
     if schema.__struct_config__.tag_field is not None:
         known.append(schema.__struct_config__.tag_field)
     close = difflib.get_close_matches(key, known, n=1)
     advice = f"did you mean {close[0]}?" if close else f"known are {', '.join(known)}"
     return f"{place} is not a key of a rig file; {advice}"
+
+
+def _kind(tables: Any, steps: Sequence[str]) -> object:
+    """Return the kind of the reference at a path."""
+    for step in steps:
+        tables = tables[int(step) if step.isdecimal() else step]
+    return tables["kind"]
 
 
 def _right(key: str) -> str:

@@ -34,7 +34,7 @@ from fingerpost.admission import (
 )
 from fingerpost.capture import Frame, Loss, open_views, read_views
 from fingerpost.checks import in_range
-from fingerpost.config import Rig, View
+from fingerpost.config import FixedReference, Rig, View
 from fingerpost.consistency import Monitor, Scenery
 from fingerpost.errors import FingerpostError, InvalidInputError
 from fingerpost.finding import (
@@ -52,6 +52,7 @@ from fingerpost.finding import (
     other_fingers,
     tell_from_hands,
 )
+from fingerpost.locating import ReferenceSearch, meter_of, stand_in
 from fingerpost.pointing import (
     BARE_HAND,
     FingerLine,
@@ -65,8 +66,14 @@ from fingerpost.pointing import (
 from fingerpost.pushed import Images, PushedViews
 from fingerpost.recording import PointRow, TrackRow
 from fingerpost.recording.picture import SearchMarks
-from fingerpost.references import Reduction, ReferenceWatch
+from fingerpost.references import (
+    Measured,
+    Reduction,
+    ReferenceFollower,
+    ReferenceWatch,
+)
 from fingerpost.silhouette import Capsule
+from fingerpost.uncertainty import joint_of
 
 _log = logging.getLogger(__name__)
 
@@ -147,7 +154,7 @@ class Observation:
         view: HandView,
         frame: Frame | None,
         loss: Loss | None,
-        watch: ReferenceWatch,
+        watch: ReferenceWatch | ReferenceFollower,
         reduction: Reduction,
     ) -> Observation:
         """Return what a view saw in the frame that it and the watch have had last."""
@@ -317,6 +324,8 @@ class Step:
 
 def _moved(seen: Observation) -> str:
     moved_px = seen.reduction.factor * seen.moved_px
+    if moved_px == 0.0:
+        return "its references are not seen"
     return f"the camera has moved the reference points by {moved_px:.0f} px"
 
 
@@ -461,21 +470,23 @@ class Pointer:
             raise InvalidInputError(
                 f"the rig has {len(rig.views)} view; pointing needs two or more"
             )
-        self._rig = rig
+        self._search = ReferenceSearch(rig) if ReferenceSearch.is_needed(rig) else None
+        self._admission = Admission(rig.views)
+        self._rig = rig = stand_in(rig)
         self._tracker_options, self._reference_sigma_px = tracker_options, reference_sigma_px
         self._reductions: list[Reduction | None] = [None] * len(rig.views)
         self._rig_views = list(rig.views)
         self.views = tuple(self._hand_view(view, WHOLE) for view in rig.views)
-        if (wrong := different_sides(rig, self.plane_views)) is not None:
-            raise InvalidInputError(f"{wrong.what}; {wrong.right}")
         self._admission = Admission(rig.views)
         self._pushed = PushedViews(rig.views, self._admission)
+        if self._search is None:
+            self._refuse_different_sides()
         self._first: dict[int, Frame] | None = {}
         self._monitor = Monitor([view.name for view in rig.views])
         self._moving = moving
         self._options = pointing_options
         self._still = self.plane_views
-        self._watches = tuple(_watch(view) for view in rig.views)
+        self._watches = tuple(self._watch_of(view) for view in rig.views)
         self._histories = tuple(_History() for _ in self.views)
         self._pending: deque[_Pending] = deque()
         self._identity = Identity()
@@ -485,6 +496,16 @@ class Pointer:
     def plane_views(self) -> tuple[PlaneView, ...]:
         """How each view sees the plane, as of its last frame."""
         return tuple(view.plane_view for view in self.views)
+
+    @property
+    def rig(self) -> Rig:
+        """The rig, with the reference points that were found once `sees_plane`."""
+        return self._rig
+
+    @property
+    def sees_plane(self) -> bool:
+        """Whether the references of all views are known: those to be found have been."""
+        return self._search is None
 
     def push(self, images: Images, time_s: float) -> list[Fix]:
         """Take images that a program has captured itself; return the fixes that they complete.
@@ -535,6 +556,8 @@ class Pointer:
             points; or a later one of another size.
         """
         self._admission.admit(seen)
+        if self._search is not None and (waiting := self._look_for_references(seen)):
+            return waiting
         self._compare_scenery(seen)
         entries = self._monitor.look([self._reduced(k, entry) for k, entry in enumerate(seen)])
         losses = [entry if isinstance(entry, Loss) else None for entry in entries]
@@ -587,6 +610,43 @@ class Pointer:
             history.forget(needed_s)
         return steps
 
+    def _look_for_references(self, seen: Sequence[Frame | Loss | None]) -> list[Step]:
+        """Find the references of all views; the step to give in its place while one is missing.
+
+        Raises
+        ------
+        InvalidInputError
+            Views that see the plane from different sides.
+        """
+        assert self._search is not None
+        found = self._search.look(
+            {k: frame.image for k, frame in enumerate(seen) if isinstance(frame, Frame)}
+        )
+        if found is None:
+            first = seen[0]
+            return [] if first is None else [self._step_without(first, self._search.missing)]
+        self._search, self._rig, self._rig_views = None, found, list(found.views)
+        for k in range(len(found.views)):
+            self._begin(k)
+        self._refuse_different_sides()
+        return []
+
+    def _refuse_different_sides(self) -> None:
+        if (wrong := different_sides(self._rig, self.plane_views)) is not None:
+            raise InvalidInputError(f"{wrong.what}; {wrong.right}")
+
+    def _step_without(self, first: Frame | Loss, missing: Mapping[int, str]) -> Step:
+        """Return the step of a frame in which references are still looked for."""
+        none = np.empty((0, 2))
+        observations = tuple(
+            Observation(view.name, None, None, none, None, Status.ACQUIRING) for view in self.views
+        )
+        lines = (None,) * len(self.views)
+        reason = "; ".join(missing.values())
+        return Step(
+            first.index, observations, Fix(first.time_s, Status.ACQUIRING, lines, reason=reason)
+        )
+
     def _compare_scenery(self, seen: Sequence[Frame | Loss | None]) -> None:
         """Refuse reference points that the first frames of all views belie, and warn of others.
 
@@ -607,7 +667,8 @@ class Pointer:
         scenery = Scenery(self._rig, pictures)
         if (same := scenery.same_pictures()) is not None:
             raise InvalidInputError(f"{same.what}; {same.right}")
-        if (mistake := scenery.mistake()) is not None:
+        is_told = any(isinstance(view.reference, FixedReference) for view in self._rig.views)
+        if is_told and (mistake := scenery.mistake()) is not None:
             words = f"{mistake.what}; {mistake.lines(self._rig)} would be right"
             if mistake.is_certain:
                 raise InvalidInputError(words)
@@ -642,7 +703,16 @@ class Pointer:
         hand_view = self._hand_view(view, reduction)
         self.views = _with(self.views, k, hand_view)
         self._still = _with(self._still, k, hand_view.plane_view)
-        self._watches = _with(self._watches, k, _watch(view))
+        self._watches = _with(self._watches, k, self._watch_of(view))
+
+    def _watch_of(self, view: View) -> ReferenceWatch | ReferenceFollower:
+        if isinstance(view.reference, FixedReference):
+            return ReferenceWatch(view.reference_points_px, view.lens)
+        points = np.array(self._rig.plane.points, np.float64)
+        covariances = view.reference_covariances(self._reference_sigma_px)
+        first = Measured(np.array(view.reference_points_px), joint_of(covariances))
+        meter = meter_of(self._rig, view)
+        return ReferenceFollower(points, meter, first, view.lens)
 
     def _watch(self, frames: Sequence[Frame | None]) -> None:
         """Tell the views how they see the plane: a camera may have moved."""
@@ -651,12 +721,9 @@ class Pointer:
         ):
             if frame is None:
                 continue
-            watch.look(frame.grey(), view.hand)
-            if watch.motion is not None:
-                motion = watch.motion
-                view.move(still.moved(motion.now_from_first, motion.covariance))
-            elif not watch.is_adrift:
-                view.move(still)
+            watch.look(frame.grey(), view.hand, frame.image)
+            if (plane_view := watch.plane_view(still)) is not None:
+                view.move(plane_view)
 
     def _follow(self, frames: Sequence[Frame | None]) -> None:
         """Update the trackers of all views in one call; the error of one keeps none from a frame.
@@ -741,10 +808,6 @@ class Pointer:
         if fix.point is not None and fix.covariance is not None:
             fix = replace(fix, targets=self._targets.probabilities(fix.point, fix.covariance))
         return Step(pending.index, pending.observations, fix, pending.hand, pending.frames)
-
-
-def _watch(view: View) -> ReferenceWatch:
-    return ReferenceWatch(view.reference_points_px, view.lens)
 
 
 def _with(entries: tuple[Entry, ...], k: int, entry: Entry) -> tuple[Entry, ...]:

@@ -35,11 +35,13 @@ from fingerpost.uncertainty import (
     Constraint,
     Ellipse,
     Intersection,
+    blocks_of,
     confidence_ellipse,
     constraint,
     constraint_components,
     entries_form,
     homography_covariance,
+    joint_of,
     largest_sigma,
     line_and_covariance,
     meeting_point,
@@ -264,8 +266,9 @@ class PlaneView:
             Reference points on the plane, N ≥ 4, any unit; the same coordinates in every view.
         image_points_px : (N, 2)
             Where the view shows them, in the same order; may lie outside the image.
-        covariances_px2 : (2, 2), (N, 2, 2) or None
-            Covariance of each image point [px²]. None claims that they are known exactly; without
+        covariances_px2 : (2, 2), (N, 2, 2), (2N, 2N) or None
+            Covariance of each image point [px²], or of u and v of all of them, one after the
+            other, where they err together. None claims that they are known exactly; without
             this claim they are the larger part of the error above about 0.07 px.
         lens
             Distortion of the view, if known; corrected in reference points and finger lines.
@@ -284,8 +287,12 @@ class PlaneView:
         """
         plane = finite_array(plane_points, "plane_points", ("N", 2))
         image = finite_array(image_points_px, "image_points_px", ("N", 2))
+        covariances: NDArray[np.float64] | None = None
+        joint = False
         if covariances_px2 is not None:
-            covariances_px2 = covariance_array(covariances_px2, "covariances_px2", (..., 2, 2))
+            joint = np.shape(covariances_px2) == (image.size, image.size)
+            shape = (image.size, image.size) if joint else (..., 2, 2)
+            covariances = covariance_array(covariances_px2, "covariances_px2", shape)
         if lens is not None:
             ideal = lens.undistort(image)
             outside = ~np.isfinite(ideal).all(axis=1)
@@ -295,14 +302,16 @@ class PlaneView:
                     f"image_points_px[{first}], {image[first].tolist()}, lies where {lens} folds "
                     "back; the lens model does not hold there"
                 )
-            if covariances_px2 is not None:
+            if covariances is not None:
                 jacobian = lens.undistort_jacobian(image)
-                covariances_px2 = jacobian @ covariances_px2 @ np.swapaxes(jacobian, 1, 2)
+                by_image = joint_of(jacobian) if joint else jacobian
+                covariances = by_image @ covariances @ np.swapaxes(by_image, -1, -2)
             image = ideal
-        T = estimate_image_from_plane(plane, image, covariances_px2)
-        if covariances_px2 is None:
+        each = blocks_of(covariances) if joint and covariances is not None else covariances
+        T = estimate_image_from_plane(plane, image, each)
+        if covariances is None:
             return cls(plane, T, np.zeros((9, 9)), lens)
-        return cls(plane, T, homography_covariance(T, plane, covariances_px2), lens)
+        return cls(plane, T, homography_covariance(T, plane, covariances), lens)
 
     def moved(self, now_from_before: ArrayLike, covariance: ArrayLike) -> "PlaneView":
         """Return the view when its camera has moved.

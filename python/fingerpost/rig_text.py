@@ -32,6 +32,8 @@ _SHOWN = 80  # characters of a line that a message has room for
 _COORDINATES = {
     "points": 2,
     "reference_points_px": 2,
+    "corners_px": 2,
+    "near_px": 2,
     "tip_px": 2,
     "size_px": 2,
     "region_m": 2,

@@ -159,8 +159,9 @@ def homography_covariance(
         covariances.
     plane_points : (N, 2)
         Reference points on the plane, known exactly.
-    covariances_px2 : (2, 2) or (N, 2, 2)
-        Covariance of each image point [px²], positive definite.
+    covariances_px2 : (2, 2), (N, 2, 2) or (2N, 2N)
+        Covariance of each image point [px²], positive definite; or of u and v of all of them, one
+        after the other, where they err together.
 
     Returns
     -------
@@ -169,12 +170,33 @@ def homography_covariance(
         vary in the gauge of `fingerpost.homography.entries_from_reference_points`.
     """
     plane = finite_array(plane_points, "plane_points", ("N", 2))
-    covariances = covariance_array(covariances_px2, "covariances_px2", (..., 2, 2))
-    gain = entries_from_reference_points(image_from_plane, plane, covariances)
+    joint = np.shape(covariances_px2) == (2 * len(plane), 2 * len(plane))
+    shape = (2 * len(plane), 2 * len(plane)) if joint else (..., 2, 2)
+    covariances = covariance_array(covariances_px2, "covariances_px2", shape)
+    each = blocks_of(covariances) if joint else covariances
+    gain = entries_from_reference_points(image_from_plane, plane, each)
+    if joint:
+        return np.asarray(gain @ covariances @ gain.T)
     gain = gain.reshape(9, len(plane), 2)
     each = np.broadcast_to(covariances, (len(plane), 2, 2))
     weighted = (gain[:, :, None] @ each).reshape(9, -1)
     return np.asarray(weighted @ gain.reshape(9, -1).T)
+
+
+def blocks_of(joint: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the covariance of each point alone, (N, 2, 2), of that of all of them, (2N, 2N)."""
+    count = len(joint) // 2
+    k = np.arange(count)
+    return np.asarray(joint.reshape(count, 2, count, 2)[k, :, k, :])
+
+
+def joint_of(blocks: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the covariance of all points, (2N, 2N), of that of each, (N, 2, 2)."""
+    count = len(blocks)
+    joint = np.zeros((count, 2, count, 2))
+    k = np.arange(count)
+    joint[k, :, k, :] = blocks
+    return joint.reshape(2 * count, 2 * count)
 
 
 def constraint_lines(

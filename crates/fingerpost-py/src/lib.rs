@@ -11,6 +11,7 @@ mod fit;
 mod image;
 mod numbers;
 mod options;
+mod outline;
 mod round;
 mod search;
 mod shape_space;
@@ -39,6 +40,8 @@ mod _core {
     use super::contour::{PyContourSamples, sample_contour};
     #[pymodule_export]
     use super::fit::{PyFitReport, PyFitter};
+    #[pymodule_export]
+    use super::outline::{PyEdgePoints, PyLineFit, edges_along, fit_line};
     #[pymodule_export]
     use super::round::PyRoundFinger;
     #[pymodule_export]

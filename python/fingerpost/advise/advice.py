@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fingerpost.admission import different_sides
+from fingerpost.admission import different_sides, refuse_unknown_points
 from fingerpost.advise.camera import USABLE_FOCAL_SIGMA, PlaneCamera, recover_camera
 from fingerpost.advise.forecast import (
     Doubt,
@@ -277,6 +277,7 @@ def advise(
         )
     unit_mm = options.unit_length_mm(rig.plane.unit)
     names = [view.name for view in rig.views]
+    refuse_unknown_points(rig)
     given = _given_views(rig, options)
     cameras = _recovered(rig, given, sizes_px, options)
     plane_points = given[0].plane_points

@@ -12,6 +12,7 @@ import click
 
 from fingerpost.cli.live_views import hush_streams
 from fingerpost.cli.progress import watched
+from fingerpost.errors import InvalidInputError
 from fingerpost.installation import Installation, examine_installation, need_opencv
 from fingerpost.signals import ending_at_once
 
@@ -58,15 +59,22 @@ def _examined(rig_file: Path, frames: int | None) -> Diagnosis:
         from fingerpost.capture import Frame, open_views
         from fingerpost.config import Rig
         from fingerpost.doctor import DEFAULT_FRAMES, examine, look, reduced
+        from fingerpost.locating import ReferenceSearch
 
     rig = Rig.load(rig_file)
     count = DEFAULT_FRAMES if frames is None else frames
     seen: list[list[Frame]] = [[] for _ in rig.views]
     sizes_px = [(0, 0) for _ in rig.views]
     hush_streams(rig.sources)
+    search = ReferenceSearch(rig)
+    known = None if ReferenceSearch.is_needed(rig) else rig
     with ExitStack() as stack:
         sources = stack.enter_context(open_views(rig.sources, rig.readings))
         for together in watched(look(sources, count), count, "looking"):
+            if known is None:
+                known = search.look(
+                    {k: seen.image for k, seen in enumerate(together) if isinstance(seen, Frame)}
+                )
             for k, frame in enumerate(together):
                 if isinstance(frame, Frame):
                     sizes_px[k] = (frame.image.shape[1], frame.image.shape[0])
@@ -79,4 +87,6 @@ def _examined(rig_file: Path, frames: int | None) -> Diagnosis:
             for view, source in zip(rig.sources, sources, strict=True)
             for note in source.notes
         ]
-    return examine(rig, seen, sizes_px, damage=damage, notes=notes)
+    if known is None:
+        raise InvalidInputError("; ".join(search.missing.values()))
+    return examine(known, seen, sizes_px, damage=damage, notes=notes)

@@ -154,6 +154,20 @@ class Scenery:
         """
         return self._agreement({})
 
+    def agreement_of(self, points_px: dict[int, Array], views: tuple[int, int]) -> float:
+        """Return how well two views agree with other reference points, −1 to 1.
+
+        Parameters
+        ----------
+        points_px
+            Those of some views, by their place, (N, 2) [px].
+        views
+            The places of the two.
+        """
+        reduced = {k: self._reductions[k].points(points) for k, points in points_px.items()}
+        one, other = (self._patch(k, reduced.get(k, self._given[k])) for k in views)
+        return 0.0 if one is None or other is None else _correlation(one, other)
+
     def _agreement(self, points_px: dict[int, Array]) -> float:
         """Return the agreement with other points in some views, in reduced pixels."""
         chosen = {**dict(enumerate(self._given)), **points_px}

@@ -4,17 +4,35 @@
 the working plane has moved in its picture if it does not.
 """
 
+from fingerpost.references.following import Measured, ReferenceFollower
+from fingerpost.references.markers import MarkersMeter, marker_cells, sheet_markers
+from fingerpost.references.meters import Meter, RectangleMeter
+from fingerpost.references.rectangles import Candidate, find_rectangles, likeness, turned
 from fingerpost.references.reduction import Reduction
 from fingerpost.references.registration import PlaneMotion, PlaneRegistration, Segment
+from fingerpost.references.sides import Sides, fit_sides
 from fingerpost.references.watch import ADRIFT_PX, LOOK_EVERY, MOVED_PX, ReferenceWatch
 
 __all__ = [
     "ADRIFT_PX",
     "LOOK_EVERY",
     "MOVED_PX",
+    "Candidate",
+    "MarkersMeter",
+    "Measured",
+    "Meter",
     "PlaneMotion",
     "PlaneRegistration",
+    "RectangleMeter",
     "Reduction",
+    "ReferenceFollower",
     "ReferenceWatch",
     "Segment",
+    "Sides",
+    "find_rectangles",
+    "fit_sides",
+    "likeness",
+    "marker_cells",
+    "sheet_markers",
+    "turned",
 ]

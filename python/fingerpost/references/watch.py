@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fingerpost.lens import Lens
+from fingerpost.pointing import PlaneView
 from fingerpost.references.reduction import Reduction
 from fingerpost.references.registration import PlaneMotion, PlaneRegistration, Segment, is_within
 
@@ -144,7 +145,25 @@ class ReferenceWatch:
             return motion
         return motion.scaled(self._reduction.whole_from_reduced)
 
-    def look(self, grey: _Picture, hand: Segment | None = None) -> None:
+    def plane_view(self, still: PlaneView) -> PlaneView | None:
+        """Return how the view sees the plane; None while that is not known.
+
+        Parameters
+        ----------
+        still
+            How the first frame has shown it.
+        """
+        if self.is_adrift:
+            return None
+        motion = self.motion
+        return still if motion is None else still.moved(motion.now_from_first, motion.covariance)
+
+    def look(
+        self,
+        grey: _Picture,
+        hand: Segment | None = None,
+        picture: _Picture | None = None,  # noqa: ARG002 - of all that watch, some need colours
+    ) -> None:
         """Take the next frame.
 
         One in `LOOK_EVERY` is looked at, one that is unlike the first one, and every one once the
@@ -157,6 +176,8 @@ class ReferenceWatch:
             (H, W) Its grey levels.
         hand
             Where a hand was in the frame before, if one is followed: it moves no camera.
+        picture
+            The same frame with its colours, which are not needed here.
         """
         if grey.shape != self._shape:
             self._shape, self._reduction = grey.shape, Reduction.of(grey.shape, LARGEST_PX)

@@ -2,3 +2,4 @@
 
 pub mod edge;
 pub mod edge_search;
+pub mod outline;

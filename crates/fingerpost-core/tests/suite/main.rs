@@ -16,6 +16,7 @@ mod discriminant;
 mod dynamics;
 mod fit;
 mod image;
+mod outline;
 mod refine;
 mod round;
 mod search;

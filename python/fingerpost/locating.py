@@ -1,0 +1,299 @@
+"""Where the references are that a rig does not tell: found in the first frames of its views.
+
+Every view proposes places where it may show the rectangle. Which of them it is, and which of its
+corners is which, all views tell together: carried onto the plane they show one table, and its
+texture agrees only where the same corner is the first one. Where the table is too plain for that,
+cameras are taken to stand on the same side of it. A plane seen from above is never mirrored.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from msgspec import structs
+from numpy.typing import NDArray
+
+from fingerpost.config import (
+    FixedReference,
+    MarkersReference,
+    RectangleReference,
+    Rig,
+    ScreenReference,
+    View,
+)
+from fingerpost.consistency import Scenery
+from fingerpost.homography import transfer_jacobian_by_point
+from fingerpost.pointing import PlaneView
+from fingerpost.references import (
+    MarkersMeter,
+    Measured,
+    Meter,
+    RectangleMeter,
+    Sides,
+    find_rectangles,
+    likeness,
+    turned,
+)
+
+Array = NDArray[np.float64]
+Picture = NDArray[np.uint8]
+
+SIDE_WEIGHT = 0.5
+"""What it counts by how much one place is likelier than another in its own view, as a logarithm,
+beside the correlation of two views' textures."""
+
+UPRIGHT_WEIGHT = 0.15
+"""The same of how nearly cameras stand on the same side, as the cosine of the angle between."""
+
+LEAST_LIKENESS = 0.05
+
+LOOK_EVERY = 16
+"""While one is missing, frames are looked at whose number is a power of two or a multiple of this.
+"""
+
+
+@dataclass(frozen=True, eq=False)
+class Placed:
+    """Where a picture may show the plane's points.
+
+    Attributes
+    ----------
+    measured
+        The points, in their order.
+    worth
+        Logarithm of how likely it is, as far as its own view tells.
+    """
+
+    measured: Measured
+    worth: float
+
+
+class ReferenceSearch:
+    """Looks for the references of a rig's views in their first frames.
+
+    Parameters
+    ----------
+    rig
+        One view or more, with references that are found.
+    """
+
+    def __init__(self, rig: Rig) -> None:
+        self._rig = rig
+        self._places: dict[int, list[Placed]] = {}
+        self._pictures: dict[int, Picture] = {}
+        self._looks = 0
+
+    @staticmethod
+    def is_needed(rig: Rig) -> bool:
+        """Tell whether a rig leaves references to be found."""
+        return any(is_open(view) for view in rig.views)
+
+    def look(self, pictures: Mapping[int, Picture]) -> Rig | None:
+        """Look at a picture of some views, by their place in the rig.
+
+        Parameters
+        ----------
+        pictures
+            (H, W) or (H, W, 3).
+
+        Returns
+        -------
+        Rig or None
+            The rig with the reference points of every view and their covariances, once all are
+            found.
+        """
+        self._looks += 1
+        if self._looks & (self._looks - 1) and self._looks % LOOK_EVERY:
+            return None
+        for k, picture in pictures.items():
+            view = self._rig.views[k]
+            if is_open(view) and k not in self._places:
+                places = self._proposed(view, picture)
+                if places:
+                    self._places[k], self._pictures[k] = places, picture.copy()
+            elif not is_open(view):
+                self._pictures.setdefault(k, picture.copy())
+        if self.missing:
+            return None
+        return self._agreed()
+
+    @property
+    def missing(self) -> dict[int, str]:
+        """What is not found yet and what would help, by the view's place."""
+        return {
+            k: _absence(view)
+            for k, view in enumerate(self._rig.views)
+            if is_open(view) and k not in self._places
+        }
+
+    def _proposed(self, view: View, picture: Picture) -> list[Placed]:
+        if isinstance(view.reference, RectangleReference):
+            return self._rectangles(view, view.reference, picture)
+        measured = meter_of(self._rig, view).search(picture, np.zeros((4, 2)))
+        return [] if measured is None else [Placed(measured, 0.0)]
+
+    def _rectangles(
+        self, view: View, reference: RectangleReference, picture: Picture
+    ) -> list[Placed]:
+        size = sides_of_plane(self._rig)
+        near = view.reference_points_px or reference.corners_px or reference.near_px
+        near_px = None if near is None else np.array(near, np.float64)
+        found = find_rectangles(picture, size, view.lens, near_px)
+        clockwise = self._is_clockwise()
+        places = []
+        for candidate in found:
+            worth = SIDE_WEIGHT * math.log(candidate.score / found[0].score)
+            if near_px is not None and near_px.ndim == 2:
+                best = min(
+                    (
+                        sides
+                        for way in (False, True)
+                        for sides in turned(candidate.sides, clockwise=way)
+                    ),
+                    key=lambda sides: np.abs(sides.corners_px - near_px).max(),
+                )
+                places.append(_placed(best, worth))
+                continue
+            for sides in turned(candidate.sides, clockwise=clockwise):
+                like = likeness(sides.corners_px, size, picture.shape)
+                worth_so = worth + SIDE_WEIGHT * math.log(max(like, LEAST_LIKENESS))
+                places.append(_placed(sides, worth_so))
+        return places
+
+    def _is_clockwise(self) -> bool:
+        """Tell whether the plane's points run clockwise in pictures, as given ones do."""
+        for view in self._rig.views:
+            given = view.reference_points_px or getattr(view.reference, "corners_px", None)
+            if given:
+                return _area(np.array(given, np.float64)) > 0.0
+        return _area(np.array(self._rig.plane.points)) < 0.0
+
+    def _agreed(self) -> Rig:
+        """Choose one place of each view, so that together they are the likeliest."""
+        rig = self._with({k: places[0] for k, places in self._places.items()})
+        views = list(range(len(rig.views)))
+        pictures = [self._pictures[k] for k in views]
+        scenery = Scenery(rig, pictures)
+        options = [self._places.get(k, []) or [_as_given(rig.views[k])] for k in views]
+        anchor = next((k for k in views if not is_open(self._rig.views[k])), 0)
+        best: dict[int, Placed] = {}
+        most = -math.inf
+        for first in options[anchor]:
+            total = first.worth + self._upright(first, None)
+            chosen = {anchor: first}
+            for k in views:
+                if k == anchor:
+                    continue
+                worths = [
+                    one.worth
+                    + scenery.agreement_of(
+                        {anchor: first.measured.points_px, k: one.measured.points_px}, (anchor, k)
+                    )
+                    + self._upright(one, first)
+                    for one in options[k]
+                ]
+                chosen[k] = options[k][int(np.argmax(worths))]
+                total += max(worths)
+            if total > most:
+                best, most = chosen, total
+        return self._with({k: best[k] for k in self._places})
+
+    def _upright(self, place: Placed, other: Placed | None) -> float:
+        """Return what a place counts by where its camera stands, as another view's or upright."""
+        up = self._up(place.measured.points_px)
+        to = np.array([0.0, 1.0]) if other is None else self._up(other.measured.points_px)
+        return UPRIGHT_WEIGHT * float(up @ to)
+
+    def _up(self, corners_px: Array) -> Array:
+        """Return which way on the plane leads upwards in the picture."""
+        view = PlaneView.from_reference_points(self._rig.plane.points, corners_px, None)
+        centre = view.plane_points.mean(axis=0)
+        by_plane = transfer_jacobian_by_point(view.image_from_plane, centre)
+        up = np.linalg.solve(by_plane, [0.0, -1.0])
+        return np.asarray(up / np.linalg.norm(up))
+
+    def _with(self, places: Mapping[int, Placed]) -> Rig:
+        views = list(self._rig.views)
+        for k, place in places.items():
+            views[k] = structs.replace(
+                views[k],
+                reference_points_px=tuple((u, v) for u, v in place.measured.points_px.tolist()),
+                reference_covariances_px2=tuple(
+                    (uu, uv, vv) for (uu, uv), (_, vv) in place.measured.covariances_px2.tolist()
+                ),
+            )
+        return structs.replace(self._rig, views=tuple(views))
+
+
+def is_open(view: View) -> bool:
+    """Tell whether a view's references are to be found: it has no covariances of found ones."""
+    return not isinstance(view.reference, FixedReference) and (
+        not view.reference_points_px or view.reference_covariances_px2 is None
+    )
+
+
+def meter_of(rig: Rig, view: View) -> Meter:
+    """Return what measures a view's references, of the kinds that are found."""
+    reference, size = view.reference, sides_of_plane(rig)
+    if isinstance(reference, MarkersReference | ScreenReference):
+        points = np.array(rig.plane.points, np.float64)
+        return MarkersMeter(size, reference.sheet, points, view.lens)
+    return RectangleMeter(size, view.lens)
+
+
+def _placed(sides: Sides, worth: float) -> Placed:
+    return Placed(Measured(sides.corners_px, sides.covariance), worth)
+
+
+def _as_given(view: View) -> Placed:
+    corners_px = np.array(view.reference_points_px, np.float64)
+    return Placed(Measured(corners_px, np.eye(corners_px.size)), 0.0)
+
+
+def sides_of_plane(rig: Rig) -> tuple[float, float]:
+    """Return the lengths of the plane's first side and of the next one."""
+    points = np.array(rig.plane.points[:4])
+    first, second = np.linalg.norm(np.diff(points, axis=0), axis=1)[:2].tolist()
+    return first, second
+
+
+def _absence(view: View) -> str:
+    reference, place = view.reference, f'view "{view.name}"'
+    if isinstance(reference, RectangleReference):
+        size = f"{reference.size} rectangle" if isinstance(reference.size, str) else "rectangle"
+        return (
+            f"{place}: no {size} is found; all four of its sides must show in part, plainly "
+            "lighter or darker than what is around, or name its corners as corners_px"
+        )
+    sheet = getattr(reference, "sheet", 1)
+    return (
+        f"{place}: no marker of sheet {sheet} is found; one must show whole with its white margin, "
+        "20 px wide or more, flat and without glare (`fingerpost markers` writes the sheet)"
+    )
+
+
+def _area(corners: Array) -> float:
+    x, y = corners.T
+    return float(x @ np.roll(y, -1) - y @ np.roll(x, -1))
+
+
+def stand_in(rig: Rig) -> Rig:
+    """Return a rig with some points in place of those that are to be found.
+
+    No picture shows them there; they only make views that can be asked for.
+    """
+    points = np.array(rig.plane.points, np.float64)
+    lower, upper = points.min(axis=0), points.max(axis=0)
+    parts = (points - lower) / np.where(upper > lower, upper - lower, 1.0)
+    # Seen from above: Y upwards in the picture.
+    shown = tuple((100.0 + 400.0 * x, 400.0 - 300.0 * y) for x, y in parts.tolist())
+    views = tuple(
+        structs.replace(view, reference_points_px=shown, reference_covariances_px2=None)
+        if is_open(view)
+        else view
+        for view in rig.views
+    )
+    return structs.replace(rig, views=views)

@@ -1,0 +1,384 @@
+"""Where a picture may show a rectangle of the plane, the likeliest place first.
+
+Four long straight edges make a quadrilateral. One counts by how much of its outline in the picture
+shows an edge, whether all of it steps the same way, from outside to inside, how large it is, and
+whether a camera of any usual focal length shows a rectangle of the given sides so. What it is
+printed on, what covers a part of it and which corners are in the picture does not matter.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fingerpost.lens import Lens
+from fingerpost.references.reduction import Reduction
+from fingerpost.references.segments import Line, find_lines
+from fingerpost.references.sides import Sides, refined
+
+Array = NDArray[np.float64]
+Picture = NDArray[np.uint8]
+
+LARGEST_PX = 800
+"""Pictures with a longer side are searched in a reduced size."""
+
+MOST_TRIED = 28
+"""Quadrilaterals whose sides are fitted."""
+
+MOST_KEPT = 6
+
+LEAST_SIDE = 0.12
+"""Part of a side in the picture that must show."""
+
+LEAST_SUPPORT = 0.3
+"""The same of a whole outline."""
+
+SMALLEST = 0.002
+"""The least area of a rectangle, as a part of the picture's."""
+
+BARE_COST = 0.5
+"""What a stretch of the outline without an edge costs, where one with an edge counts 1."""
+
+LEAST_SHOWN = 0.1
+"""What an outline must count so at least, as a part of its length: two fifths of it show."""
+
+BEYOND = 1.0
+"""Corners lie outside of the picture by no more than so many times its longer side."""
+
+MIXED = 0.75
+"""What outlines count that step inwards here and outwards there."""
+
+EVEN = 0.5
+"""Sides count by how they step, up to this part of the middle one: a side of a sheet beside three
+plain ones is plain, too, and the grain of wood beside it is not."""
+
+UNLIKE = 0.5
+ASPECT_SIGMA = 0.1
+FOCAL_PARTS = np.geomspace(0.5, 4.0, 13)
+"""What a quadrilateral counts at least that is no picture of the rectangle; what sides and their
+angle may be off by [parts, rad]; focal lengths, as parts of the longer side of the picture."""
+
+APART = 0.02
+"""Two quadrilaterals are one whose corners are no further apart, as a part of their diagonal."""
+
+REACH_PX = 5.0
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """A place where a picture may show the rectangle.
+
+    Attributes
+    ----------
+    sides
+        Its sides and corners, these clockwise in the picture.
+    score
+        How likely it is: larger is likelier.
+    """
+
+    sides: Sides
+    score: float
+
+
+def find_rectangles(
+    picture: Picture,
+    size: tuple[float, float],
+    lens: Lens | None = None,
+    near_px: Array | None = None,
+) -> list[Candidate]:
+    """Return where a picture may show a rectangle, the likeliest first.
+
+    Parameters
+    ----------
+    picture
+        (H, W) or (H, W, 3), 8 bits.
+    size
+        Its sides, in any unit.
+    lens
+        The view's distortion, if it is known.
+    near_px
+        (2,) A point inside of it; or (4, 2) about where its corners are, in any order, which count
+        more than anything else then.
+    """
+    reduction = Reduction.of(picture.shape, LARGEST_PX)
+    small = reduction.picture(picture)
+    small_near = None if near_px is None else reduction.points(near_px)
+    quads, scores = _quadrilaterals(find_lines(small), small.shape, small_near)
+    scores = scores * [_likeness(quad, size, small.shape) for quad in quads]
+    order = np.argsort(-scores, kind="stable")
+    return _fitted(picture, reduction.whole(quads[order]), scores[order], size, lens, near_px)
+
+
+def _fitted(
+    picture: Picture,
+    quads: Array,
+    scores: Array,
+    size: tuple[float, float],
+    lens: Lens | None,
+    near_px: Array | None,
+) -> list[Candidate]:
+    """Fit the sides of the best quadrilaterals, and judge them anew by what these show."""
+    found: list[Candidate] = []
+    tried: list[Array] = []
+    for quad, score in zip(quads, scores.tolist(), strict=True):
+        if len(tried) == MOST_TRIED or score <= 0.0:
+            break
+        if any(_is_same(quad, other) for other in tried):
+            continue
+        tried.append(quad)
+        levels = tone(picture, channel_of(picture, quad))
+        sides = refined(levels, quad, lens, reach_px=REACH_PX)
+        if sides is None or sides.shares.min() < LEAST_SIDE or sides.support < LEAST_SUPPORT:
+            continue
+        if any(_is_same(sides.corners_px, other.sides.corners_px) for other in found):
+            continue
+        score = _score(sides, picture.shape, size, near_px)
+        if score > 0.0:
+            found.append(Candidate(sides, score))
+    return sorted(found, key=lambda one: -one.score)[:MOST_KEPT]
+
+
+def _score(
+    sides: Sides, shape: tuple[int, ...], size: tuple[float, float], near_px: Array | None
+) -> float:
+    steps = np.abs(sides.steps)
+    even = np.minimum(steps / (EVEN * max(float(np.median(steps)), 1.0)), 1.0)
+    shares = sides.shares * even
+    shown = float((shares - BARE_COST * (1.0 - shares)) @ sides.seen_px)
+    if shown < LEAST_SHOWN * sides.seen_px.sum():
+        return 0.0
+    one_way = abs(float(np.sign(sides.steps).sum())) == 4.0
+    quads = sides.corners_px[None]
+    near = float(_nearness(quads, near_px, shape)[0])
+    likeness = _likeness(sides.corners_px, size, shape)
+    return shown * (1.0 if one_way else MIXED) * likeness * near
+
+
+def channel_of(picture: Picture, quad: Array) -> int | None:
+    """Return the channel of a picture in which an outline shows best; None for grey levels."""
+    if picture.ndim == 2:
+        return None
+    grey = abs(_contrast(tone(picture, None), quad))
+    steps = [abs(_contrast(picture[..., k], quad)) for k in range(3)]
+    best = int(np.argmax(steps))
+    # Colours are recorded at half the resolution of grey levels.
+    return None if steps[best] < 2.0 * grey else best
+
+
+def tone(picture: Picture, channel: int | None) -> Picture:
+    """Return a channel of a picture, (H, W); its grey levels for None."""
+    import cv2
+
+    if picture.ndim == 2:
+        return picture
+    if channel is not None:
+        return np.ascontiguousarray(picture[..., channel])
+    return np.asarray(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY), np.uint8)
+
+
+def _contrast(channel: Picture, quad: Array) -> float:
+    """Return the median step from outside to inside of an outline."""
+    import cv2
+
+    parts = np.linspace(0.1, 0.9, 17)[:, None]
+    ends = np.roll(quad, -1, axis=0)
+    along = (ends - quad) / np.linalg.norm(ends - quad, axis=1)[:, None]
+    normal = np.stack([-along[:, 1], along[:, 0]], axis=1)
+    middle = quad[:, None] + parts * (ends - quad)[:, None]
+    levels = []
+    for off_px in (4.0, -4.0):
+        u, v = np.moveaxis((middle + off_px * normal[:, None]).astype(np.float32), -1, 0)
+        levels.append(cv2.remap(channel, u, v, cv2.INTER_LINEAR, borderValue=-1.0).astype(float))
+    return float(np.median(levels[0] - levels[1]))
+
+
+def _quadrilaterals(
+    lines: list[Line], shape: tuple[int, ...], near_px: Array | None
+) -> tuple[Array, Array]:
+    """Return (N, 4, 2) quadrilaterals of four lines, clockwise in the picture, and their scores."""
+    count = len(lines)
+    if count < 4:
+        return np.empty((0, 4, 2)), np.empty(0)
+    points = np.array([line.point for line in lines])
+    along = np.array([line.along for line in lines])
+    t = _crossings(points, along)
+    # Pairs of opposite sides: the pairs (a, c) and (b, d) make the corners ab, bc, cd, da.
+    a, c = np.triu_indices(count, 1)
+    i, j = np.triu_indices(len(a), 1)
+    meets = _is_near(points[:, None] + t[..., None] * along[:, None], shape)
+    met = meets[a[i], a[j]] & meets[a[j], c[i]] & meets[c[i], c[j]] & meets[c[j], a[i]]
+    i, j = i[met], j[met]
+    sides = np.stack([a[i], a[j], c[i], c[j]], axis=1)
+    corners = _corners(points, along, t, sides)
+    fits = _is_possible(corners, shape)
+    sides, corners = sides[fits], corners[fits]
+    backward = _areas(corners) < 0.0
+    # The other way round: corners ab, da, cd, bc are of the sides a, d, c, b.
+    sides[backward] = sides[backward][:, [0, 3, 2, 1]]
+    corners[backward] = _corners(points, along, t, sides[backward])
+    scores = _support(lines, points, along, sides, corners, shape)
+    scores *= _nearness(corners, near_px, shape)
+    best = np.argsort(-scores, kind="stable")[: 4 * MOST_TRIED]
+    return corners[best], scores[best]
+
+
+def _crossings(points: Array, along: Array) -> Array:
+    """Return how far along each line (row) each other one (column) crosses it; NaN if nowhere."""
+    between = points[None] - points[:, None]
+    cross = along[:, None, 0] * along[None, :, 1] - along[:, None, 1] * along[None, :, 0]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        t = (between[..., 0] * along[None, :, 1] - between[..., 1] * along[None, :, 0]) / cross
+    return np.where(np.abs(cross) > 0.05, t, np.nan)
+
+
+def _corners(points: Array, along: Array, t: Array, sides: NDArray[np.intp]) -> Array:
+    """Return (N, 4, 2): side k runs from corner k to the next one."""
+    before = np.roll(sides, 1, axis=1)
+    return np.asarray(points[sides] + t[sides, before][..., None] * along[sides])
+
+
+def _is_near(points: Array, shape: tuple[int, ...]) -> NDArray[np.bool_]:
+    """Tell which points (..., 2) lie in a picture or so near to it that corners may."""
+    beyond = BEYOND * max(shape[:2])
+    last = np.array(shape[1::-1]) + beyond
+    with np.errstate(invalid="ignore"):
+        return np.asarray(((points > -beyond) & (points < last)).all(axis=-1))
+
+
+def _areas(corners: Array) -> Array:
+    x, y = np.moveaxis(corners, -1, 0)
+    ahead_x, ahead_y = np.roll(x, -1, axis=-1), np.roll(y, -1, axis=-1)
+    return np.asarray(0.5 * (x * ahead_y - y * ahead_x).sum(axis=-1))
+
+
+def _is_possible(corners: Array, shape: tuple[int, ...]) -> NDArray[np.bool_]:
+    """Tell which quadrilaterals are convex, large enough, and about the picture."""
+    ahead = np.roll(corners, -1, axis=1) - corners
+    after = np.roll(ahead, -1, axis=1)
+    turns = ahead[..., 0] * after[..., 1] - ahead[..., 1] * after[..., 0]
+    with np.errstate(invalid="ignore"):
+        convex = (turns > 0.0).all(axis=1) | (turns < 0.0).all(axis=1)
+        large = np.abs(_areas(corners)) > SMALLEST * shape[0] * shape[1]
+        middle = corners.mean(axis=1)
+        inside = ((middle > 0.0) & (middle < np.array(shape[1::-1]))).all(axis=1)
+    return np.asarray(convex & large & inside)
+
+
+def _support(
+    lines: list[Line],
+    points: Array,
+    along: Array,
+    sides: NDArray[np.intp],
+    corners: Array,
+    shape: tuple[int, ...],
+) -> Array:
+    """Return what outlines count by their edges: those that show, less those that do not [px]."""
+    ends = np.roll(corners, -1, axis=1)
+    seen = _clipped(corners, ends, shape)
+    shown, total = np.zeros(sides.shape), np.zeros(sides.shape)
+    inward = np.zeros(sides.shape)
+    for k, line in enumerate(lines):
+        row, side = np.nonzero(sides == k)
+        stretch = (seen[row, side] - points[k]) @ along[k]
+        low, high = stretch.min(axis=1), stretch.max(axis=1)
+        total[row, side] = high - low
+        shown[row, side] = _covered(line.intervals, high) - _covered(line.intervals, low)
+        heads = (ends[row, side] - corners[row, side]) @ along[k]
+        inward[row, side] = np.sign(heads)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        shares = np.where(total > 0.0, shown / total, 0.0)
+    counts = (shares.min(axis=1) > 0.5 * LEAST_SIDE) & (total.min(axis=1) > 5.0)
+    scores = shown.sum(axis=1) - BARE_COST * (total - shown).sum(axis=1)
+    scores *= np.where(np.abs(inward.sum(axis=1)) == 4.0, 1.0, MIXED)
+    return np.where(counts, np.maximum(scores, 0.0), 0.0)
+
+
+def _covered(intervals: Array, t: Array) -> Array:
+    """Return how much of the intervals lies before each place."""
+    begin, end = intervals.T
+    return np.asarray((np.clip(t[:, None], begin, end) - begin).sum(axis=1))
+
+
+def _clipped(corners: Array, ends: Array, shape: tuple[int, ...]) -> Array:
+    """Return (N, 4, 2, 2) the parts of sides in the picture, from and to; points where none is."""
+    ahead = ends - corners
+    low, high = np.zeros(corners.shape[:2]), np.ones(corners.shape[:2])
+    for axis, last in enumerate((shape[1] - 1.0, shape[0] - 1.0)):
+        with np.errstate(divide="ignore", invalid="ignore"):
+            crossings = (np.array([0.0, last]) - corners[..., axis, None]) / ahead[..., axis, None]
+        crossings = np.sort(np.nan_to_num(crossings, posinf=1e9, neginf=-1e9), axis=-1)
+        low, high = np.maximum(low, crossings[..., 0]), np.minimum(high, crossings[..., 1])
+    high = np.maximum(low, high)
+    parts = np.stack([low, high], axis=-1)[..., None]
+    return np.asarray(corners[:, :, None] + parts * ahead[:, :, None])
+
+
+def _likeness(quad: Array, size: tuple[float, float], shape: tuple[int, ...]) -> float:
+    """Return how well some camera shows a rectangle of a size so, from `UNLIKE` to 1."""
+    return max(UNLIKE, *(likeness(quad, turned, shape) for turned in (size, size[::-1])))
+
+
+def likeness(quad: Array, size: tuple[float, float], shape: tuple[int, ...]) -> float:
+    """Return how well some camera shows a rectangle so, from 0 to 1.
+
+    Of the columns of a homography, freed of the focal length, the first two are at a right angle
+    and equally long (Zhang 2000); the principal point is in the middle of the picture.
+
+    Parameters
+    ----------
+    quad
+        (4, 2) Its corners [px].
+    size
+        The side from the first to the second corner, and that from there to the third.
+    shape
+        Of the picture.
+    """
+    import cv2
+
+    largest = float(max(shape[:2]))
+    centred = (quad - 0.5 * (np.array(shape[1::-1]) - 1.0)) / largest
+    plane = np.array([[0, 0], [size[0], 0], size, [0, size[1]]], np.float64) / max(size)
+    T = cv2.getPerspectiveTransform(plane.astype(np.float32), centred.astype(np.float32))
+    columns = (
+        T[:, :2, None] / np.array([FOCAL_PARTS, FOCAL_PARTS, np.ones_like(FOCAL_PARTS)])[:, None]
+    )
+    lengths = np.linalg.norm(columns, axis=0) + np.finfo(float).tiny
+    skew = (columns[:, 0] * columns[:, 1]).sum(axis=0) / (lengths[0] * lengths[1])
+    off = np.hypot(skew, np.log(lengths[0] / lengths[1])) / ASPECT_SIGMA
+    return float(np.exp(-0.5 * off.min() ** 2)) if np.isfinite(off).any() else 0.0
+
+
+def _nearness(quads: Array, near_px: Array | None, shape: tuple[int, ...]) -> Array:
+    """Return what quadrilaterals count by where they are said to be, from 0 to 1."""
+    if near_px is None:
+        return np.ones(len(quads))
+    near = np.asarray(near_px, np.float64)
+    if near.ndim == 1:
+        return np.array([1.0 if _is_inside(quad, near) else 0.0 for quad in quads])
+    off_px = [
+        np.linalg.norm(np.roll(turned, k, axis=1) - near, axis=-1).mean(axis=1)
+        for turned in (quads, quads[:, ::-1])
+        for k in range(4)
+    ]
+    return np.asarray(np.exp(-np.min(off_px, axis=0) / (0.02 * max(shape[:2]))))
+
+
+def _is_inside(quad: Array, point: Array) -> bool:
+    to, ahead = point - quad, np.roll(quad, -1, axis=0) - quad
+    turns = ahead[:, 0] * to[:, 1] - ahead[:, 1] * to[:, 0]
+    return bool((turns > 0.0).all() or (turns < 0.0).all())
+
+
+def _is_same(quad: Array, other: Array) -> bool:
+    """Tell whether two quadrilaterals, both clockwise, have the same corners."""
+    diagonal = float(np.linalg.norm(quad[2] - quad[0]))
+    turned = (np.roll(other, k, axis=0) for k in range(4))
+    return any(float(np.abs(quad - one).max()) < APART * diagonal for one in turned)
+
+
+def turned(sides: Sides, *, clockwise: bool) -> list[Sides]:
+    """Return a quadrilateral with each of its corners as the first, clockwise as shown or not."""
+    order = np.arange(4) if clockwise else np.arange(4)[::-1]
+    return [sides.ordered(np.roll(order, -k)) for k in range(4)]

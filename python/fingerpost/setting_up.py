@@ -1,0 +1,224 @@
+"""From cameras or films to a rig: references and hand found in all views, no pixel typed.
+
+The main loop looks for both as it does in a run; here it stops as soon as they are there.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from msgspec import structs
+from numpy.typing import NDArray
+
+from fingerpost.capture import Frame, Loss, is_url, resolve_source
+from fingerpost.config import MarkersReference, Pair, Plane, RectangleReference, Rig, View
+from fingerpost.errors import FingerpostError, InvalidInputError
+from fingerpost.formats import NAMES, SIZES_MM, Size, corners_of, sides_of
+from fingerpost.pipeline import Pointer, Step, steps
+from fingerpost.pointing import FingerLine, Status
+from fingerpost.recording.picture import Composition
+
+UNIT = "mm"
+
+DEFAULT_FRAMES = 300
+"""Frames of each view that are looked at."""
+
+SURE_FRAMES = 3
+"""A hand that has pointed in so many frames in a row is one."""
+
+
+class NotFoundError(FingerpostError):
+    """What a rig needs is not seen: the message says what, in which view, and what would help."""
+
+
+@dataclass(frozen=True, eq=False)
+class SetUp:
+    """What was found.
+
+    Attributes
+    ----------
+    rig
+        The rig, with the reference points of all views and their covariances.
+    picture
+        (H, W, 3) What was found, drawn into the frames, blue-green-red.
+    lines
+        What was found in each view, for people.
+    without_hand
+        Names of the views in which no hand was seen.
+    """
+
+    rig: Rig
+    picture: NDArray[np.uint8]
+    lines: tuple[str, ...]
+    without_hand: tuple[str, ...]
+
+
+def reference_of(words: str) -> RectangleReference | MarkersReference:
+    """Return the reference that a person means: a rectangle, or "markers" and the paper's size.
+
+    Parameters
+    ----------
+    words
+        As for `plane_size`; "markers", for a sheet of A4, or such as "markers:letter".
+
+    Raises
+    ------
+    InvalidInputError
+        As `plane_size`.
+    """
+    kind, _, size = words.partition(":")
+    if kind.lower() == "markers":
+        return MarkersReference(size=plane_size(size or "A4"))
+    return RectangleReference(size=plane_size(words))
+
+
+def plane_size(words: str) -> Size:
+    """Return the size of a rectangle by what a person calls it: its name, or its sides in mm.
+
+    Raises
+    ------
+    InvalidInputError
+        Neither a name of `SIZES_MM` nor two lengths > 0, as "350x220".
+    """
+    if words.lower() in SIZES_MM:
+        return words
+    sides = re.fullmatch(r"\s*([\d.]+)\s*[x×*]\s*([\d.]+)\s*(?:mm)?\s*", words)
+    try:
+        if sides is not None:
+            return sides_of((float(sides[1]), float(sides[2])), UNIT)
+    except ValueError:  # two dots, or a side that is 0
+        pass
+    named = NAMES.partition(" or ")[0].replace('"', "")
+    raise InvalidInputError(
+        f'plane is "{words}"; needed: {named}, or width and height in mm, such as 350x220'
+    )
+
+
+def rig_of(
+    sources: Sequence[str | int],
+    reference: RectangleReference | MarkersReference,
+    near_px: Mapping[str, Pair] | None = None,
+) -> Rig:
+    """Return a rig whose references are still to be found.
+
+    Parameters
+    ----------
+    sources
+        Two or more, as a rig file has them; relative ones to the current directory.
+    reference
+        What lies on the table in all views, as `reference_of` gives it.
+    near_px
+        A pixel inside of the rectangle, by the name of the view.
+
+    Raises
+    ------
+    InvalidInputError
+        Fewer than two sources, or a name that no view has.
+    """
+    if len(sources) < 2:
+        raise InvalidInputError(f"{len(sources)} source found; pointing needs two views or more")
+    names = view_names(sources)
+    near = dict(near_px or {})
+    if unknown := set(near) - set(names):
+        raise InvalidInputError(
+            f"no view is called {', '.join(sorted(unknown))}; they are {', '.join(names)}"
+        )
+    views = tuple(
+        View(
+            name=name,
+            source=resolve_source(source, Path.cwd()),
+            reference=_near(reference, near.get(name)),
+        )
+        for name, source in zip(names, sources, strict=True)
+    )
+    return Rig(
+        plane=Plane(unit=UNIT, points=corners_of(sides_of(reference.size, UNIT))), views=views
+    )
+
+
+def _near(
+    reference: RectangleReference | MarkersReference, near_px: Pair | None
+) -> RectangleReference | MarkersReference:
+    if near_px is None:
+        return reference
+    if isinstance(reference, MarkersReference):
+        raise InvalidInputError("near is for rectangles; markers have numbers")
+    return structs.replace(reference, near_px=near_px)
+
+
+def view_names(sources: Sequence[str | int]) -> list[str]:
+    """Return a name for each source, by its file or folder where that is another one's, too."""
+    files = [None if isinstance(s, int) or is_url(s) else Path(s) for s in sources]
+    for name_of in (
+        lambda path: path.stem,
+        lambda path: path.parent.name,
+        lambda path: f"{path.parent.name} {path.stem}",
+    ):
+        names = [
+            f"camera {source}" if isinstance(source, int) else name_of(path) if path else ""
+            for source, path in zip(sources, files, strict=True)
+        ]
+        if len(set(names)) == len(names) and all(
+            n and n.isprintable() and "*" not in n for n in names
+        ):
+            return names
+    return [f"view {k + 1}" for k in range(len(sources))]
+
+
+def set_up(rig: Rig, frames: Iterator[Sequence[Frame | Loss | None]]) -> SetUp:
+    """Find references and hand in the frames of all views.
+
+    Parameters
+    ----------
+    rig
+        As `rig_of` gives it.
+    frames
+        As many as are to be looked at; those after the hand was found stay unread.
+
+    Raises
+    ------
+    NotFoundError
+        References of a view that are in none of its frames.
+    """
+    pointer = Pointer(rig)
+    best, most, in_a_row = None, -1, 0
+    last: Step | None = None
+    for step in steps(pointer, frames):
+        last = step
+        if not pointer.sees_plane:
+            continue
+        count = sum(isinstance(seen.finger, FingerLine) for seen in step.observations)
+        count += step.fix.status is Status.OK
+        if count > most and any(seen.frame is not None for seen in step.observations):
+            best, most = step, count
+        in_a_row = in_a_row + 1 if step.fix.status is Status.OK else 0
+        if in_a_row == SURE_FRAMES:
+            best = step
+            break
+    if best is None:
+        why = "no frame of all views could be read" if last is None else last.fix.reason
+        raise NotFoundError(why)
+    return _told(pointer, best)
+
+
+def _told(pointer: Pointer, best: Step) -> SetUp:
+    rig, views = pointer.rig, [seen.plane_view for seen in best.observations]
+    composition = Composition(pointer.plane_views, unit=rig.plane.unit)
+    lines, without = [], []
+    for view, seen in zip(rig.views, best.observations, strict=True):
+        corners = ", ".join(f"({u:.1f}, {v:.1f})" for u, v in view.reference_points_px)
+        covariances = view.reference_covariances(1.0)
+        sigma_px = float(np.sqrt(np.trace(covariances, axis1=1, axis2=2).max() / 2.0))
+        hand = "no hand"
+        if isinstance(seen.finger, FingerLine):
+            u, v = seen.reduction.whole(seen.finger.tip_px).tolist()
+            hand = f"fingertip at ({u:.0f}, {v:.0f})"
+        else:
+            without.append(view.name)
+        lines.append(f'view "{view.name}": corners {corners} ± {sigma_px:.2f} px; {hand}')
+    picture = composition.draw(best.observations, best.fix, plane_views=views)
+    return SetUp(rig, picture, tuple(lines), tuple(without))

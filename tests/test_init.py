@@ -1,0 +1,152 @@
+"""`fingerpost init`: a rig file from films alone, and one line where something is not seen."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from sheets import SIZE, corners_of_view, inside, noisy
+
+from fingerpost.cli import main
+from fingerpost.config import Rig
+from fingerpost.errors import InvalidInputError
+from fingerpost.formats import sides_of
+from fingerpost.pipeline import Pointer
+from fingerpost.setting_up import plane_size, view_names
+
+SHARED = Path("/work/shared")
+A4 = np.array([[0, 0], [210, 0], [210, 297], [0, 297]], np.float32)
+
+
+def picture_of(corners, spots_seed=7, noise=2.0, sheet=True):
+    """A4 paper on a table with spots, as a camera that shows its corners so sees them."""
+    spots = np.random.default_rng(spots_seed).normal(size=(90, 90)) * 50
+    spots = cv2.resize(spots, (1000, 1000), interpolation=cv2.INTER_CUBIC)
+    # One texel a millimetre, the origin of the plane at (400, 350).
+    texels = A4 + np.array([400, 350], np.float32)
+    shown = cv2.getPerspectiveTransform(texels, np.asarray(corners, np.float32))
+    table = cv2.warpPerspective(110 + spots, shown, SIZE, borderValue=110)
+    part = inside(corners) if sheet else 0.0
+    return noisy(table + (215 - table) * part, np.random.default_rng(1), noise)
+
+
+def film(folder, corners, frames=3, **options):
+    """Stills of a view without a hand."""
+    folder.mkdir()
+    for k in range(frames):
+        cv2.imwrite(str(folder / f"{k:03d}.png"), picture_of(corners, **options))
+    return str(folder / "*.png")
+
+
+def init(*arguments):
+    return CliRunner().invoke(main, ["init", *map(str, arguments)])
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_finds_a_sheet_in_both_views_and_the_same_corner_first(tmp_path, seed):
+    rng = np.random.default_rng(seed)
+    seen = [corners_of_view(rng), corners_of_view(rng)]
+    films = [film(tmp_path / name, corners) for name, corners in zip("ab", seen, strict=True)]
+    rig_file = tmp_path / "rig.toml"
+    done = init("--from", *films, "--plane", "A4", "-o", rig_file)
+    assert done.exit_code == 0, done.output
+    rig = Rig.load(rig_file)
+    assert [view.name for view in rig.views] == ["a", "b"]
+    assert rig.plane.unit == "mm"
+    assert rig.plane.points[2] == (210, 297)
+    orders = []
+    for view, corners in zip(rig.views, seen, strict=True):
+        distances = np.linalg.norm(np.array(view.reference_points_px)[:, None] - corners, axis=2)
+        assert distances.min(axis=1).max() < 0.5
+        orders.append(distances.argmin(axis=1).tolist())
+    # A sheet may lie either way round, but in both views alike.
+    assert orders[0] == orders[1]
+    assert orders[0] in ([0, 1, 2, 3], [2, 3, 0, 1])
+    assert 'view "a": no hand is found' in done.output
+    assert (tmp_path / "rig.png").exists()
+
+
+def test_says_in_which_view_nothing_is_found(tmp_path):
+    corners = corners_of_view(np.random.default_rng(0))
+    films = [
+        film(tmp_path / "a", corners),
+        film(tmp_path / "b", corners, sheet=False, spots_seed=2),
+    ]
+    done = init("--from", *films, "--plane", "A4", "-o", tmp_path / "rig.toml")
+    assert done.exit_code == 1
+    (line,) = done.output.splitlines()
+    assert 'view "b": no A4 rectangle is found' in line
+    assert "corners_px" in line
+    assert not (tmp_path / "rig.toml").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "line"),
+    [
+        ((), "--from is missing"),
+        (("--from", "a.mp4", "b.mp4"), "--plane is missing; such as --plane A4"),
+        (("--from", "a.mp4", "--plane", "A4"), "1 source found"),
+        (("--from", "a.mp4", "b.mp4", "--plane", "A5"), 'plane is "A5"; needed: A4'),
+        (("--from", "a.mp4", "b.mp4", "--plane", "0x3"), 'plane is "0x3"'),
+        (("--from", "a.mp4", "b.mp4", "--plane", "A4", "--near", "c=1,2"), "no view is called c"),
+        (("--from", "a.mp4", "b.mp4", "--plane", "A4", "--near", "a=1"), "such as --near left="),
+    ],
+)
+def test_refuses_in_one_line(tmp_path, monkeypatch, arguments, line):
+    monkeypatch.chdir(tmp_path)
+    done = init(*arguments)
+    assert done.exit_code == 2
+    assert len(done.output.splitlines()) == 1
+    assert line in done.output
+
+
+def test_writes_over_no_rig_file_unasked(tmp_path):
+    corners = corners_of_view(np.random.default_rng(0))
+    films = [film(tmp_path / name, corners) for name in "ab"]
+    rig_file = tmp_path / "rig.toml"
+    rig_file.write_text("mine")
+    done = init("--from", *films, "--plane", "A4", "-o", rig_file)
+    assert done.exit_code == 2
+    assert "exists already; --force writes over it" in done.output
+    assert rig_file.read_text() == "mine"
+
+
+def test_names_of_views_and_sizes():
+    assert view_names(["x/left.mp4", "x/right.mp4"]) == ["left", "right"]
+    assert view_names(["left/*.jpg", "right/*.jpg"]) == ["left", "right"]
+    assert view_names([0, 2]) == ["camera 0", "camera 2"]
+    assert view_names(["http://a/1", "http://b/1"]) == ["view 1", "view 2"]
+    assert plane_size("350 x 220") == (350.0, 220.0)
+    assert sides_of("Letter", "in") == pytest.approx((8.5, 11.0))
+    with pytest.raises(InvalidInputError, match="whose length is not known"):
+        sides_of("A4", "mat")
+
+
+@pytest.mark.skipif(not (SHARED / "data/desk").exists(), reason="needs the shared footage")
+def test_init_then_run_gives_points_without_a_number(tmp_path):
+    films = [SHARED / f"data/desk/{side}/*.jpg" for side in ("left", "right")]
+    rig_file = tmp_path / "rig.toml"
+    done = init("--from", *films, "--plane", "400x400", "-o", rig_file, "--frames", 8)
+    assert done.exit_code == 0, done.output
+    assert "fingertip at" in done.output
+    given = Rig.load(SHARED / "data/desk/rig.toml")
+    rig = Rig.load(rig_file)
+    for view, known in zip(rig.views, given.views, strict=True):
+        off_px = np.array(view.reference_points_px) - known.reference_points_px
+        assert np.linalg.norm(off_px, axis=1).max() < 0.3
+    Pointer(rig)
+
+
+@pytest.mark.skipif(not (SHARED / "data/mat").exists(), reason="needs the shared footage")
+def test_a_rounded_mat_with_a_corner_out_of_sight(tmp_path):
+    films = [SHARED / f"data/mat/{name}.mp4" for name in ("cam0", "cam1")]
+    rig_file = tmp_path / "rig.toml"
+    done = init("--from", *films, "--plane", "350x220", "-o", rig_file, "--frames", 1)
+    assert done.exit_code == 0, done.output
+    given = Rig.load(SHARED / "data/mat/rig.toml")
+    for view, known in zip(Rig.load(rig_file).views, given.views, strict=True):
+        points = np.array(view.reference_points_px)
+        # In the other sense: X and Y are seen from above here.
+        off_px = np.linalg.norm(points - np.array(known.reference_points_px)[::-1], axis=1)
+        assert off_px.max() < 1.5
