@@ -38,6 +38,7 @@ PYTHON_GROUPS = {
     "pipeline": "pipeline",
     "experiment": "application",
     "guidance": "application",
+    "live": "application",
     "closed_loop": "application",
     "advise": "application",
     "demo": "application",

@@ -28,7 +28,7 @@ OPENCV_PACKAGES = (
 OPENCV_VERSIONS = ((4, 10), (6, 0))
 """The oldest version of OpenCV that will do, and the first that is not known to."""
 
-_EXTRAS = {"mujoco": "mujoco", "ur": "rtde_control", "xarm": "xarm"}
+_EXTRAS = {"page": "uvicorn", "mujoco": "mujoco", "ur": "rtde_control", "xarm": "xarm"}
 
 
 @dataclass(frozen=True, slots=True)

@@ -62,7 +62,7 @@ def sharing(
     with heard, held:
         # Pickled here, so that a worker listens before it imports what these are made of.
         given_start = pickle.dumps((start, given))
-        with _held_back():
+        with held_back():
             pool = _Pool(
                 workers, mp_context=context, initializer=_start, initargs=(heard, given_start)
             )
@@ -85,12 +85,12 @@ class _Pool(ProcessPoolExecutor):
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         """Hand work to a worker, and start one if there are fewer than there may be."""
-        with _held_back():
+        with held_back():
             return super().submit(fn, *args, **kwargs)
 
 
 @contextmanager
-def _held_back() -> Iterator[None]:
+def held_back() -> Iterator[None]:
     """Have processes that are started meanwhile never hear what ends programs.
 
     A terminal sends Ctrl-C, and a service manager what it ends by, to a program and its workers

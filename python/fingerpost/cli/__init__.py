@@ -20,6 +20,7 @@ from fingerpost.cli.advise import advise
 from fingerpost.cli.demo import demo
 from fingerpost.cli.doctor import doctor
 from fingerpost.cli.experiment import experiment
+from fingerpost.cli.live import live
 from fingerpost.cli.robot import robot
 from fingerpost.cli.run import run
 from fingerpost.errors import FingerpostError, InvalidInputError
@@ -87,5 +88,5 @@ def main(verbose: bool) -> None:
     )
 
 
-for _command in (demo, run, advise, doctor, experiment, robot):
+for _command in (demo, run, live, advise, doctor, experiment, robot):
     main.add_command(_command)
