@@ -1,0 +1,297 @@
+"""The operator's page in a browser, as its operator meets it."""
+
+import re
+import shutil
+import time
+
+import pytest
+from live_server import served
+from patience import PATIENCE_S
+
+playwright = pytest.importorskip("playwright.sync_api")
+CHROMIUM = shutil.which("chromium")
+pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="needs chromium, Debian's package")
+
+PHONE, DESK, WALL = (390, 844), (1280, 800), (2560, 1440)
+
+
+@pytest.fixture(scope="module")
+def server():
+    with served() as running:
+        yield running
+
+
+@pytest.fixture(scope="module")
+def browser():
+    with playwright.sync_playwright() as driver:
+        # A container's root may not use Chromium's sandbox.
+        browser = driver.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        yield browser
+        browser.close()
+
+
+class Open:
+    """The page, open in a window of its own; what its console complains of is a failure."""
+
+    def __init__(self, browser, server, size=DESK, **options):
+        width, height = size
+        viewport = {"width": width, "height": height}
+        self.context = browser.new_context(viewport=viewport, **options)
+        self.page = self.context.new_page()
+        self.page.set_default_timeout(1000 * PATIENCE_S)
+        self.complaints = []
+        self.page.on("console", lambda said: self._hear(said.type, said.text))
+        self.page.on("pageerror", lambda error: self._hear("error", str(error)))
+        self.page.goto(server.address)
+        self.until("document.querySelector('.view canvas')?.width > 300")
+
+    def _hear(self, kind, text):
+        if kind in ("error", "warning"):
+            self.complaints.append(text)
+
+    def until(self, condition):
+        """Wait for what an expression tells; the page's own policy lets no string be evaluated."""
+        end_s = time.monotonic() + PATIENCE_S
+        while not self.page.evaluate(f"() => Boolean({condition})"):
+            assert time.monotonic() < end_s, condition
+            self.page.wait_for_timeout(20)
+
+    def press(self, *keys):
+        for key in keys:
+            self.page.keyboard.press(key)
+
+    def at(self, frame):
+        """Stand still at a frame."""
+        self.press("c", "Home")
+        self.until("document.querySelector('#clock').textContent.endsWith('frame 0')")
+        for _ in range(frame // 25):
+            self.press("Shift+ArrowRight")
+        for _ in range(frame % 25):
+            self.press("ArrowRight")
+        self.until(f"document.querySelector('#clock').textContent.endsWith('frame {frame}')")
+
+    def text(self, selector):
+        return self.page.inner_text(selector)
+
+    def box(self, selector):
+        return self.page.locator(selector).first.bounding_box()
+
+    def close(self):
+        self.context.close()
+        assert self.complaints == []
+
+
+@pytest.fixture
+def opened(browser, server):
+    pages = []
+
+    def open_page(**options):
+        pages.append(Open(browser, server, **options))
+        return pages[-1]
+
+    yield open_page
+    for page in pages:
+        page.close()
+
+
+def test_the_address_loses_its_token_and_the_page_plays(opened):
+    page = opened()
+    assert "token" not in page.page.url
+    page.press("c", "p")
+    page.until("parseFloat(document.querySelector('#rate').textContent) > 1")
+    assert page.page.title() == "rig.toml – fingerpost"
+
+
+def test_a_point_is_read_in_the_headline_and_drawn_in_all_views_and_on_the_plan(opened):
+    page = opened()
+    page.at(50)
+    page.until("document.documentElement.dataset.status === 'ok'")
+    assert page.text("#badge-word") == "ok"
+    assert re.fullmatch(
+        r"X\s*[\d.]+\s*±\s*[\d.]+\s*Y\s*[\d.]+\s*±\s*[\d.]+\s*mm", page.text("#point")
+    )
+    assert page.page.locator(".point-mark:visible").count() == 3
+    for shape in ("contour.tracking", "finger", "ellipse", "outline"):
+        drawn = f".view path.{shape}"
+        assert page.page.eval_on_selector_all(
+            drawn, "all => all.every(one => one.getAttribute('d'))"
+        )
+    assert page.page.locator(".view .state[data-status=ok]").count() == 2
+    assert "%" in page.text(".view .caption >> nth=0")
+
+
+def test_before_there_is_a_point_it_is_said_which_view_does_what(opened):
+    page = opened()
+    page.at(3)
+    assert page.text("#badge-word") == "acquiring"
+    assert "settle" in page.text("#words")
+    assert not page.page.is_visible("#point")
+    assert page.page.locator(".point-mark:visible").count() == 0
+
+
+def test_the_overlay_lies_where_the_picture_shows_it(opened):
+    page = opened()
+    page.at(50)
+    for k in (1, 2):
+        view = f".view:nth-of-type({k})"
+        canvas, overlay = page.box(f"{view} canvas"), page.box(f"{view} svg.overlay")
+        assert canvas == pytest.approx(overlay, abs=0.5)
+        assert canvas["width"] / canvas["height"] == pytest.approx(640 / 480, rel=0.01)
+
+
+@pytest.mark.parametrize("key", [" ", "Escape"])
+@pytest.mark.parametrize("focus", ["body", "#theme", "#scrub", "#help button"])
+def test_space_and_escape_stop_from_anywhere(opened, key, focus):
+    page = opened()
+    page.press("c", "Home", "p")
+    page.until("document.querySelector('#play').title.startsWith('Stand')")
+    if focus == "#help button":
+        page.press("?")
+    theme = page.page.evaluate("document.documentElement.dataset.theme")
+    page.page.evaluate(f"document.querySelector('{focus}').focus()")
+    page.press(key)
+    page.until("document.querySelector('#play').title.startsWith('Play')")
+    clock = page.text("#clock")
+    page.page.wait_for_timeout(150)
+    assert page.text("#clock") == clock
+    assert page.page.evaluate("document.documentElement.dataset.theme") == theme
+
+
+def test_the_stop_button_stops_and_stands_alone(opened):
+    page = opened()
+    page.press("c", "Home", "p")
+    page.until("document.querySelector('#play').title.startsWith('Stand')")
+    page.page.click("#stop")
+    page.until("document.querySelector('#play').title.startsWith('Play')")
+
+
+def test_a_scrubbed_frame_is_the_one_that_was_played(opened):
+    page = opened()
+    page.at(50)
+    before = page.text("#point"), page.page.get_attribute(".view path.contour.tracking", "d")
+    page.at(20)
+    page.page.evaluate(
+        "() => { const s = document.querySelector('#scrub'); s.value = 50;"
+        " s.dispatchEvent(new Event('input')); }"
+    )
+    page.until("document.querySelector('#clock').textContent.endsWith('frame 50')")
+    page.until(f"document.querySelector('#point').innerText === {before[0]!r}")
+    assert page.page.get_attribute(".view path.contour.tracking", "d") == before[1]
+
+
+def test_two_pages_one_control_and_stop_from_both(opened):
+    first, second = opened(), opened()
+    first.press("c", "Home", "p")
+    second.until("document.querySelector('#message').textContent.includes('control')")
+    second.press("Home")
+    second.until("document.querySelector('#message').textContent.includes('take it over')")
+    second.press(" ")
+    first.until("document.querySelector('#play').title.startsWith('Play')")
+
+
+@pytest.mark.parametrize("size", [PHONE, DESK, WALL], ids=["phone", "desk", "wall"])
+@pytest.mark.parametrize("mode", ["", "l", "1", "3"], ids=["all", "large", "view", "plan"])
+def test_everything_fits_and_nothing_overlaps(opened, size, mode):
+    page = opened(size=size)
+    page.at(50)
+    page.press(*mode)
+    overlaps = page.page.evaluate(
+        """() => {
+          const boxes = [...document.querySelectorAll('#head, .panel:not(.away), #line, #stop')]
+            .map((e) => [e.id || e.className, e.getBoundingClientRect()]);
+          const wrong = [];
+          for (const [name, b] of boxes) {
+            if (b.left < -1 || b.top < -1 || b.right > innerWidth + 1 || b.bottom > innerHeight + 1)
+              wrong.push(`${name} is cut off`);
+            for (const [other, c] of boxes)
+              if (other !== name && b.left < c.right - 1 && c.left < b.right - 1
+                  && b.top < c.bottom - 1 && c.top < b.bottom - 1)
+                wrong.push(`${name} on ${other}`);
+          }
+          const point = document.querySelector('#point');
+          if (point.scrollWidth > point.clientWidth + 1) wrong.push('the point is cut off');
+          return wrong;
+        }"""
+    )
+    assert overlaps == []
+    stop = page.box("#stop")
+    assert stop["width"] >= 200
+    assert stop["height"] >= 64
+
+
+def test_nothing_moves_while_numbers_change(opened):
+    page = opened()
+    places = []
+    for frame in (30, 50, 70):
+        page.at(frame)
+        selectors = ("#sx", "#y", "#unit", "#rate", "#stop", ".plan .body")
+        places.append([page.box(selector) for selector in selectors])
+    lefts = [[round(box["x"]) for box in boxes] for boxes in places]
+    assert lefts[0] == lefts[1] == lefts[2]
+
+
+@pytest.mark.parametrize("scheme", ["dark", "light"])
+def test_words_can_be_read_against_their_ground(opened, scheme):
+    page = opened(color_scheme=scheme)
+    page.at(50)
+    poor = page.page.evaluate(
+        """() => {
+          const rgb = (text) => text.match(/[\\d.]+/g).map(Number);
+          const light = ([r, g, b]) => {
+            const f = (v) => ((v /= 255) <= 0.03928 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4);
+            return 0.2126 * f(r) + 0.7152 * f(g) + 0.0722 * f(b);
+          };
+          const ground = (e) => {
+            for (; e; e = e.parentElement) {
+              const colour = rgb(getComputedStyle(e).backgroundColor);
+              if (colour.length === 3 || colour[3] > 0) return colour;
+            }
+          };
+          const said = [...document.querySelectorAll('#badge-word, #point b, .sigma, #detail, dt,'
+            + ' dd, .panel h2, .state span, .caption, #message, #clock, #stop')];
+          return said.map((e) => {
+            const [a, b] = [light(rgb(getComputedStyle(e).color)), light(ground(e))];
+            const contrast = (Math.max(a, b) + 0.05) / (Math.min(a, b) + 0.05);
+            return [e.id || e.className || e.tagName, contrast];
+          }).filter(([, contrast]) => contrast < 4.5);
+        }"""
+    )
+    assert poor == []
+
+
+def test_everything_that_is_pressed_has_a_name_and_room(opened):
+    page = opened(size=PHONE)
+    nameless = page.page.evaluate(
+        """() => [...document.querySelectorAll('button, input')].filter((e) => e.offsetParent
+          && !(e.getAttribute('aria-label') || e.textContent.trim())).map((e) => e.outerHTML)"""
+    )
+    assert nameless == []
+    for button in page.page.locator("#tools button, #transport button").all():
+        box = button.bounding_box()
+        assert min(box["width"], box["height"]) >= 40
+
+
+def test_keys_are_shown_and_theme_and_edges_follow_them(opened):
+    page = opened(color_scheme="dark")
+    page.at(50)
+    assert page.page.get_attribute(".view path.search-lines", "d") == ""
+    page.press("e")
+    assert page.page.get_attribute(".view path.search-lines", "d").count("M") > 20
+    ground = "getComputedStyle(document.body).backgroundColor"
+    dark = page.page.evaluate(ground)
+    page.press("t")
+    assert page.page.evaluate(ground) != dark
+    page.press("?")
+    assert page.page.is_visible("#help")
+    page.press("Escape")
+    assert not page.page.is_visible("#help")
+
+
+def test_when_fingerpost_ends_the_page_says_so(browser):
+    with served() as running:
+        page = Open(browser, running)
+        running.process.terminate()
+        running.end()
+        page.until("document.documentElement.classList.contains('cut-off')")
+        assert "No connection" in page.text("#message")
+        page.context.close()
