@@ -12,6 +12,24 @@ playwright = pytest.importorskip("playwright.sync_api")
 CHROMIUM = shutil.which("chromium")
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="needs chromium, Debian's package")
 
+OVERLAPS = """() => {
+          const boxes = [...document.querySelectorAll('#head, .panel:not(.away), #line, #stop')]
+            .map((e) => [e.id || e.className, e.getBoundingClientRect()]);
+          const wrong = [];
+          for (const [name, b] of boxes) {
+            if (b.left < -1 || b.top < -1 || b.right > innerWidth + 1 || b.bottom > innerHeight + 1)
+              wrong.push(`${name} is cut off`);
+            for (const [other, c] of boxes)
+              if (other !== name && b.left < c.right - 1 && c.left < b.right - 1
+                  && b.top < c.bottom - 1 && c.top < b.bottom - 1)
+                wrong.push(`${name} on ${other}`);
+          }
+          const point = document.querySelector('#point');
+          if (point.scrollWidth > point.clientWidth + 1) wrong.push('the point is cut off');
+          return wrong;
+        }"""
+PLAYS = "document.querySelector('#play').title.startsWith('Stand')"
+STANDS = "document.querySelector('#play').title.startsWith('Play')"
 PHONE, DESK, WALL = (390, 844), (1280, 800), (2560, 1440)
 
 
@@ -62,13 +80,20 @@ class Open:
 
     def at(self, frame):
         """Stand still at a frame."""
-        self.press("c", "Home")
-        self.until("document.querySelector('#clock').textContent.endsWith('frame 0')")
-        for _ in range(frame // 25):
-            self.press("Shift+ArrowRight")
-        for _ in range(frame % 25):
-            self.press("ArrowRight")
+        self.press("c", " ")
+        self.until(STANDS)
+        self.page.evaluate(
+            "(frame) => { const scrub = document.querySelector('#scrub'); scrub.value = frame;"
+            " scrub.dispatchEvent(new Event('input')); }",
+            frame,
+        )
         self.until(f"document.querySelector('#clock').textContent.endsWith('frame {frame}')")
+
+    def play(self):
+        """Play from the first frame on."""
+        self.at(0)
+        self.press("p")
+        self.until(PLAYS)
 
     def text(self, selector):
         return self.page.inner_text(selector)
@@ -97,7 +122,7 @@ def opened(browser, server):
 def test_the_address_loses_its_token_and_the_page_plays(opened):
     page = opened()
     assert "token" not in page.page.url
-    page.press("c", "p")
+    page.play()
     page.until("parseFloat(document.querySelector('#rate').textContent) > 1")
     assert page.page.title() == "rig.toml – fingerpost"
 
@@ -122,7 +147,8 @@ def test_a_point_is_read_in_the_headline_and_drawn_in_all_views_and_on_the_plan(
 
 def test_before_there_is_a_point_it_is_said_which_view_does_what(opened):
     page = opened()
-    page.at(3)
+    page.at(0)
+    page.until("document.documentElement.dataset.status === 'acquiring'")
     assert page.text("#badge-word") == "acquiring"
     assert "settle" in page.text("#words")
     assert not page.page.is_visible("#point")
@@ -140,83 +166,76 @@ def test_the_overlay_lies_where_the_picture_shows_it(opened):
 
 
 @pytest.mark.parametrize("key", [" ", "Escape"])
-@pytest.mark.parametrize("focus", ["body", "#theme", "#scrub", "#help button"])
-def test_space_and_escape_stop_from_anywhere(opened, key, focus):
+def test_space_and_escape_stop_from_anywhere(opened, key):
     page = opened()
-    page.press("c", "Home", "p")
-    page.until("document.querySelector('#play').title.startsWith('Stand')")
-    if focus == "#help button":
-        page.press("?")
     theme = page.page.evaluate("document.documentElement.dataset.theme")
-    page.page.evaluate(f"document.querySelector('{focus}').focus()")
-    page.press(key)
-    page.until("document.querySelector('#play').title.startsWith('Play')")
-    clock = page.text("#clock")
-    page.page.wait_for_timeout(150)
-    assert page.text("#clock") == clock
+    for focus in ("body", "#theme", "#scrub", "#help button"):
+        page.play()
+        if focus == "#help button":
+            page.press("?")
+        page.page.evaluate(f"document.querySelector('{focus}').focus()")
+        page.press(key)
+        page.until(STANDS)
     assert page.page.evaluate("document.documentElement.dataset.theme") == theme
+
+
+def test_the_cursor_goes_with_the_picture(opened):
+    page = opened()
+    for frame in (60, 20):
+        page.at(frame)
+        strip, cursor = page.box("#strip"), page.box("#cursor")
+        frames = page.page.evaluate("Number(document.querySelector('#scrub').max) + 1")
+        at = strip["x"] + (frame + 0.5) / frames * strip["width"]
+        assert cursor["x"] + cursor["width"] / 2 == pytest.approx(at, abs=1.0)
+
+
+def test_arrows_step_to_and_fro(opened):
+    page = opened()
+    page.at(30)
+    for key, frame in [("ArrowRight", 31), ("ArrowLeft", 30), ("Shift+ArrowLeft", 5), ("Home", 0)]:
+        page.press(key)
+        page.until(f"document.querySelector('#clock').textContent.endsWith('frame {frame}')")
 
 
 def test_the_stop_button_stops_and_stands_alone(opened):
     page = opened()
-    page.press("c", "Home", "p")
-    page.until("document.querySelector('#play').title.startsWith('Stand')")
+    page.play()
     page.page.click("#stop")
-    page.until("document.querySelector('#play').title.startsWith('Play')")
+    page.until(STANDS)
 
 
-def test_a_scrubbed_frame_is_the_one_that_was_played(opened):
+def test_a_frame_that_is_come_back_to_is_the_one_that_was_shown(opened):
     page = opened()
-    page.at(50)
-    before = page.text("#point"), page.page.get_attribute(".view path.contour.tracking", "d")
-    page.at(20)
-    page.page.evaluate(
-        "() => { const s = document.querySelector('#scrub'); s.value = 50;"
-        " s.dispatchEvent(new Event('input')); }"
-    )
-    page.until("document.querySelector('#clock').textContent.endsWith('frame 50')")
-    page.until(f"document.querySelector('#point').innerText === {before[0]!r}")
-    assert page.page.get_attribute(".view path.contour.tracking", "d") == before[1]
+    shown = []
+    for frame in (50, 20, 50):
+        page.at(frame)
+        contour = page.page.get_attribute(".view path.contour.tracking", "d")
+        page.until("document.documentElement.dataset.status === 'ok'")
+        shown.append((contour, page.page.get_attribute(".plan path.ellipse", "d")))
+    assert shown[0] == shown[2] != shown[1]
 
 
 def test_two_pages_one_control_and_stop_from_both(opened):
     first, second = opened(), opened()
-    first.press("c", "Home", "p")
+    first.play()
     second.until("document.querySelector('#message').textContent.includes('control')")
     second.press("Home")
     second.until("document.querySelector('#message').textContent.includes('take it over')")
     second.press(" ")
-    first.until("document.querySelector('#play').title.startsWith('Play')")
+    first.until(STANDS)
 
 
 @pytest.mark.parametrize("size", [PHONE, DESK, WALL], ids=["phone", "desk", "wall"])
-@pytest.mark.parametrize("mode", ["", "l", "1", "3"], ids=["all", "large", "view", "plan"])
-def test_everything_fits_and_nothing_overlaps(opened, size, mode):
+def test_everything_fits_and_nothing_overlaps(opened, size):
     page = opened(size=size)
     page.at(50)
-    page.press(*mode)
-    overlaps = page.page.evaluate(
-        """() => {
-          const boxes = [...document.querySelectorAll('#head, .panel:not(.away), #line, #stop')]
-            .map((e) => [e.id || e.className, e.getBoundingClientRect()]);
-          const wrong = [];
-          for (const [name, b] of boxes) {
-            if (b.left < -1 || b.top < -1 || b.right > innerWidth + 1 || b.bottom > innerHeight + 1)
-              wrong.push(`${name} is cut off`);
-            for (const [other, c] of boxes)
-              if (other !== name && b.left < c.right - 1 && c.left < b.right - 1
-                  && b.top < c.bottom - 1 && c.top < b.bottom - 1)
-                wrong.push(`${name} on ${other}`);
-          }
-          const point = document.querySelector('#point');
-          if (point.scrollWidth > point.clientWidth + 1) wrong.push('the point is cut off');
-          return wrong;
-        }"""
-    )
-    assert overlaps == []
-    stop = page.box("#stop")
-    assert stop["width"] >= 200
-    assert stop["height"] >= 64
+    page.until("document.documentElement.dataset.status === 'ok'")
+    for mode in ("0", "1", "3", "l"):  # all, a view alone, the plan alone, large
+        page.press("0", mode)
+        assert page.page.evaluate(OVERLAPS) == [], mode
+        stop = page.box("#stop")
+        assert stop["width"] >= 200
+        assert stop["height"] >= 64
 
 
 def test_nothing_moves_while_numbers_change(opened):
@@ -224,6 +243,7 @@ def test_nothing_moves_while_numbers_change(opened):
     places = []
     for frame in (30, 50, 70):
         page.at(frame)
+        page.until("document.documentElement.dataset.status === 'ok'")
         selectors = ("#sx", "#y", "#unit", "#rate", "#stop", ".plan .body")
         places.append([page.box(selector) for selector in selectors])
     lefts = [[round(box["x"]) for box in boxes] for boxes in places]

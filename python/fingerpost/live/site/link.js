@@ -10,6 +10,7 @@ export class Link {
     this.pauseMs = FIRST_PAUSE_MS;
     this.waiting = null;
     this.arrived = 0;
+    this.drawn = 0;
     this.connect();
   }
 
@@ -54,19 +55,24 @@ export class Link {
     });
     const pictures = await Promise.all(blobs.map((blob) => blob && createImageBitmap(blob)));
     const acknowledge = () => socket === this.socket && this.send({ do: "ack" });
-    if (this.waiting && this.waiting.order > order) {
+    // Pictures may be decoded in another order than they came in: what is older is past.
+    if (Math.max(this.drawn, this.waiting?.order ?? 0) > order) {
+      for (const picture of pictures) picture?.close();
       acknowledge();
       return;
     }
     // The one before it, if it was not drawn yet, never will be.
-    if (this.waiting) this.waiting.acknowledge();
-    else requestAnimationFrame(() => this.draw());
+    if (this.waiting) {
+      for (const picture of this.waiting.pictures) picture?.close();
+      this.waiting.acknowledge();
+    } else requestAnimationFrame(() => this.draw());
     this.waiting = { order, scene, pictures, acknowledge };
   }
 
   draw() {
-    const { scene, pictures, acknowledge } = this.waiting;
+    const { order, scene, pictures, acknowledge } = this.waiting;
     this.waiting = null;
+    this.drawn = order;
     this.handlers.onMoment(scene, pictures);
     for (const picture of pictures) picture?.close();
     acknowledge();

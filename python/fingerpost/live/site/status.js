@@ -24,7 +24,7 @@ export class StatusLine {
     const beyond = [least - 0.2 * (most - least), most + 0.2 * (most - least)];
     const widest = Math.max(...beyond.map((value) => value.toFixed(rig.digits).length));
     document.documentElement.style.setProperty("--number", `${widest}ch`);
-    document.documentElement.style.setProperty("--sigma", `${Math.max(widest - 2, 3)}ch`);
+    document.documentElement.style.setProperty("--sigma", `${widest - 1}ch`);
     this.numbers = [];
   }
 

@@ -20,10 +20,12 @@ export class Timeline {
     this.isLive = rig.live;
     this.rows = Array.from({ length: rig.views.length + 1 }, () => "");
     this.first = 0;
+    this.shown = -1;
   }
 
-  take({ strip, shown, total }) {
-    const before = [this.rows[0]?.length, this.shown, this.total].join();
+  // The cursor goes with the picture (`move`), never ahead of it.
+  take({ strip, total }) {
+    const before = [this.rows[0]?.length, this.total].join();
     if (strip.rows.length) {
       const kept = strip.from - this.first;
       this.rows = this.rows.map((row, k) => row.slice(0, kept) + strip.rows[k]);
@@ -34,8 +36,7 @@ export class Timeline {
       }
     }
     this.total = total;
-    this.shown = shown;
-    if (before !== [this.rows[0]?.length, this.shown, this.total].join()) this.draw();
+    if (before !== [this.rows[0]?.length, this.total].join()) this.draw();
   }
 
   get span() {
