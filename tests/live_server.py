@@ -17,11 +17,16 @@ RIG = Path(__file__).parents[1] / "python" / "fingerpost" / "data" / "desk" / "r
 class Served:
     """`fingerpost live`, running."""
 
-    def __init__(self, *arguments: object) -> None:
+    def __init__(self, *arguments: object, folder: Path | None = None) -> None:
         command = [sys.executable, "-m", "fingerpost", "live", *map(str, arguments)]
         environment = {**os.environ, "PYTHONUNBUFFERED": "1"}
         self.process = subprocess.Popen(
-            command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment
+            command,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            env=environment,
+            cwd=folder,
         )
         self.address = self.process.stdout.readline().strip()
         if not self.address:
@@ -48,9 +53,9 @@ class Served:
 
 
 @contextmanager
-def served(*arguments: object) -> Iterator[Served]:
-    """Run `fingerpost live`, and see to it that it ends."""
-    running = Served(*(arguments or (RIG,)))
+def served(*arguments: object, folder: Path | None = None) -> Iterator[Served]:
+    """Run `fingerpost live`, of the clip or of a folder, and see to it that it ends."""
+    running = Served(*(arguments or (() if folder else (RIG,))), folder=folder)
     try:
         yield running
     finally:

@@ -30,7 +30,7 @@ def _address(_context: click.Context, _parameter: click.Parameter, given: str) -
 
 
 @click.command()
-@click.argument("rig_file", metavar="RIG.TOML", type=click.Path(path_type=Path))
+@click.argument("rig_file", metavar="[RIG.TOML]", required=False, type=click.Path(path_type=Path))
 @click.option(
     "--port",
     type=click.IntRange(0, _LARGEST_PORT),
@@ -46,12 +46,15 @@ def _address(_context: click.Context, _parameter: click.Parameter, given: str) -
     help="Serve at this address of the machine, for a phone beside the table.",
 )
 @click.option("--open", "opens", is_flag=True, help="Open the page in a browser.")
-def live(rig_file: Path, port: int, host: str, opens: bool) -> None:
+def live(rig_file: Path | None, port: int, host: str, opens: bool) -> None:
     """See where a hand points, in a browser, while it points.
 
     RIG.TOML names the views, as for `fingerpost run`: cameras are shown at their rate, recordings
     at their own pace, with pause, step and a timeline. The address that is printed holds a token;
     whoever has it may watch. Ctrl-C ends it.
+
+    Without RIG.TOML the page begins with setting one up: pick cameras, or recordings of this
+    folder, click four corners, and a rig file is written here.
     """
     with ending_at_once():
         need_opencv()
@@ -59,13 +62,16 @@ def live(rig_file: Path, port: int, host: str, opens: bool) -> None:
 
         need_extra()
         from fingerpost.config import Rig
-        from fingerpost.live import Page, operate
+        from fingerpost.live import Page, operate, set_up
 
-    rig = Rig.load(rig_file)
-    hush_streams(rig.sources)
+    rig = None if rig_file is None else Rig.load(rig_file)
     with ending_as_interrupted(), Page(host, port) as page:
         click.echo(page.address)
         if opens:
             webbrowser.open(page.address)
+        if rig_file is None or rig is None:
+            rig_file = set_up(page, Path.cwd())
+            rig = Rig.load(rig_file)
+        hush_streams(rig.sources)
         operate(page, rig, rig_file.name)
         page.wait()

@@ -13,5 +13,6 @@ too slowly, too much or for nonsense is refused in one line (`patience`, `comman
 from fingerpost.live.extra import need_extra
 from fingerpost.live.operate import operate
 from fingerpost.live.page import Page
+from fingerpost.live.setup import set_up
 
-__all__ = ["Page", "need_extra", "operate"]
+__all__ = ["Page", "need_extra", "operate", "set_up"]

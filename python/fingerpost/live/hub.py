@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable
 from typing import Any, Protocol
 
-from fingerpost.live.commands import Command, Play, Seek, Step, Stop, Take
+from fingerpost.live.commands import Command, Play, Seek, SetUp, Step, Stop, Take
 from fingerpost.live.player import Player
 from fingerpost.live.reel import Message, Strip
 from fingerpost.live.scene import RigScene
@@ -38,19 +38,26 @@ class Hub:
     ----------
     ask
         Called with how many steps the loop may have made in all; infinity lets a live one go on.
+    hand
+        Called with a rig that was set up.
     clock
         Gives the time in seconds.
     """
 
     def __init__(
-        self, ask: Callable[[float], None], clock: Callable[[], float] = time.monotonic
+        self,
+        ask: Callable[[float], None],
+        hand: Callable[[SetUp], None] = lambda _wanted: None,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self.watchers: set[Watcher] = set()
         self.controller: Watcher | None = None
         self.rig: RigScene | None = None
         self.newest: bytes | None = None
         self.strip = Strip()
-        self._ask, self._clock = ask, clock
+        self.stills: list[bytes] = []
+        self._ask, self._hand, self._clock = ask, hand, clock
+        self._setup: dict[str, Any] | None = None
         self._player: Player | None = None
         self._shown = -1
         self._stopped = False
@@ -66,13 +73,19 @@ class Hub:
         """Take a rig from which moments will come, in place of any before."""
         self.close_rig()
         self.rig, self.newest, self._shown, self._ended = rig, None, -1, ""
-        self._stopped = False
+        self._stopped, self._setup = False, None
         self.strip = Strip(_LIVE_STRIP if rig.is_live else None)
         if rig.is_live:
             self._ask(math.inf)
         else:
             self._player = Player(self._ask, self._show, rig.frames, self._clock)
             self._tasks.append(asyncio.create_task(self._player.run()))
+        self.tell()
+
+    def open_setup(self, offers: list[dict[str, Any]], stills: list[bytes], problem: str) -> None:
+        """Offer sources to set a rig up from; say what was wrong with the last one."""
+        self.stills = stills
+        self._setup = {"offers": offers, "problem": problem}
         self.tell()
 
     def close_rig(self) -> None:
@@ -144,6 +157,9 @@ class Hub:
                 player.step(by)
             case Seek(number=number) if player:
                 player.seek(number)
+            case SetUp() if self._setup is not None:
+                self._setup = {**self._setup, "problem": "", "busy": True}
+                self._hand(command)
 
     def _stop(self) -> None:
         self._stopped = True
@@ -165,6 +181,7 @@ class Hub:
         playing = not self._stopped and not self._ended if player is None else player.is_playing
         told: dict[str, Any] = {
             "playing": playing,
+            "setup": self._setup,
             "ended": self._ended,
             "shown": self._shown,
             "total": self.strip.end if player is None else player.total,

@@ -19,6 +19,7 @@ from types import TracebackType
 from typing import Any, Self, TypeVar
 
 from fingerpost.errors import FingerpostError, InvalidInputError
+from fingerpost.live.commands import SetUp
 from fingerpost.live.moment import Moment
 from fingerpost.live.process import serve
 from fingerpost.live.scene import RigScene
@@ -65,6 +66,7 @@ class Page:
         self._next: tuple[Step, int, float, float] | None = None
         self._number = 0
         self._begun_s = 0.0
+        self._wanted: SetUp | None = None
         self._unanswered = 0
         self._lost = False
         self._closed = False
@@ -112,6 +114,32 @@ class Page:
         trace: TracebackType | None,
     ) -> None:
         self.close()
+
+    def set_up(self, offers: list[dict[str, Any]], stills: list[bytes], problem: str) -> SetUp:
+        """Offer sources to set a rig up from, and wait for what is made of them.
+
+        Parameters
+        ----------
+        offers
+            What the page shows of each.
+        stills
+            A JPEG of each; empty where there is none.
+        problem
+            What was wrong with the last rig that was set up; empty at first.
+
+        Raises
+        ------
+        FingerpostError
+            The page's process has ended.
+        """
+        with self._changed:
+            self._wanted = None
+        self._tell("setup", (offers, stills, problem))
+        with self._changed:
+            self._changed.wait_for(lambda: self._lost or self._wanted is not None)
+        self._refuse_lost()
+        assert self._wanted is not None
+        return self._wanted
 
     def open_rig(self, scene: RigScene) -> None:
         """Show a rig, from whose views steps will come."""
@@ -230,6 +258,8 @@ class Page:
                         self._unanswered -= 1
                     elif kind == "allow":
                         self._allowed = told
+                    elif kind == "setup":
+                        self._wanted = told
                     self._changed.notify_all()
         with self._changed:
             self._lost = True

@@ -24,8 +24,8 @@ def serve(pipe: Connection, host: str, port: int, token: str) -> None:
     Parameters
     ----------
     pipe
-        Pairs of a kind and what is told: "rig", "moment", "note", "ended" and "close" come in;
-        "listening" or "refused", "done" and "allow" go out.
+        Pairs of a kind and what is told: "setup", "rig", "moment", "note", "ended" and "close"
+        come in; "listening" or "refused", "done", "allow" and "setup" go out.
     host, port
         Where; port 0 takes any that is free.
     token
@@ -51,7 +51,9 @@ async def _serve(pipe: Connection, listening: socket.socket, host: str, token: s
     from fingerpost.live.web import application
 
     port = listening.getsockname()[1]
-    hub = Hub(lambda steps: _send(pipe, "allow", steps))
+    hub = Hub(
+        lambda steps: _send(pipe, "allow", steps), lambda wanted: _send(pipe, "setup", wanted)
+    )
     hub.start()
     config = uvicorn.Config(
         application(hub, host, port, token),
@@ -89,6 +91,8 @@ def _read(pipe: Connection, hub: Any, loop: asyncio.AbstractEventLoop, server: A
             elif kind == "rig":
                 composer = Composer(told)
                 loop.call_soon_threadsafe(hub.open_rig, told)
+            elif kind == "setup":
+                loop.call_soon_threadsafe(hub.open_setup, *told)
             elif kind == "note":
                 loop.call_soon_threadsafe(hub.note, told)
             elif kind == "ended":

@@ -65,8 +65,15 @@ def application(hub: Hub, host: str, port: int, token: str) -> ASGIApp:
         await websocket.accept()
         await Client(websocket, hub).run()
 
+    async def still(request: Request) -> Response:
+        number = request.path_params["number"]
+        if number >= len(hub.stills):
+            return PlainTextResponse("there is no such picture\n", 404)
+        return Response(hub.stills[number], media_type="image/jpeg")
+
     routes = [
         Route("/", page),
+        Route("/still/{number:int}.jpg", still),
         WebSocketRoute("/socket", socket),
         Mount("/", StaticFiles(directory=SITE)),
     ]

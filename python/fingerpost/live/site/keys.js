@@ -13,7 +13,9 @@ export function bindKeys(does) {
     Home: () => does.seek(0),
     End: does.last,
   };
+  const sets = () => document.documentElement.classList.contains("setting-up");
   addEventListener("keydown", (event) => {
+    if (sets()) return;
     if (event.key === " " || event.key === "Escape") {
       does.stop();
       // A focused button is not pressed by it; Escape still closes what is open.
@@ -30,5 +32,5 @@ export function bindKeys(does) {
     event.preventDefault();
   }, true);
   // Browsers press a focused button when the key comes up.
-  addEventListener("keyup", (event) => event.key === " " && event.preventDefault(), true);
+  addEventListener("keyup", (event) => event.key === " " && !sets() && event.preventDefault(), true);
 }

@@ -2,6 +2,7 @@
 
 import { bindKeys } from "./keys.js";
 import { Link } from "./link.js";
+import { SetUp } from "./setup.js";
 import { Stage } from "./stage.js";
 import { StatusLine, setText } from "./status.js";
 import { Timeline } from "./timeline.js";
@@ -20,6 +21,7 @@ let rig = null;
 let isConnected = false;
 let refusal = { words: "", until: 0 };
 
+const setUp = new SetUp((command) => link.send(command));
 const link = new Link({ onMoment, onState, onRefused, onConnected });
 
 function onMoment(scene, pictures) {
@@ -34,6 +36,9 @@ function onMoment(scene, pictures) {
 function onState(told) {
   if (told.rig) openRig(told.rig);
   state = told;
+  document.documentElement.classList.toggle("setting-up", Boolean(told.setup));
+  if (told.setup) return setUp.show(told.setup);
+  setUp.hide();
   if (!rig) return;
   timeline.take(told);
   statusLine.isPlaying = told.playing;
