@@ -2,11 +2,11 @@
 
     python benches/bench_page.py [seconds]
 
-Plays the built-in clip to and fro at 30 frames a second as two cameras would, through the main loop
-and the page, with no client, three that keep up, and three more that never answer. A fix's latency
-counts from the frames' being there to its being told, all of it on a machine's busy clock; "work" is
-the processor time of the loop's own thread for a frame, which other programs do not lengthen. Memory
-is that of both processes.
+Plays the built-in clip to and fro at 30 frames a second, as two cameras would, through the main
+loop and the page: with no client, with three that keep up, and with three more that never answer.
+A fix's latency counts from the frames' being there to its being told, by the clock on the wall;
+"work" is the processor time of the loop's own thread for a frame, which other programs do not
+lengthen. Memory is that of both processes, of which the clip's frames are most.
 """
 
 from __future__ import annotations

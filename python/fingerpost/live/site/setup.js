@@ -71,6 +71,7 @@ export class SetUp {
       this.offers[view.offer].button.style.setProperty("--tint", `var(--view-${index % 4})`);
     });
     this.say();
+    this.picked.find((view) => view.points.length < CORNERS)?.element.scrollIntoView({ block: "nearest" });
   }
 
   // What is to be done next, in the line that is read first.
