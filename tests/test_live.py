@@ -1,16 +1,22 @@
 """The operator's page without a browser: what is said, drawn, played, kept and handed on."""
 
 import asyncio
+import contextlib
+import itertools
 import json
 import math
 import os
 import signal
 import sys
+import threading
+import time
 
 import msgspec
 import numpy as np
 import pytest
 from live_server import RIG, pictures_in, scene_in
+from patience import wait_until
+from websockets.sync.client import connect
 
 from fingerpost.capture import Loss, open_views, read_views
 from fingerpost.config import Rig
@@ -450,6 +456,35 @@ def test_of_cameras_the_loop_never_waits_for_the_page(run, page):
         assert page._unanswered <= 2
     finally:
         os.kill(page._process.pid, signal.SIGCONT)
+
+
+def test_stopped_no_frame_of_a_camera_is_looked_at_until_it_goes_on(run, page):
+    base, token = page.address.split("/?token=")
+    cookie = {"Cookie": f"fingerpost-{base.rpartition(':')[2]}={token}"}
+    looked_at = []
+
+    def look():
+        with contextlib.suppress(FingerpostError):
+            for frame in page.allowed(itertools.count()):
+                looked_at.append(frame)
+                time.sleep(0.001)
+
+    thread = threading.Thread(target=look)
+    url = f"{base.replace('http', 'ws')}/socket"
+    with connect(url, additional_headers=cookie, origin=base, close_timeout=0.2) as socket:
+        page.open_rig(rig_scene(run, is_live=True))
+        thread.start()
+        wait_until(lambda: len(looked_at) > 5)
+        socket.send('{"do":"stop"}')
+        wait_until(lambda: page._allowed == 0.0)
+        time.sleep(0.01)
+        stood = len(looked_at)
+        time.sleep(0.05)
+        assert len(looked_at) == stood
+        socket.send('{"do":"play"}')
+        wait_until(lambda: len(looked_at) > stood + 5)
+    page.close()
+    thread.join()
 
 
 def test_a_page_whose_process_is_gone_ends_the_loop_in_one_line(run, page):

@@ -42,6 +42,7 @@ function onState(told) {
   if (!rig) return;
   timeline.take(told);
   statusLine.isPlaying = told.playing;
+  statusLine.stand(rig.live && !told.playing && !told.ended);
   statusLine.latency(told.latency_ms);
   $("scrub").max = Math.max(told.total - 1, 0);
   showPlaying(told.playing);
@@ -68,6 +69,7 @@ function onConnected(connected) {
   isConnected = connected;
   document.documentElement.classList.toggle("cut-off", !connected);
   if (!connected) statusLine.setStatus("lost", "cut off");
+  else if (rig) statusLine.showStatus();
   showMessage();
 }
 

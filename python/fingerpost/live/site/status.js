@@ -42,7 +42,7 @@ export class StatusLine {
     this.timer = null;
     this.shownAt = performance.now();
     const { head } = this.next;
-    this.setStatus(head.status, WORDS[head.status] ?? head.status);
+    this.showStatus();
     $("point").hidden = !head.point;
     $("words").hidden = Boolean(head.point);
     if (head.point) ["x", "y", "sx", "sy"].forEach((id, k) => setText($(id), head.point[k].replace("-", "−")));
@@ -51,6 +51,19 @@ export class StatusLine {
     $("detail").title = head.detail;
     this.speak(head);
     setText($("rate"), this.rate());
+  }
+
+  // Of cameras nothing is known while nobody looks; a recording stands at a moment that is known.
+  stand(isStopped) {
+    if (this.isStopped === isStopped) return;
+    this.isStopped = isStopped;
+    this.showStatus();
+  }
+
+  showStatus() {
+    const status = this.next?.head.status ?? "waiting";
+    if (this.isStopped) this.setStatus("stopped", "stopped");
+    else this.setStatus(status, WORDS[status] ?? status);
   }
 
   setStatus(status, word) {
