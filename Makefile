@@ -108,7 +108,8 @@ $(STAMPS)/rust: Cargo.toml
 	@mkdir -p $(@D) && touch $@
 
 # Rust links with the C compiler; valgrind counts instructions; Debian's Python comes without the
-# module that makes .venv; the simulated robot cell is drawn off the screen, by EGL.
+# module that makes .venv; the simulated robot cell is drawn off the screen, by EGL; the operator's
+# page is tested in a browser.
 $(STAMPS)/debian:
 	@if ! "$(PYTHON)" -c '$(NEW_ENOUGH)' 2>/dev/null; then \
 		echo "Python 3.11 or newer is needed; name one with make PYTHON=..." >&2; \
@@ -118,6 +119,7 @@ $(STAMPS)/debian:
 	command -v cc >/dev/null || missing="gcc libc6-dev"; \
 	$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || missing="$$missing python3-venv"; \
 	[ "$$(uname -s)" != Linux ] || command -v valgrind >/dev/null || missing="$$missing valgrind"; \
+	[ "$$(uname -s)" != Linux ] || command -v chromium >/dev/null || missing="$$missing chromium"; \
 	$(PYTHON) -c '$(DRAWS)' 2>/dev/null || missing="$$missing libegl1 libgl1 libgl1-mesa-dri"; \
 	if [ -n "$$missing" ]; then \
 		echo "installing the Debian packages $$missing"; \

@@ -41,6 +41,7 @@ PYTHON_GROUPS = {
     "selection": "pipeline",
     "experiment": "application",
     "guidance": "application",
+    "live": "application",
     "closed_loop": "application",
     "advise": "application",
     "demo": "application",

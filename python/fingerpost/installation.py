@@ -28,7 +28,13 @@ OPENCV_PACKAGES = (
 OPENCV_VERSIONS = ((4, 10), (6, 0))
 """The oldest version of OpenCV that will do, and the first that is not known to."""
 
-_EXTRAS = {"mcap": "mcap", "mujoco": "mujoco", "ur": "rtde_control", "xarm": "xarm"}
+_EXTRAS = {
+    "mcap": "mcap",
+    "mujoco": "mujoco",
+    "page": "uvicorn",
+    "ur": "rtde_control",
+    "xarm": "xarm",
+}
 
 
 @dataclass(frozen=True, slots=True)

@@ -62,7 +62,7 @@ def sharing(
     with heard, held:
         # Pickled here, so that a worker listens before it imports what these are made of.
         given_start = pickle.dumps((start, given))
-        with _held_back():
+        with held_back():
             pool = _Pool(
                 workers, mp_context=context, initializer=_start, initargs=(heard, given_start)
             )
@@ -85,7 +85,7 @@ class _Pool(ProcessPoolExecutor):
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         """Hand work to a worker, and start one if there are fewer than there may be."""
-        with _held_back():
+        with held_back():
             future = super().submit(fn, *args, **kwargs)
         # A worker that has just been started is watched only from the manager's next waking on:
         # of one that is killed at once it would never hear, and all would wait for ever.
@@ -95,7 +95,7 @@ class _Pool(ProcessPoolExecutor):
 
 
 @contextmanager
-def _held_back() -> Iterator[None]:
+def held_back() -> Iterator[None]:
     """Have processes that are started meanwhile never hear what ends programs.
 
     A terminal sends Ctrl-C, and a service manager what it ends by, to a program and its workers

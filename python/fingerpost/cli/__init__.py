@@ -23,6 +23,7 @@ from fingerpost.cli.demo import demo
 from fingerpost.cli.doctor import doctor
 from fingerpost.cli.experiment import experiment
 from fingerpost.cli.init import init
+from fingerpost.cli.live import live
 from fingerpost.cli.markers import markers
 from fingerpost.cli.record import record
 from fingerpost.cli.recordings import export, info, recover
@@ -98,5 +99,5 @@ def main(verbose: bool) -> None:
 _RECORDINGS = (record, replay, info, recover, export, batch)
 _SETTING_UP = (init, cameras, markers, sync, advise, doctor)
 
-for _command in (demo, *_SETTING_UP, run, *_RECORDINGS, experiment, robot):
+for _command in (demo, *_SETTING_UP, run, live, *_RECORDINGS, experiment, robot):
     main.add_command(_command)

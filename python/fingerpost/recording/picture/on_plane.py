@@ -6,12 +6,13 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from fingerpost.checks import finite_array
 from fingerpost.pointing import Fix
 from fingerpost.recording.picture.marks import RobotMarks, as_rows
 from fingerpost.recording.picture.palette import BLOCK, INK, POINT, ROBOT, TRUTH
+from fingerpost.recording.picture.shapes import outline
 from fingerpost.recording.sheet import CASING, Points, Sheet
 
 
@@ -19,12 +20,7 @@ def draw_references(
     sheet: Sheet, plane_points: Points, project: Callable[[Points], Points]
 ) -> None:
     """Draw the outline around the reference points, and their numbers, which start at 1."""
-    corners = plane_points[hull(plane_points)]
-    along = np.linspace(0.0, 1.0, 16, endpoint=False)[:, None]  # a lens bends straight sides
-    sides = [
-        a + along * (b - a) for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True)
-    ]
-    sheet.line(project(np.concatenate([*sides, corners[:1]])), INK, 1, cased=True)
+    sheet.line(project(outline(plane_points)), INK, 1, cased=True)
     places = sheet.place(project(plane_points))
     if np.isnan(places).all():
         return
@@ -35,15 +31,6 @@ def draw_references(
         sheet.dot(place, 3.0, INK)
         sheet.dot(label, 9.0, CASING)
         sheet.text(str(number), label + to_baseline, 14, INK, anchor=0.5)
-
-
-def hull(points: Points) -> NDArray[np.intp]:
-    """Give the indices of the corners of the convex hull, in order."""
-    import cv2
-
-    lower, upper = points.min(axis=0), points.max(axis=0)
-    unit = ((points - lower) / (upper - lower)).astype(np.float32)
-    return np.asarray(cv2.convexHull(unit, returnPoints=False), np.intp).ravel()
 
 
 def draw_fix(
@@ -82,8 +69,3 @@ def draw_robot(sheet: Sheet, robot: RobotMarks, project: Callable[[Points], Poin
     for jaw in jaws:
         sheet.line(jaw, ROBOT, 4, cased=True)
     sheet.line(np.array([jaw.mean(axis=0) for jaw in jaws]), ROBOT, 1)
-
-
-def between(ends: Points, count: int) -> Points:
-    """Return points at equal steps from end to end."""
-    return np.asarray(ends[0] + np.linspace(0.0, 1.0, count)[:, None] * (ends[1] - ends[0]))

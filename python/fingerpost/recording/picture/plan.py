@@ -13,13 +13,7 @@ from fingerpost.homography import transfer_jacobian_by_point
 from fingerpost.lines import clip_to_rectangle
 from fingerpost.pointing import ConstraintLine, Fix, PlaneView
 from fingerpost.recording.picture.marks import RobotMarks, as_rows
-from fingerpost.recording.picture.on_plane import (
-    between,
-    draw_fix,
-    draw_references,
-    draw_robot,
-    hull,
-)
+from fingerpost.recording.picture.on_plane import draw_fix, draw_references, draw_robot
 from fingerpost.recording.picture.palette import (
     GRID,
     MUTED,
@@ -31,6 +25,7 @@ from fingerpost.recording.picture.palette import (
     colour_of,
     mixed,
 )
+from fingerpost.recording.picture.shapes import between, hull
 from fingerpost.recording.sheet import Colour, Image, Points, Sheet, affine
 
 # The plan shows this share of the reference points' extent around them, and about so many ticks.

@@ -2,25 +2,21 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fingerpost.lines import clip_to_rectangle, line_at_angle
-from fingerpost.pointing import ConstraintLine, FingerLine, Fix, PlaneView
+from fingerpost.pointing import FingerLine, Fix, PlaneView
 from fingerpost.recording.picture.marks import Observed, RobotMarks, SearchMarks, status_of
-from fingerpost.recording.picture.on_plane import between, draw_fix, draw_references, draw_robot
+from fingerpost.recording.picture.on_plane import draw_fix, draw_references, draw_robot
 from fingerpost.recording.picture.palette import INK, MUTED, PANEL, STATUSES, colour_of
 from fingerpost.recording.picture.search import draw_search
+from fingerpost.recording.picture.shapes import ahead, near_references, with_gaps
 from fingerpost.recording.sheet import Image, Points, Sheet
 
 # Dash and gap of an outline [px]; a tracked one is solid.
 _DASHES = {"acquiring": (7.0, 5.0), "lost": (0.5, 6.5)}
-
-# Points of an outline further apart than so many of its usual steps belong to different fingers.
-_OUTLINE_GAP = 5.0
 
 
 def draw_view(
@@ -83,50 +79,20 @@ def draw_view(
         draw_robot(sheet, robot, view.project)
     for k, line in enumerate(fix.constraint_lines):
         if line is not None and k != index:
-            sheet.line(view.project(_near_references(line, view.plane_points)), colour_of(k), 1)
+            sheet.line(view.project(near_references(line, view.plane_points)), colour_of(k), 1)
     status = status_of(observed)
-    outline = _with_gaps(observed.contour_px)
+    outline = with_gaps(observed.contour_px)
     sheet.line(outline, STATUSES[status], 2, dash=_DASHES.get(status), cased=True)
     closeup = _closeup(sheet, image, observed.search) if edges else None
     if edges and closeup is None:
         draw_search(sheet, observed.search)
     if isinstance(observed.finger, FingerLine):
-        sheet.line(_ahead(observed.finger, sheet.corners()), colour_of(index), 2, cased=True)
+        sheet.line(ahead(observed.finger, sheet.corners()), colour_of(index), 2, cased=True)
     draw_fix(sheet, fix, truth, view.project)
     if closeup is not None:
         point = [] if fix.point is None else [view.project(fix.point)]
         _draw_closeup(sheet, image, closeup, observed, point)
     return sheet.pixels
-
-
-def _ahead(finger: FingerLine, corners: Points) -> Points:
-    """Give the finger line from the tip on, as far as it lies between two corners."""
-    ends = clip_to_rectangle(line_at_angle(finger.anchor_px, finger.angle_rad), *corners)
-    if ends is None:
-        return np.empty((0, 2))
-    along = np.array([math.cos(finger.angle_rad), math.sin(finger.angle_rad)])
-    reach = np.sort((ends - finger.anchor_px) @ along)
-    tip = float((finger.tip_px - finger.anchor_px) @ along)
-    if reach[1] <= tip:
-        return np.empty((0, 2))
-    return np.asarray(finger.anchor_px + np.outer([max(tip, reach[0]), reach[1]], along))
-
-
-def _near_references(line: ConstraintLine, plane_points: Points) -> Points:
-    """Give the part of a constraint line around the reference points, in small steps."""
-    lower, upper = plane_points.min(axis=0), plane_points.max(axis=0)
-    border = 0.25 * (upper - lower)
-    ends = clip_to_rectangle(line.line, lower - border, upper + border)
-    return np.empty((0, 2)) if ends is None else between(ends, 65)
-
-
-def _with_gaps(outline: Points) -> Points:
-    """Put a row of NaN between two fingers of an outline, so that no line joins them."""
-    if len(outline) < 3:
-        return outline
-    steps = np.hypot(*np.diff(outline, axis=0).T)
-    jumps = np.flatnonzero(steps > _OUTLINE_GAP * np.median(steps)) + 1
-    return np.insert(outline, jumps, np.nan, axis=0)
 
 
 # A search is magnified if it grows by this factor at least: the part of the frame around it, by a
@@ -167,7 +133,7 @@ def _draw_closeup(
     origin = np.array([columns.start, rows.start])
     blank = Sheet.blank((side_px, side_px), PANEL)
     inset = blank.with_image(image[part], origin)
-    outline = _with_gaps(observed.contour_px)
+    outline = with_gaps(observed.contour_px)
     inset.line(outline, STATUSES[status], 1, dash=_DASHES.get(status))
     draw_search(inset, observed.search)
     corners = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])

@@ -1,0 +1,77 @@
+"""`fingerpost live`: the operator's page."""
+
+from __future__ import annotations
+
+import ipaddress
+import webbrowser
+from pathlib import Path
+
+import click
+
+from fingerpost.cli.endings import ending_as_interrupted
+from fingerpost.cli.live_views import hush_streams
+from fingerpost.installation import need_opencv
+from fingerpost.signals import ending_at_once
+
+_LARGEST_PORT = 65535
+
+
+def _address(_context: click.Context, _parameter: click.Parameter, given: str) -> str:
+    """Refuse what is no address of one network card."""
+    try:
+        address = ipaddress.IPv4Address(given)
+    except ValueError:
+        address = None
+    if address is None or address.is_unspecified:
+        raise click.BadParameter(
+            f"{given!r}; an IPv4 address of this machine is right, such as 192.168.1.20"
+        )
+    return given
+
+
+@click.command()
+@click.argument("rig_file", metavar="[RIG.TOML]", required=False, type=click.Path(path_type=Path))
+@click.option(
+    "--port",
+    type=click.IntRange(0, _LARGEST_PORT),
+    default=0,
+    help="Serve at this port.  [default: any that is free]",
+)
+@click.option(
+    "--host",
+    metavar="ADDRESS",
+    default="127.0.0.1",
+    show_default=True,
+    callback=_address,
+    help="Serve at this address of the machine, for a phone beside the table.",
+)
+@click.option("--open", "opens", is_flag=True, help="Open the page in a browser.")
+def live(rig_file: Path | None, port: int, host: str, opens: bool) -> None:
+    """See where a hand points, in a browser, while it points.
+
+    RIG.TOML names the views, as for `fingerpost run`: cameras are shown at their rate, recordings
+    at their own pace, with pause, step and a timeline. The address that is printed holds a token;
+    whoever has it may watch. Ctrl-C ends it.
+
+    Without RIG.TOML the page begins with setting one up: pick cameras, or recordings of this
+    folder, click four corners, and a rig file is written here.
+    """
+    with ending_at_once():
+        need_opencv()
+        from fingerpost.live import need_extra
+
+        need_extra()
+        from fingerpost.config import Rig
+        from fingerpost.live import Page, operate, set_up
+
+    rig = None if rig_file is None else Rig.load(rig_file)
+    with ending_as_interrupted(), Page(host, port) as page:
+        click.echo(page.address)
+        if opens:
+            webbrowser.open(page.address)
+        if rig_file is None or rig is None:
+            rig_file = set_up(page, Path.cwd())
+            rig = Rig.load(rig_file)
+        hush_streams(rig.sources)
+        operate(page, rig, rig_file.name)
+        page.wait()

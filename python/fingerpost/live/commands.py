@@ -1,0 +1,92 @@
+"""What a page may ask for: one JSON object a message, and nothing else."""
+
+from __future__ import annotations
+
+import msgspec
+
+LARGEST_BYTES = 64 * 1024
+"""Longest message that is read at all."""
+
+
+class _Command(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_field="do"):
+    """What all commands share: no other keys."""
+
+
+class Ack(_Command, frozen=True, tag="ack"):
+    """A moment has been drawn."""
+
+
+class Stop(_Command, frozen=True, tag="stop"):
+    """Stand still at once."""
+
+
+class Play(_Command, frozen=True, tag="play"):
+    """Go on."""
+
+
+class Step(_Command, frozen=True, tag="step"):
+    """Stand still, so many moments further.
+
+    Attributes
+    ----------
+    by
+        How many; below 0 is back.
+    """
+
+    by: int
+
+
+class Seek(_Command, frozen=True, tag="seek"):
+    """Show a moment.
+
+    Attributes
+    ----------
+    number
+        Which, from 0.
+    """
+
+    number: int
+
+
+class Take(_Command, frozen=True, tag="take"):
+    """Take the control over from another page."""
+
+
+class Chosen(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A view as it was set up.
+
+    Attributes
+    ----------
+    offer
+        Which of the offered sources, from 0.
+    points_px
+        Its reference points (u, v), in the order of the plane's.
+    """
+
+    offer: int
+    points_px: tuple[tuple[float, float], ...]
+
+
+class SetUp(_Command, frozen=True, tag="setup"):
+    """Write a rig file, and begin.
+
+    Attributes
+    ----------
+    width, height
+        Sides of the rectangle whose corners are the reference points, from corner 1 on.
+    unit
+        Of these.
+    views
+        In the rig's order.
+    """
+
+    width: float
+    height: float
+    unit: str
+    views: tuple[Chosen, ...]
+
+
+Command = Ack | Stop | Play | Step | Seek | Take | SetUp
+
+decode = msgspec.json.Decoder(Command).decode
+"""From JSON to a command; raises `msgspec.MsgspecError`."""

@@ -1,0 +1,45 @@
+"""From moments to messages: the bytes that every client gets alike, made once."""
+
+from __future__ import annotations
+
+from collections import deque
+
+import msgspec
+
+from fingerpost.live.moment import Moment
+from fingerpost.live.reel import Message
+from fingerpost.live.scene import RigScene, scene_of
+
+_TRAIL = 40  # points that the plan shows behind the newest one
+
+_CODES = {"ok": "o", "tracking": "o", "acquiring": "a", "lost": "l", "moved": "m"}
+
+
+class Composer:
+    """Makes messages of a rig's moments, in their order; each shows the trail of those before.
+
+    Parameters
+    ----------
+    rig
+        The rig.
+    """
+
+    def __init__(self, rig: RigScene) -> None:
+        self._rig = rig
+        self._trail: deque[tuple[float, float]] = deque(maxlen=_TRAIL)
+
+    def message(self, moment: Moment) -> Message:
+        """Return a moment as the page gets it."""
+        scene = msgspec.json.encode(scene_of(moment, self._rig, self._trail))
+        length = len(scene).to_bytes(4, "little")
+        if moment.fix.point is not None:
+            x, y = moment.fix.point.tolist()
+            self._trail.append((x, y))
+        statuses = [moment.fix.status.value, *(view.status for view in moment.views)]
+        return Message(
+            number=moment.number,
+            time_s=moment.fix.time_s,
+            begun_s=moment.begun_s,
+            codes="".join(_CODES.get(status, "i") for status in statuses),
+            data=b"".join([length, scene, *(view.jpeg for view in moment.views)]),
+        )

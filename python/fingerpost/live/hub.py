@@ -1,0 +1,210 @@
+"""What all clients share: the rig, the newest moment, how a recording is played, who commands."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import time
+from collections.abc import Callable
+from typing import Any, Protocol
+
+from fingerpost.live.commands import Command, Play, Seek, SetUp, Step, Stop, Take
+from fingerpost.live.player import Player
+from fingerpost.live.reel import Message, Strip
+from fingerpost.live.scene import RigScene
+
+MOST_CLIENTS = 12
+"""Pages that may be open at once."""
+
+_STATE_S = 0.2
+_LIVE_STRIP = 3600  # moments of a live run that its strip shows: two minutes at 30 a second
+_MOST_NOTES = 50
+
+
+class Watcher(Protocol):
+    """A client, as the hub knows it."""
+
+    def offer(self, message: bytes, begun_s: float | None) -> None:
+        """Take the newest moment; None where it is shown again."""
+
+    def tell(self) -> None:
+        """Send the state anew."""
+
+
+class Hub:
+    """Everything there is to be shown, and who is shown it; for one thread alone.
+
+    Parameters
+    ----------
+    ask
+        Called with how many steps the loop may have made in all; infinity lets a live one go on.
+    hand
+        Called with a rig that was set up.
+    clock
+        Gives the time in seconds.
+    """
+
+    def __init__(
+        self,
+        ask: Callable[[float], None],
+        hand: Callable[[SetUp], None] = lambda _wanted: None,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.watchers: set[Watcher] = set()
+        self.controller: Watcher | None = None
+        self.rig: RigScene | None = None
+        self.newest: bytes | None = None
+        self.strip = Strip()
+        self.stills: list[bytes] = []
+        self._ask, self._hand, self._clock = ask, hand, clock
+        self._setup: dict[str, Any] | None = None
+        self._player: Player | None = None
+        self._shown = -1
+        self._stopped = False
+        self._ended = ""
+        self._notes: list[str] = []
+        self._tasks: list[asyncio.Task[None]] = []
+
+    def start(self) -> None:
+        """Begin to tell watchers of the state, in the running event loop."""
+        self._tasks.append(asyncio.create_task(self._tell_always()))
+
+    def open_rig(self, rig: RigScene) -> None:
+        """Take a rig from which moments will come, in place of any before."""
+        self.close_rig()
+        self.rig, self.newest, self._shown, self._ended = rig, None, -1, ""
+        self._stopped, self._setup = False, None
+        self.strip = Strip(_LIVE_STRIP if rig.is_live else None)
+        if rig.is_live:
+            self._ask(math.inf)
+        else:
+            self._player = Player(self._ask, self._show, rig.frames, self._clock)
+            self._tasks.append(asyncio.create_task(self._player.run()))
+        self.tell()
+
+    def open_setup(self, offers: list[dict[str, Any]], stills: list[bytes], problem: str) -> None:
+        """Offer sources to set a rig up from; say what was wrong with the last one."""
+        self.stills = stills
+        self._setup = {"offers": offers, "problem": problem}
+        self.tell()
+
+    def close_rig(self) -> None:
+        """Forget the rig's recording."""
+        if self._player is not None:
+            self._tasks.pop().cancel()
+            self._player.reel.close()
+            self._player = None
+
+    def arrived(self, message: Message) -> None:
+        """Take the next moment that the loop has made."""
+        self.strip.append(message.codes)
+        if self._player is not None:
+            self._player.arrived(message)
+            return
+        self._shown, self.newest = message.number, message.data
+        for watcher in self.watchers:
+            watcher.offer(message.data, message.begun_s)
+
+    def note(self, words: str) -> None:
+        """Show a line that people should know of."""
+        self._notes = [*self._notes, words][-_MOST_NOTES:]
+        self.tell()
+
+    def end(self, words: str) -> None:
+        """Take it that no more moments will come, and why."""
+        self._ended = words
+        if self._player is not None:
+            self._player.end()
+        self.tell()
+
+    def add(self, watcher: Watcher) -> None:
+        """Show everything to one more client."""
+        self.watchers.add(watcher)
+        if self.newest is not None:
+            watcher.offer(self.newest, None)
+        self.tell()
+
+    def remove(self, watcher: Watcher) -> None:
+        """Forget a client."""
+        self.watchers.discard(watcher)
+        if self.controller is watcher:
+            self.controller = None
+        self.tell()
+
+    def obey(self, command: Command, watcher: Watcher) -> str:
+        """Do what a client commands; return why not, or nothing.
+
+        Anybody may stop; all else is for one client at a time. Whoever commands while nobody does
+        takes the control.
+        """
+        if isinstance(command, Stop):
+            self._stop()
+        elif isinstance(command, Take) or self.controller in (None, watcher):
+            self.controller = watcher
+            self._do(command)
+        else:
+            return "another page has the control; take it over first"
+        self.tell()
+        return ""
+
+    def _do(self, command: Command) -> None:
+        player = self._player
+        match command:
+            case Play():
+                self._stopped = False
+                player.play() if player else self._ask(math.inf)
+            case Step(by=by) if player:
+                player.step(by)
+            case Seek(number=number) if player:
+                player.seek(number)
+            case SetUp() if self._setup is not None:
+                self._setup = {**self._setup, "problem": "", "busy": True}
+                self._hand(command)
+
+    def _stop(self) -> None:
+        self._stopped = True
+        self._player.stop() if self._player else self._ask(0.0)
+
+    def state(self, watcher: Watcher, known: tuple[object, int]) -> dict[str, Any]:
+        """Return the state as a client gets it, fit for JSON, with what is new to it.
+
+        Parameters
+        ----------
+        watcher
+            The client.
+        known
+            The strip that it has, and how far; with another one it gets the rig as well.
+        """
+        strip, strip_from = known
+        is_new = strip is not self.strip
+        player = self._player
+        playing = not self._stopped and not self._ended if player is None else player.is_playing
+        told: dict[str, Any] = {
+            "playing": playing,
+            "setup": self._setup,
+            "ended": self._ended,
+            "shown": self._shown,
+            "total": self.strip.end if player is None else player.total,
+            "strip": self.strip.since(0 if is_new else strip_from),
+            "notes": self._notes,
+            "watchers": len(self.watchers),
+            "controls": self.controller in (None, watcher),
+        }
+        if is_new:
+            told["rig"] = None if self.rig is None else self.rig.as_dict()
+        return told
+
+    def tell(self) -> None:
+        """Have every client told of the state."""
+        for watcher in self.watchers:
+            watcher.tell()
+
+    async def _tell_always(self) -> None:
+        while True:
+            await asyncio.sleep(_STATE_S)
+            self.tell()
+
+    def _show(self, number: int, data: bytes) -> None:
+        self._shown, self.newest = number, data
+        for watcher in self.watchers:
+            watcher.offer(data, None)

@@ -1,0 +1,80 @@
+"""The main loop with the operator's page beside it."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from fingerpost.capture import SourceKind, open_views, read_views
+from fingerpost.config import Rig
+from fingerpost.errors import FingerpostError
+from fingerpost.live.page import Page
+from fingerpost.live.scene import RigScene
+from fingerpost.pipeline import Pointer, steps
+
+
+def operate(page: Page, rig: Rig, title: str) -> None:
+    """Show a rig's run on the page, to the end of its sources.
+
+    Parameters
+    ----------
+    page
+        The page.
+    rig
+        At least two views.
+    title
+        What the page calls the rig.
+
+    Raises
+    ------
+    InvalidInputError
+        As `pipeline.track`.
+    CaptureError
+        As `pipeline.track`.
+    """
+    with _noting(page):
+        try:
+            pointer = Pointer(rig)
+            with open_views(rig.sources, rig.readings) as sources:
+                counts = [source.frame_count for source in sources if source.frame_count]
+                scene = RigScene.of(
+                    title,
+                    rig.plane.unit,
+                    pointer.plane_views,
+                    rig.sources,
+                    is_live=sources[0].kind is SourceKind.LIVE,
+                    frames=min(counts, default=None),
+                )
+                page.open_rig(scene)
+                for step in steps(pointer, page.allowed(iter(read_views(sources)))):
+                    page.show(step)
+                for note in [*pointer.notes(), *(s.damage for s in sources if s.damage)]:
+                    page.note(note)
+        except FingerpostError as error:
+            page.end(str(error))
+            raise
+    page.end("the recording has ended")
+
+
+@contextmanager
+def _noting(page: Page) -> Iterator[None]:
+    """Show on the page what is logged as a warning."""
+    handler = _Notes(page)
+    logging.getLogger("fingerpost").addHandler(handler)
+    try:
+        yield
+    finally:
+        logging.getLogger("fingerpost").removeHandler(handler)
+
+
+class _Notes(logging.Handler):
+    """Hands warnings to the page."""
+
+    def __init__(self, page: Page) -> None:
+        super().__init__(logging.WARNING)
+        self._page = page
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Show a warning's words."""
+        self._page.note(record.getMessage())

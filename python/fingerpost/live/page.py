@@ -1,0 +1,273 @@
+"""The operator's page as the main loop has it: something to show steps to, and to be allowed by.
+
+The page is served by a process of its own (`fingerpost.live.process`), so that neither clients nor
+what is sent to them ever hold the interpreter that tracks. Pictures are encoded in a thread of low
+priority, by code that holds it neither. Of cameras the newest step wins; of recordings none is
+left out, and the loop goes as far as the page asks for.
+"""
+
+from __future__ import annotations
+
+import os
+import secrets
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import suppress
+from multiprocessing import get_context
+from types import TracebackType
+from typing import Any, Self, TypeVar
+
+from fingerpost.errors import FingerpostError, InvalidInputError
+from fingerpost.live.commands import SetUp
+from fingerpost.live.moment import Moment
+from fingerpost.live.process import serve
+from fingerpost.live.scene import RigScene
+from fingerpost.pipeline import Step
+from fingerpost.workers import held_back
+
+Frames = TypeVar("Frames")
+
+WINDOW = 2
+"""Moments that the page's process may have before it is done with the first of them."""
+
+_NICE = 10
+_END_S = 4.0
+_TOKEN_BYTES = 24
+
+
+class Page:
+    """Serves the operator's page while a context lasts.
+
+    Parameters
+    ----------
+    host
+        Address of this machine at which the page is served.
+    port
+        0 takes any that is free.
+
+    Raises
+    ------
+    InvalidInputError
+        The address cannot be served at.
+
+    Attributes
+    ----------
+    address
+        What a browser opens; it holds the token without which nothing is shown.
+    """
+
+    def __init__(self, host: str, port: int) -> None:
+        self._lock = threading.Lock()
+        self._changed = threading.Condition()
+        self._is_live = False
+        self._allowed = 0.0
+        self._given = 0
+        self._next: tuple[Step, int, float, float] | None = None
+        self._number = 0
+        self._begun_s = 0.0
+        self._wanted: SetUp | None = None
+        self._unanswered = 0
+        self._lost = False
+        self._closed = False
+        token = secrets.token_urlsafe(_TOKEN_BYTES)
+        context = get_context("spawn")
+        self._pipe, theirs = context.Pipe()
+        with held_back():
+            self._process = context.Process(
+                target=serve, args=(theirs, host, port, token), name="fingerpost page", daemon=True
+            )
+            self._process.start()
+        theirs.close()
+        try:
+            self.address = f"http://{host}:{self._listening(host, port)}/?token={token}"
+        except BaseException:
+            self.close()
+            raise
+        self._threads = [
+            threading.Thread(target=self._send_moments, name="page pictures", daemon=True),
+            threading.Thread(target=self._listen, name="page commands", daemon=True),
+        ]
+        for thread in self._threads:
+            thread.start()
+
+    def _listening(self, host: str, port: int) -> int:
+        """Wait until the process listens, and return its port."""
+        try:
+            kind, told = self._pipe.recv()
+        except EOFError:
+            raise FingerpostError("the page's process has ended before it began") from None
+        if kind == "listening":
+            return int(told)
+        raise InvalidInputError(
+            f"{host}:{port}: the page cannot be served there: {told}; another --port is right, "
+            "or none"
+        )
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def set_up(self, offers: list[dict[str, Any]], stills: list[bytes], problem: str) -> SetUp:
+        """Offer sources to set a rig up from, and wait for what is made of them.
+
+        Parameters
+        ----------
+        offers
+            What the page shows of each.
+        stills
+            A JPEG of each; empty where there is none.
+        problem
+            What was wrong with the last rig that was set up; empty at first.
+
+        Raises
+        ------
+        FingerpostError
+            The page's process has ended.
+        """
+        with self._changed:
+            self._wanted = None
+        self._tell("setup", (offers, stills, problem))
+        with self._changed:
+            self._changed.wait_for(lambda: self._lost or self._wanted is not None)
+        self._refuse_lost()
+        assert self._wanted is not None
+        return self._wanted
+
+    def open_rig(self, scene: RigScene) -> None:
+        """Show a rig, from whose views steps will come."""
+        with self._changed:
+            self._is_live = scene.is_live
+            self._allowed = 0.0
+            self._given = self._number = 0
+        self._tell("rig", scene)
+
+    def allowed(self, frames: Iterator[Frames]) -> Iterator[Frames]:
+        """Give frames of all views as long as the page lets the loop go on.
+
+        Raises
+        ------
+        FingerpostError
+            The page's process has ended.
+        """
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._lost or self._given < self._allowed)
+            self._refuse_lost()
+            together = next(frames, None)
+            if together is None:
+                return
+            self._begun_s = time.monotonic()
+            self._given += 1
+            yield together
+
+    def show(self, step: Step) -> None:
+        """Show a step: at once or, of a recording, when the ones before are on their way.
+
+        Raises
+        ------
+        FingerpostError
+            The page's process has ended.
+        """
+        told_s = time.monotonic()
+        begun_s = step.fix.time_s if self._is_live else self._begun_s
+        with self._changed:
+            if not self._is_live:
+                self._changed.wait_for(lambda: self._lost or self._next is None)
+            self._next = step, self._number, begun_s, told_s
+            self._number += 1
+            self._changed.notify_all()
+        self._refuse_lost()
+
+    def note(self, words: str) -> None:
+        """Show a line that people should know of."""
+        self._tell("note", words)
+
+    def end(self, words: str) -> None:
+        """Say that no step will come any more, and why."""
+        with self._changed:
+            self._changed.wait_for(
+                lambda: self._lost or (self._next is None and self._unanswered == 0)
+            )
+        self._tell("ended", words)
+
+    def wait(self) -> None:
+        """Wait until the page's process has ended.
+
+        Raises
+        ------
+        FingerpostError
+            It has.
+        """
+        with self._changed:
+            self._changed.wait_for(lambda: self._lost)
+        self._refuse_lost()
+
+    def close(self) -> None:
+        """End the page's process; clients are told."""
+        with self._changed:
+            self._closed = self._lost = True
+            self._changed.notify_all()
+        with suppress(OSError, ValueError), self._lock:
+            self._pipe.send(("close", None))
+        self._process.join(_END_S)
+        if self._process.is_alive():
+            self._process.kill()
+            self._process.join()
+        for thread in getattr(self, "_threads", ()):
+            thread.join()
+        self._pipe.close()
+
+    def _refuse_lost(self) -> None:
+        if self._lost:
+            raise FingerpostError("the page's process has ended; start the command again")
+
+    def _tell(self, kind: str, told: Any) -> None:
+        with suppress(OSError), self._lock:  # a process that is gone is noticed by who listens
+            self._pipe.send((kind, told))
+
+    def _send_moments(self) -> None:
+        """Encode and send what is to be shown: the life of a thread."""
+        _yield_to_others()
+        while True:
+            with self._changed:
+                self._changed.wait_for(
+                    lambda: self._lost or (self._next and self._unanswered < WINDOW)
+                )
+                if self._lost or self._next is None:
+                    return
+                taken, self._next = self._next, None
+                self._unanswered += 1
+                self._changed.notify_all()
+            self._tell("moment", Moment.of(*taken))
+
+    def _listen(self) -> None:
+        """Hear what the page answers and asks: the life of a thread."""
+        with suppress(EOFError, OSError):
+            while True:
+                kind, told = self._pipe.recv()
+                with self._changed:
+                    if kind == "done":
+                        self._unanswered -= 1
+                    elif kind == "allow":
+                        self._allowed = told
+                    elif kind == "setup":
+                        self._wanted = told
+                    self._changed.notify_all()
+        with self._changed:
+            self._lost = True
+            self._changed.notify_all()
+
+
+def _yield_to_others() -> None:
+    """Lower the priority of this thread, where the system knows threads of different ones."""
+    if hasattr(os, "setpriority") and hasattr(threading, "get_native_id"):
+        with suppress(OSError):
+            os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _NICE)

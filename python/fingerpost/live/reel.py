@@ -1,0 +1,113 @@
+"""Everything that was shown of a recording, to be shown again: as it was, from any place on.
+
+Trackers go forward only. What they made of a frame is kept with its picture, in a file that nobody
+else sees and that ends with the process, so that to go back in a recording shows what was seen
+then.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from dataclasses import dataclass, field
+from typing import IO
+
+
+@dataclass(frozen=True, slots=True)
+class Message:
+    """A moment as it goes to the page.
+
+    Attributes
+    ----------
+    number
+        Of the moment.
+    time_s
+        Of its fix.
+    begun_s
+        When the work on it began, by the monotonic clock.
+    codes
+        A letter for the status of the fix and of each view: see `Strip`.
+    data
+        What is sent: the length of the scene, the scene as JSON, and the pictures.
+    """
+
+    number: int
+    time_s: float
+    begun_s: float
+    codes: str
+    data: bytes
+
+
+class Reel:
+    """Messages on disk, by their numbers from 0."""
+
+    def __init__(self) -> None:
+        self._file: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 - lives as long as the reel
+        self._places: list[tuple[int, int]] = []
+        self._times_s: list[float] = []
+        self._end = 0
+
+    def __len__(self) -> int:
+        return len(self._places)
+
+    def append(self, message: Message) -> None:
+        """Keep the next message."""
+        self._file.seek(self._end)
+        self._file.write(message.data)
+        self._places.append((self._end, len(message.data)))
+        self._times_s.append(message.time_s)
+        self._end += len(message.data)
+
+    def time_s(self, number: int) -> float:
+        """Give the time of a message's fix."""
+        return self._times_s[number]
+
+    def data(self, number: int) -> bytes:
+        """Give what is sent of a message."""
+        begin, length = self._places[number]
+        self._file.seek(begin)
+        return self._file.read(length)
+
+    def close(self) -> None:
+        """Forget everything."""
+        self._file.close()
+
+
+@dataclass(slots=True)
+class Strip:
+    """The status of every moment, of the fix and of each view: a letter each.
+
+    Letters are o (ok or tracking), a (acquiring), l (lost), i (ill-conditioned) and m (moved).
+
+    Attributes
+    ----------
+    longest
+        How many moments are kept; None keeps all.
+    first
+        Number of the first one that is kept.
+    codes
+        The letters of each moment.
+    """
+
+    longest: int | None = None
+    first: int = 0
+    codes: list[str] = field(default_factory=list)
+
+    def append(self, codes: str) -> None:
+        """Add a moment's letters."""
+        self.codes.append(codes)
+        # By the half, so that it is seldom copied.
+        if self.longest is not None and len(self.codes) >= 2 * self.longest:
+            gone = len(self.codes) - self.longest
+            del self.codes[:gone]
+            self.first += gone
+
+    @property
+    def end(self) -> int:
+        """Number of the next moment."""
+        return self.first + len(self.codes)
+
+    def since(self, number: int) -> dict[str, object]:
+        """Return the moments from a number on, fit for JSON: a string a row."""
+        begin = max(number, self.first, self.end - (self.longest or self.end))
+        codes = self.codes[begin - self.first :]
+        return {"from": begin, "rows": ["".join(row) for row in zip(*codes, strict=True)]}

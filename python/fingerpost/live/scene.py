@@ -1,0 +1,246 @@
+"""What the page draws: of a rig once, and of every moment; all coordinates, no pixels.
+
+The page does no geometry but scale and shift. Numbers are rounded to what a screen can show; a
+shape is a list of polylines, each a flat list x, y, x, y, ...
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fingerpost.lines import clip_to_rectangle
+from fingerpost.live.moment import Moment, ViewMoment
+from fingerpost.live.words import digits_of, headline
+from fingerpost.pointing import ConstraintLine, Fix, PlaneView
+from fingerpost.recording.picture import SearchMarks
+from fingerpost.recording.picture.plan import Plan
+from fingerpost.recording.picture.shapes import (
+    ahead,
+    between,
+    hull,
+    near_references,
+    outline,
+    with_gaps,
+)
+
+CONFIDENCE = 0.95
+"""Probability with which the ellipse holds the indicated point."""
+
+Points = NDArray[np.float64]
+Polylines = list[list[float]]
+
+_PX_DIGITS = 1
+# Decimals of plane units beyond those of the numbers that are shown.
+_FINER = 2
+# How far the plan's lines go, in extents of the reference points beyond them.
+_REACH = 4.0
+# A picture whose plan gives the plane's orientation; its size does not matter.
+_ANY_SIZE_PX = (600, 600)
+_FARTHEST_PX = 1e6
+
+
+@dataclass(frozen=True, slots=True)
+class RigScene:
+    """What is known of a rig before its first frame.
+
+    Attributes
+    ----------
+    title
+        What the page calls the rig.
+    unit
+        Of the plane.
+    plane_points : (N, 2)
+        The reference points.
+    hull
+        Indices of those around all others, in order.
+    plan_from_plane : (2, 2)
+        Turns and mirrors the plane as the views see it: entries −1, 0 or 1, y down.
+    digits
+        Decimals of the numbers that are shown.
+    views
+        Names, in the rig's order.
+    is_live
+        Whether cameras set the pace.
+    frames
+        How many a recording should have; None if nobody knows.
+    """
+
+    title: str
+    unit: str
+    plane_points: Points
+    hull: Sequence[int]
+    plan_from_plane: Points
+    digits: int
+    views: tuple[str, ...]
+    is_live: bool
+    frames: int | None
+
+    @classmethod
+    def of(
+        cls,
+        title: str,
+        unit: str,
+        plane_views: Sequence[PlaneView],
+        names: Iterable[str],
+        *,
+        is_live: bool,
+        frames: int | None,
+    ) -> RigScene:
+        """Return the scene of a rig whose views see the plane as given."""
+        first = plane_views[0]
+        turn = Plan.of(first, _ANY_SIZE_PX).window_from_plane[:, :2]
+        return cls(
+            title=title,
+            unit=unit,
+            plane_points=first.plane_points,
+            hull=hull(first.plane_points).tolist(),
+            plan_from_plane=np.sign(turn),
+            digits=digits_of(first.plane_size),
+            views=tuple(names),
+            is_live=is_live,
+            frames=frames,
+        )
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return it fit for JSON."""
+        return {
+            "title": self.title,
+            "unit": self.unit,
+            "points": self.plane_points.tolist(),
+            "hull": list(self.hull),
+            "turn": self.plan_from_plane.tolist(),
+            "digits": self.digits,
+            "views": list(self.views),
+            "live": self.is_live,
+            "frames": self.frames,
+        }
+
+
+def scene_of(moment: Moment, rig: RigScene, trail: Iterable[Sequence[float]]) -> dict[str, Any]:
+    """Return everything that is drawn and said of a moment, fit for JSON.
+
+    Parameters
+    ----------
+    moment
+        One step of the main loop.
+    rig
+        Its rig.
+    trail
+        Points indicated before, oldest first [plane units].
+    """
+    fix, digits = moment.fix, rig.digits + _FINER
+    ellipse = fix.ellipse(CONFIDENCE)
+    plan: dict[str, Any] = {
+        "lines": [_band(line, rig.plane_points, digits) for line in fix.constraint_lines],
+        "trail": [round(float(value), digits) for point in trail for value in point],
+    }
+    if fix.point is not None:
+        plan["point"] = np.round(fix.point, digits).tolist()
+    if ellipse is not None:
+        plan["ellipse"] = _flat(ellipse.polygon(72), digits)
+        plan["axes"] = [f"{axis:.{rig.digits}f}" for axis in sorted(ellipse.semi_axes)[::-1]]
+    return {
+        "number": moment.number,
+        "frame": moment.frame,
+        "time": round(fix.time_s, 4),
+        "work": round(1e3 * (moment.told_s - moment.begun_s), 2),
+        "head": headline(moment, rig.digits).as_dict(),
+        "plan": plan,
+        "views": [_view(view, k, fix) for k, view in enumerate(moment.views)],
+        "pictures": [len(view.jpeg) for view in moment.views],
+    }
+
+
+def _view(view: ViewMoment, index: int, fix: Fix) -> dict[str, Any]:
+    """Return what is drawn over a view's picture and said below it."""
+    said: dict[str, Any] = {
+        "status": view.status,
+        "reasons": list(view.reasons[:2]),
+        "size": list(view.size_px),
+    }
+    if view.time_s is not None:
+        said["skew"] = round(1e3 * (view.time_s - fix.time_s), 1)
+    if not view.jpeg:
+        return said
+    said["contour"] = _polylines(with_gaps(view.contour_px))
+    said["search"] = _search(view.search)
+    if view.finger is not None:
+        corners = np.array([[-0.5, -0.5], np.array(view.size_px) - 0.5])
+        said["finger"] = _polylines(ahead(view.finger, corners))
+    if view.plane_view is not None:
+        _add_plane(said, view.plane_view, index, fix)
+    return said
+
+
+def _add_plane(said: dict[str, Any], plane_view: PlaneView, index: int, fix: Fix) -> None:
+    """Project back into a view what is told of the plane."""
+    points = plane_view.plane_points
+    said["outline"] = _polylines(plane_view.project(outline(points)))
+    said["references"] = [_place(place) for place in plane_view.project(points)]
+    said["others"] = [
+        []
+        if line is None or k == index
+        else _polylines(plane_view.project(near_references(line, points)))
+        for k, line in enumerate(fix.constraint_lines)
+    ]
+    ellipse = fix.ellipse(CONFIDENCE)
+    if ellipse is not None:
+        ring = plane_view.project(ellipse.polygon(72))
+        if np.isfinite(ring).all():
+            said["ellipse"] = _polylines(ring)
+    if fix.point is not None:
+        said["point"] = _place(plane_view.project(fix.point))
+
+
+def _band(line: ConstraintLine | None, plane_points: Points, digits: int) -> dict[str, Any] | None:
+    """Return a constraint line and its band of one standard deviation on the plan."""
+    if line is None:
+        return None
+    lower, upper = plane_points.min(axis=0), plane_points.max(axis=0)
+    border = _REACH * (upper - lower)
+    ends = clip_to_rectangle(line.line, lower - border, upper + border)
+    if ends is None:
+        return None
+    points = between(ends, 65)
+    with np.errstate(invalid="ignore"):  # the variance of an exact line may round to below zero
+        away = line.sigma_at(points)[:, None] * line.line[:2]
+    band = np.concatenate([points + away, (points - away)[::-1]])
+    told = {"ends": _flat(ends, digits)}
+    if np.isfinite(band).all():
+        told["band"] = _flat(band, digits)
+    return told
+
+
+def _search(search: SearchMarks) -> dict[str, Any]:
+    """Return the search lines, and the edges that were chosen and those that were rejected."""
+    found = np.isfinite(search.edges_px).all(axis=1)
+    return {
+        "lines": _flat(search.lines_px, _PX_DIGITS),
+        "chosen": _flat(search.edges_px[found & search.agrees], _PX_DIGITS),
+        "rejected": _flat(search.edges_px[found & ~search.agrees], _PX_DIGITS),
+    }
+
+
+def _polylines(points: Points) -> Polylines:
+    """Return a line in pixels as those parts of it that can be drawn."""
+    drawn = (np.abs(points) < _FARTHEST_PX).all(axis=1)  # false for NaN
+    breaks = np.flatnonzero(np.diff(drawn)) + 1
+    parts = zip(np.split(points, breaks), np.split(drawn, breaks), strict=True)
+    return [_flat(part, _PX_DIGITS) for part, seen in parts if len(part) > 1 and seen[0]]
+
+
+def _flat(points: Points, digits: int) -> list[float]:
+    numbers: list[float] = np.round(np.asarray(points, np.float64).ravel(), digits).tolist()
+    return numbers
+
+
+def _place(point: Points) -> list[float] | None:
+    """Return a point in pixels; None where it cannot be drawn."""
+    if not (np.abs(point) < _FARTHEST_PX).all():
+        return None
+    return _flat(point, _PX_DIGITS)

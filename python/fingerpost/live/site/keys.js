@@ -1,0 +1,36 @@
+// The keyboard, from anywhere on the page. What stops comes before everything else.
+
+const FRAMES_AT_ONCE = 25;
+
+export function bindKeys(does) {
+  const keys = {
+    p: does.toggle,
+    l: does.large,
+    e: does.edges,
+    t: does.theme,
+    c: does.take,
+    "?": does.help,
+    Home: () => does.seek(0),
+    End: does.last,
+  };
+  const sets = () => document.documentElement.classList.contains("setting-up");
+  addEventListener("keydown", (event) => {
+    if (sets()) return;
+    if (event.key === " " || event.key === "Escape") {
+      does.stop();
+      // A focused button is not pressed by it; Escape still closes what is open.
+      if (event.key === " ") event.preventDefault();
+      return;
+    }
+    if (event.ctrlKey || event.metaKey || event.altKey) return;
+    if (event.key === "ArrowLeft" || event.key === "ArrowRight") {
+      const by = (event.key === "ArrowLeft" ? -1 : 1) * (event.shiftKey ? FRAMES_AT_ONCE : 1);
+      does.step(by);
+    } else if (/^[0-9]$/.test(event.key)) does.focus(Number(event.key));
+    else if (keys[event.key] ?? keys[event.key.toLowerCase()]) (keys[event.key] ?? keys[event.key.toLowerCase()])();
+    else return;
+    event.preventDefault();
+  }, true);
+  // Browsers press a focused button when the key comes up.
+  addEventListener("keyup", (event) => event.key === " " && !sets() && event.preventDefault(), true);
+}

@@ -1,0 +1,175 @@
+// The operator's page: one connection, one stage, one line that is read first.
+
+import { bindKeys } from "./keys.js";
+import { Link } from "./link.js";
+import { SetUp } from "./setup.js";
+import { Stage } from "./stage.js";
+import { StatusLine, setText } from "./status.js";
+import { Timeline } from "./timeline.js";
+
+const $ = (id) => document.getElementById(id);
+const REFUSED_FOR_MS = 5000;
+
+// The token is in a cookie from here on; an address that is copied or seen gives nothing away.
+if (location.search) history.replaceState(null, "", location.pathname);
+
+const stage = new Stage($("stage"));
+const statusLine = new StatusLine();
+const timeline = new Timeline($("strip"), $("cursor"));
+let state = null;
+let rig = null;
+let isConnected = false;
+let refusal = { words: "", until: 0 };
+
+const setUp = new SetUp((command) => link.send(command));
+const link = new Link({ onMoment, onState, onRefused, onConnected });
+
+function onMoment(scene, pictures) {
+  if (!rig) return;
+  stage.show(scene, pictures);
+  statusLine.show(scene);
+  timeline.move(scene.number);
+  setText($("clock"), clock(scene));
+  if (document.activeElement !== $("scrub") || !scrubbing) $("scrub").value = scene.number;
+}
+
+function onState(told) {
+  if (told.rig) openRig(told.rig);
+  state = told;
+  document.documentElement.classList.toggle("setting-up", Boolean(told.setup));
+  if (told.setup) return setUp.show(told.setup);
+  setUp.hide();
+  if (!rig) return;
+  timeline.take(told);
+  statusLine.isPlaying = told.playing;
+  statusLine.stand(rig.live && !told.playing && !told.ended);
+  statusLine.latency(told.latency_ms);
+  $("scrub").max = Math.max(told.total - 1, 0);
+  showPlaying(told.playing);
+  showNotes(told.notes);
+  showMessage();
+}
+
+function openRig(told) {
+  rig = told;
+  document.documentElement.classList.toggle("live", rig.live);
+  document.title = `${rig.title} – fingerpost`;
+  stage.open(rig);
+  stage.showEdges($("edges").ariaPressed === "true");
+  statusLine.open(rig);
+  timeline.open(rig);
+}
+
+function onRefused(words) {
+  refusal = { words, until: performance.now() + REFUSED_FOR_MS };
+  showMessage();
+}
+
+function onConnected(connected) {
+  isConnected = connected;
+  document.documentElement.classList.toggle("cut-off", !connected);
+  if (!connected) statusLine.setStatus("lost", "cut off");
+  else if (rig) statusLine.showStatus();
+  showMessage();
+}
+
+function clock(scene) {
+  const time = rig.live ? "" : `${scene.time.toFixed(2)} s`;
+  return `${time}  frame ${scene.frame}`.trim();
+}
+
+function showPlaying(playing) {
+  const ended = rig.live && Boolean(state.ended);
+  document.documentElement.classList.toggle("stopped", !playing && !ended);
+  const words = playing ? "Stand still" : rig.live ? "Continue" : "Play";
+  $("play-mark").setAttribute("href", `#mark-${playing ? "pause" : "play"}`);
+  $("play").setAttribute("aria-label", words);
+  $("play").title = `${words} (P)`;
+  $("play").disabled = ended;
+}
+
+// One line, the most urgent thing in it.
+function showMessage() {
+  let words = "";
+  if (!isConnected) words = "No connection to fingerpost. If it was started anew, open the address that it prints.";
+  else if (performance.now() < refusal.until) words = refusal.words;
+  else if (state && !state.playing && rig?.live && !state.ended) words = "Stopped: no picture is looked at. P goes on.";
+  else if (state?.ended && rig?.live) words = `Ended: ${state.ended}`;
+  else if (state && !state.controls) words = "Another page has the control; C takes it over.";
+  else if (state?.ended && state.shown >= state.total - 1) words = `${state.ended}; P plays it again.`.replace(/^./, (c) => c.toUpperCase());
+  else if (state?.notes.length) words = state.notes.at(-1);
+  else if (rig) words = rig.title;
+  setText($("message"), words);
+  $("message").title = words;
+}
+
+function showNotes(notes) {
+  if (notes.length === Number($("notes").dataset.count)) return;
+  $("notes").dataset.count = notes.length;
+  const said = notes.length ? notes : ["nothing to note"];
+  $("notes").replaceChildren(...said.map((note) => Object.assign(document.createElement("li"), { textContent: note })));
+}
+
+// --- what an operator does -------------------------------------------------------------------
+
+let scrubbing = false;
+const stop = () => link.send({ do: "stop" });
+const toggle = () => (state?.playing ? stop() : link.send({ do: "play" }));
+const step = (by) => rig && !rig.live && link.send({ do: "step", by });
+const seek = (number) => rig && !rig.live && link.send({ do: "seek", number });
+const press = (button) => {
+  const pressed = button.ariaPressed !== "true";
+  button.ariaPressed = String(pressed);
+  return pressed;
+};
+const large = () => {
+  const isLarge = press($("large"));
+  document.documentElement.classList.toggle("large", isLarge);
+  stage.enlarge(isLarge);
+};
+const edges = () => stage.showEdges(press($("edges")));
+const help = () => ($("help").open ? $("help").close() : $("help").showModal());
+
+function theme() {
+  const isDark = getComputedStyle(document.documentElement).colorScheme.startsWith("dark");
+  setTheme(isDark ? "light" : "dark");
+}
+
+function setTheme(name) {
+  document.documentElement.dataset.theme = name;
+  localStorage.setItem("theme", name);
+  timeline.draw();
+}
+
+if (localStorage.getItem("theme")) setTheme(localStorage.getItem("theme"));
+matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => timeline.draw());
+
+$("stop").addEventListener("pointerdown", stop);
+$("stop").addEventListener("click", stop);
+$("play").addEventListener("click", toggle);
+$("back").addEventListener("click", () => step(-1));
+$("forward").addEventListener("click", () => step(1));
+$("large").addEventListener("click", large);
+$("edges").addEventListener("click", edges);
+$("theme").addEventListener("click", theme);
+$("help-open").addEventListener("click", help);
+$("scrub").addEventListener("pointerdown", () => {
+  scrubbing = true;
+  stop();
+});
+addEventListener("pointerup", () => (scrubbing = false));
+$("scrub").addEventListener("input", () => seek(Number($("scrub").value)));
+
+bindKeys({
+  stop,
+  toggle,
+  step,
+  seek,
+  last: () => seek((state?.total ?? 1) - 1),
+  large,
+  edges,
+  theme,
+  help,
+  take: () => link.send({ do: "take" }),
+  focus: (number) => stage.plan && stage.focus(number),
+});

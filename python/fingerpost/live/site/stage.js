@@ -1,0 +1,133 @@
+// Where views and plan stand: of all ways to lay them out, the one that shows most.
+
+import { PlanPanel } from "./plan.js";
+import { ViewPanel } from "./view.js";
+
+const GAP_PX = 14;
+const HEAD_PX = 34;
+const CAPTION_PX = 24;
+const LARGE_EMPHASIS = 1.5;
+const USUAL_ASPECT = 4 / 3;
+const PLAN_MARGIN_PX = [74, 66];
+
+export class Stage {
+  constructor(element) {
+    this.element = element;
+    this.views = [];
+    this.plan = null;
+    this.alone = null;
+    this.isLarge = false;
+    new ResizeObserver(() => this.layOut()).observe(element);
+  }
+
+  open(rig) {
+    this.element.replaceChildren();
+    this.views = rig.views.map((name, k) => new ViewPanel(this.element, k, name, rig.views.length));
+    this.plan = new PlanPanel(this.element, rig);
+    this.aspects = "";
+    this.alone = null;
+    this.layOut();
+  }
+
+  get panels() {
+    return [...this.views, this.plan];
+  }
+
+  show(scene, pictures) {
+    this.views.forEach((view, k) => view.show(scene.views[k], pictures[k]));
+    this.plan.show(scene.plan, scene.head.status);
+    const aspects = this.views.map((view) => view.size?.join("x")).join();
+    if (aspects !== this.aspects) {
+      this.aspects = aspects;
+      this.layOut();
+    }
+  }
+
+  // Shows one panel alone, by its place from 1; 0 shows all, as does the one that is alone already.
+  focus(number) {
+    if (number > this.panels.length) return;
+    this.alone = number === 0 || this.alone === number - 1 ? null : number - 1;
+    this.layOut();
+  }
+
+  showEdges(shows) {
+    for (const view of this.views) {
+      view.showsEdges = shows;
+      if (view.last) view.draw(view.last);
+    }
+  }
+
+  enlarge(isLarge) {
+    this.isLarge = isLarge;
+    this.layOut();
+  }
+
+  layOut() {
+    const [width, height] = [this.element.clientWidth, this.element.clientHeight];
+    if (!this.plan || !width || !height) return;
+    const emphasis = this.isLarge ? LARGE_EMPHASIS : 1;
+    const alone = this.isLarge && this.alone === null ? this.views.length : this.alone;
+    this.panels.forEach((panel, k) => panel.element.classList.toggle("away", alone !== null && k !== alone));
+    if (alone !== null) {
+      this.panels[alone].put(alone < this.views.length ? this.whole(alone, width, height) : { left: 0, top: 0, width, height }, emphasis);
+      return;
+    }
+    const ways = [column, row, line].map((way) => way(width, height, this.views.length, this.aspect(), this.plan.aspect));
+    const { views, plan } = ways.reduce((a, b) => (b.merit > a.merit ? b : a));
+    const bottom = Math.max(...[...views, plan].map((place) => place.top + place.height));
+    const down = Math.max((height - bottom) / 2, 0);
+    this.views.forEach((view, k) => view.put({ ...views[k], top: views[k].top + down }, emphasis));
+    this.plan.put({ ...plan, top: plan.top + down }, emphasis);
+  }
+
+  aspect() {
+    const known = this.views.filter((view) => view.size).map((view) => view.size[0] / view.size[1]);
+    return known.length ? known.reduce((a, b) => a + b) / known.length : USUAL_ASPECT;
+  }
+
+  whole(k, width, height) {
+    const aspect = this.views[k].size ? this.views[k].size[0] / this.views[k].size[1] : USUAL_ASPECT;
+    const wide = Math.min(width, (height - HEAD_PX - CAPTION_PX) * aspect);
+    return { left: (width - wide) / 2, top: 0, width: wide, height: wide / aspect + HEAD_PX + CAPTION_PX };
+  }
+}
+
+// Views one above the other, the plan at their right.
+function column(width, height, count, aspect, planAspect) {
+  const extra = HEAD_PX + CAPTION_PX;
+  const room = (height - (count - 1) * GAP_PX) / count - extra;
+  const wide = Math.min(room * aspect, 0.55 * width);
+  const each = wide / aspect + extra;
+  const views = Array.from({ length: count }, (_, k) => ({ left: 0, top: k * (each + GAP_PX), width: wide, height: each }));
+  const total = count * each + (count - 1) * GAP_PX;
+  return judged(views, { left: wide + GAP_PX, top: 0, width: width - wide - GAP_PX, height: Math.max(total, Math.min(height, width - wide)) - CAPTION_PX }, extra, planAspect);
+}
+
+// Views side by side, the plan below.
+function row(width, height, count, aspect, planAspect) {
+  const extra = HEAD_PX + CAPTION_PX;
+  const wide = Math.min((width - (count - 1) * GAP_PX) / count, (0.55 * height - extra) * aspect);
+  const each = wide / aspect + extra;
+  const left = (width - count * wide - (count - 1) * GAP_PX) / 2;
+  const views = Array.from({ length: count }, (_, k) => ({ left: left + k * (wide + GAP_PX), top: 0, width: wide, height: each }));
+  return judged(views, { left: 0, top: each, width, height: height - each }, extra, planAspect);
+}
+
+// Views and plan side by side.
+function line(width, height, count, aspect, planAspect) {
+  const extra = HEAD_PX + CAPTION_PX;
+  const wide = Math.min((width - count * GAP_PX) / (count + 1), (height - extra) * aspect);
+  const each = wide / aspect + extra;
+  const views = Array.from({ length: count }, (_, k) => ({ left: k * (wide + GAP_PX), top: 0, width: wide, height: each }));
+  const left = count * (wide + GAP_PX);
+  const wanted = (width - left - PLAN_MARGIN_PX[0]) / planAspect + PLAN_MARGIN_PX[1] + HEAD_PX;
+  return judged(views, { left, top: 0, width: width - left, height: Math.min(height, Math.max(each - CAPTION_PX, wanted)) }, extra, planAspect);
+}
+
+// The merit of a layout: how large everything is shown, none of it at the cost of another.
+function judged(views, plan, extra, planAspect) {
+  const area = ({ width, height }) => Math.max(width * (height - extra), 1);
+  const scale = Math.min((plan.width - PLAN_MARGIN_PX[0]) / planAspect, plan.height - HEAD_PX - PLAN_MARGIN_PX[1]);
+  const merit = views.reduce((sum, view) => sum + Math.log(area(view)), 0) / views.length + Math.log(Math.max(scale, 1) ** 2 * planAspect);
+  return { views, plan, merit };
+}

@@ -1,0 +1,104 @@
+// The line that is read first, and the figures beside it.
+
+const SHOWN_EVERY_MS = 100;
+const RATE_OVER_MS = 2000;
+const SPOKEN_EVERY_MS = 2500;
+const WORDS = { ok: "ok", acquiring: "acquiring", lost: "lost", ill_conditioned: "in doubt" };
+
+const $ = (id) => document.getElementById(id);
+
+export class StatusLine {
+  constructor() {
+    this.shownAt = 0;
+    this.spokenAt = 0;
+    this.numbers = [];
+    this.isPlaying = true;
+  }
+
+  open(rig) {
+    $("unit").textContent = rig.unit;
+    for (const sigma of document.querySelectorAll(".sigma")) sigma.dataset.unit = rig.unit;
+    // As wide as the widest number of the plane and a little beyond it.
+    const values = rig.points.flat();
+    const [least, most] = [Math.min(...values), Math.max(...values)];
+    const beyond = [least - 0.2 * (most - least), most + 0.2 * (most - least)];
+    const widest = Math.max(...beyond.map((value) => value.toFixed(rig.digits).length));
+    document.documentElement.style.setProperty("--number", `${widest}ch`);
+    document.documentElement.style.setProperty("--sigma", `${widest - 1}ch`);
+    this.numbers = [];
+  }
+
+  show(scene) {
+    const now = performance.now();
+    this.count(scene.number, now);
+    this.next = scene;
+    const wait = this.isPlaying ? this.shownAt + SHOWN_EVERY_MS - now : 0;
+    if (wait <= 0) this.put();
+    else this.timer ??= setTimeout(() => this.put(), wait);
+  }
+
+  put() {
+    clearTimeout(this.timer);
+    this.timer = null;
+    this.shownAt = performance.now();
+    const { head } = this.next;
+    this.showStatus();
+    $("point").hidden = !head.point;
+    $("words").hidden = Boolean(head.point);
+    if (head.point) ["x", "y", "sx", "sy"].forEach((id, k) => setText($(id), head.point[k].replace("-", "−")));
+    else setText($("words"), head.said);
+    setText($("detail"), head.detail || "\u00a0");
+    $("detail").title = head.detail;
+    this.speak(head);
+    setText($("rate"), this.rate());
+  }
+
+  // Of cameras nothing is known while nobody looks; a recording stands at a moment that is known.
+  stand(isStopped) {
+    if (this.isStopped === isStopped) return;
+    this.isStopped = isStopped;
+    this.showStatus();
+  }
+
+  showStatus() {
+    const status = this.next?.head.status ?? "waiting";
+    if (this.isStopped) this.setStatus("stopped", "stopped");
+    else this.setStatus(status, WORDS[status] ?? status);
+  }
+
+  setStatus(status, word) {
+    document.documentElement.dataset.status = status;
+    $("badge-mark").setAttribute("href", `#mark-${status}`);
+    setText($("badge-word"), word);
+  }
+
+  latency(ms) {
+    setText($("latency"), ms === null ? "–" : ms.toFixed(0));
+  }
+
+  count(number, now) {
+    const last = this.numbers.at(-1);
+    if (last && number < last[0]) this.numbers = [];
+    this.numbers.push([number, now]);
+    while (now - this.numbers[0][1] > RATE_OVER_MS) this.numbers.shift();
+  }
+
+  rate() {
+    const [first, last] = [this.numbers[0], this.numbers.at(-1)];
+    if (!this.isPlaying || !first || last[1] - first[1] < RATE_OVER_MS / 8) return "–";
+    return ((1000 * (last[0] - first[0])) / (last[1] - first[1])).toFixed(1);
+  }
+
+  // Changes of status are spoken, numbers are not: they never end.
+  speak(head) {
+    const words = head.point ? "ok: there is a point" : head.said;
+    const now = performance.now();
+    if (words === this.spoken || now - this.spokenAt < SPOKEN_EVERY_MS) return;
+    [this.spoken, this.spokenAt] = [words, now];
+    $("spoken").textContent = words;
+  }
+}
+
+export function setText(element, text) {
+  if (element.textContent !== text) element.textContent = text;
+}

@@ -1,0 +1,151 @@
+"""The web application: the page's files and one WebSocket, for those who may."""
+
+from __future__ import annotations
+
+import ipaddress
+import logging
+import secrets
+from pathlib import Path
+
+from starlette.applications import Starlette
+from starlette.datastructures import Headers, QueryParams
+from starlette.requests import Request, cookie_parser
+from starlette.responses import FileResponse, PlainTextResponse, Response
+from starlette.routing import Mount, Route, WebSocketRoute
+from starlette.staticfiles import StaticFiles
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+from starlette.websockets import WebSocket
+
+from fingerpost.live.client import Client
+from fingerpost.live.hub import MOST_CLIENTS, Hub
+
+_log = logging.getLogger(__name__)
+
+SITE = Path(__file__).with_name("site")
+"""The page's files."""
+
+_CONTENT = (
+    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob: data:; "
+    "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+)
+_HEADERS = {
+    "content-security-policy": _CONTENT,
+    "x-content-type-options": "nosniff",
+    "referrer-policy": "no-referrer",
+    "cross-origin-opener-policy": "same-origin",
+    "cross-origin-resource-policy": "same-origin",
+    "cache-control": "no-store",
+}
+
+
+def application(hub: Hub, host: str, port: int, token: str) -> ASGIApp:
+    """Return the web application.
+
+    Parameters
+    ----------
+    hub
+        What is shown.
+    host, port
+        Where it is served.
+    token
+        Without which nothing is shown.
+    """
+    cookie = f"fingerpost-{port}"  # browsers share cookies among all ports of a host
+
+    async def page(_request: Request) -> Response:
+        response = FileResponse(SITE / "index.html")
+        response.set_cookie(cookie, token, httponly=True, samesite="strict", path="/")
+        return response
+
+    async def socket(websocket: WebSocket) -> None:
+        if len(hub.watchers) >= MOST_CLIENTS:
+            words = f"{MOST_CLIENTS} pages are open already; close one of them\n"
+            await websocket.send_denial_response(PlainTextResponse(words, 503))
+            return
+        await websocket.accept()
+        await Client(websocket, hub).run()
+
+    async def still(request: Request) -> Response:
+        number = request.path_params["number"]
+        if number >= len(hub.stills):
+            return PlainTextResponse("there is no such picture\n", 404)
+        return Response(hub.stills[number], media_type="image/jpeg")
+
+    routes = [
+        Route("/", page),
+        Route("/still/{number:int}.jpg", still),
+        WebSocketRoute("/socket", socket),
+        Mount("/", StaticFiles(directory=SITE)),
+    ]
+    return Guard(Starlette(routes=routes), host=host, port=port, token=token, cookie=cookie)
+
+
+class Guard:
+    """Lets nobody through but pages of this server that were opened with its token.
+
+    Parameters
+    ----------
+    app
+        What is guarded.
+    host, port
+        Where it is served: no other `Host` is answered, so that no other name can be made to lead
+        here, and no other `Origin` may open a WebSocket or send anything.
+    token
+        In the query of the address that is opened first, in a cookie from then on.
+    cookie
+        The cookie's name.
+    """
+
+    def __init__(self, app: ASGIApp, *, host: str, port: int, token: str, cookie: str) -> None:
+        self._app, self._token, self._cookie = app, token, cookie
+        names = {host, "127.0.0.1", "localhost"} if _is_loopback(host) else {host}
+        self._hosts = {f"{name}:{port}" for name in names}
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer a request, or refuse it in one line."""
+        if scope["type"] not in ("http", "websocket"):
+            return
+        refused = self._refused(scope)
+        if refused is None:
+            await self._app(scope, receive, _with_headers(send))
+            return
+        status, words = refused
+        _log.warning("refused: %s", words)
+        await PlainTextResponse(f"{words}\n", status, _HEADERS)(scope, receive, send)
+
+    def _refused(self, scope: Scope) -> tuple[int, str] | None:
+        """Say why a request is refused, and with which status; None if it is not."""
+        headers = Headers(scope=scope)
+        host, origin = headers.get("host", ""), headers.get("origin")
+        if host not in self._hosts:
+            return 400, f"Host is {host[:80]!r}; open the address that fingerpost has printed"
+        is_asked_only = scope["type"] == "http" and scope["method"] in ("GET", "HEAD")
+        if not is_asked_only and origin != f"http://{host}":
+            return 403, f"Origin is {str(origin)[:80]!r}; only the page itself may do that"
+        if not self._has_token(scope, headers):
+            return (
+                403,
+                "no valid token; open the address that fingerpost has printed",
+            )
+        return None
+
+    def _has_token(self, scope: Scope, headers: Headers) -> bool:
+        given = [cookie_parser(headers.get("cookie", "")).get(self._cookie, "")]
+        if scope["type"] == "http" and scope["path"] == "/":
+            given.append(QueryParams(scope["query_string"]).get("token", ""))
+        known = self._token.encode()
+        return any(secrets.compare_digest(one.encode(), known) for one in given)
+
+
+def _is_loopback(host: str) -> bool:
+    return ipaddress.ip_address(host).is_loopback
+
+
+def _with_headers(send: Send) -> Send:
+    async def sending(message: Message) -> None:
+        if message["type"] in ("http.response.start", "websocket.http.response.start"):
+            added = [(name.encode(), value.encode()) for name, value in _HEADERS.items()]
+            message = {**message, "headers": [*message.get("headers", []), *added]}
+        await send(message)
+
+    return sending

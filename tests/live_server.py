@@ -1,0 +1,80 @@
+"""The operator's page as tests meet it: served by a process of its own, or in this one."""
+
+import http.client
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from patience import PATIENCE_S
+
+RIG = Path(__file__).parents[1] / "python" / "fingerpost" / "data" / "desk" / "rig.toml"
+
+
+class Served:
+    """`fingerpost live`, running."""
+
+    def __init__(self, *arguments: object, folder: Path | None = None) -> None:
+        command = [sys.executable, "-m", "fingerpost", "live", *map(str, arguments)]
+        environment = {**os.environ, "PYTHONUNBUFFERED": "1"}
+        self.process = subprocess.Popen(
+            command,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            env=environment,
+            cwd=folder,
+        )
+        self.address = self.process.stdout.readline().strip()
+        if not self.address:
+            raise AssertionError(self.process.communicate()[1])
+        self.base, _, self.token = self.address.partition("/?token=")
+        self.host = self.base.removeprefix("http://")
+        self.port = int(self.base.rpartition(":")[2])
+        self.cookie = f"fingerpost-{self.port}={self.token}"
+
+    def ask(self, method: str, path: str, **headers: str) -> tuple[int, str, dict[str, str]]:
+        """Status, text and headers of an answer."""
+        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=PATIENCE_S)
+        given = {"Host": self.host, **{k.replace("_", "-"): v for k, v in headers.items()}}
+        connection.request(method, path, headers=given)
+        answer = connection.getresponse()
+        text = answer.read().decode()
+        connection.close()
+        return answer.status, text, {k.lower(): v for k, v in answer.getheaders()}
+
+    def end(self) -> tuple[int, str]:
+        """Exit code and stderr, once it has ended."""
+        _, err = self.process.communicate(timeout=PATIENCE_S)
+        return self.process.returncode, err
+
+
+@contextmanager
+def served(*arguments: object, folder: Path | None = None) -> Iterator[Served]:
+    """Run `fingerpost live`, of the clip or of a folder, and see to it that it ends."""
+    running = Served(*(arguments or (() if folder else (RIG,))), folder=folder)
+    try:
+        yield running
+    finally:
+        running.process.kill()
+        running.process.communicate()
+
+
+def scene_in(message: bytes) -> dict:
+    """The scene in a binary message."""
+    length = int.from_bytes(message[:4], "little")
+    return json.loads(message[4 : 4 + length])
+
+
+def pictures_in(message: bytes) -> list[bytes]:
+    """The pictures in a binary message."""
+    begin = 4 + int.from_bytes(message[:4], "little")
+    pictures = []
+    for size in scene_in(message)["pictures"]:
+        pictures.append(message[begin : begin + size])
+        begin += size
+    assert begin == len(message)
+    return pictures

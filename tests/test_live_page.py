@@ -1,0 +1,397 @@
+"""The operator's page in a browser, as its operator meets it."""
+
+import re
+import shutil
+import time
+
+import numpy as np
+import pytest
+from live_server import RIG, served
+from patience import PATIENCE_S
+
+from fingerpost.config import Rig
+
+playwright = pytest.importorskip("playwright.sync_api")
+CHROMIUM = shutil.which("chromium")
+pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="needs chromium, Debian's package")
+
+OVERLAPS = """() => {
+          const boxes = [...document.querySelectorAll('#head, .panel:not(.away), #line, #stop')]
+            .map((e) => [e.id || e.className, e.getBoundingClientRect()]);
+          const wrong = [];
+          for (const [name, b] of boxes) {
+            if (b.left < -1 || b.top < -1 || b.right > innerWidth + 1 || b.bottom > innerHeight + 1)
+              wrong.push(`${name} is cut off`);
+            for (const [other, c] of boxes)
+              if (other !== name && b.left < c.right - 1 && c.left < b.right - 1
+                  && b.top < c.bottom - 1 && c.top < b.bottom - 1)
+                wrong.push(`${name} on ${other}`);
+          }
+          const point = document.querySelector('#point');
+          if (point.scrollWidth > point.clientWidth + 1) wrong.push('the point is cut off');
+          return wrong;
+        }"""
+PLAYS = "document.querySelector('#play').title.startsWith('Stand')"
+STANDS = "document.querySelector('#play').title.startsWith('Play')"
+PHONE, DESK, WALL = (390, 844), (1280, 800), (2560, 1440)
+
+
+@pytest.fixture(scope="module")
+def server():
+    with served() as running:
+        yield running
+
+
+@pytest.fixture(scope="module")
+def browser():
+    with playwright.sync_playwright() as driver:
+        # A container's root may not use Chromium's sandbox.
+        browser = driver.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        yield browser
+        browser.close()
+
+
+class Open:
+    """The page, open in a window of its own; what its console complains of is a failure."""
+
+    def __init__(self, browser, server, size=DESK, **options):
+        width, height = size
+        viewport = {"width": width, "height": height}
+        self.context = browser.new_context(viewport=viewport, **options)
+        self.page = self.context.new_page()
+        self.page.set_default_timeout(1000 * PATIENCE_S)
+        self.complaints = []
+        self.page.on("console", lambda said: self._hear(said.type, said.text))
+        self.page.on("pageerror", lambda error: self._hear("error", str(error)))
+        self.page.goto(server.address)
+        self.until(
+            "document.querySelector('.view canvas')?.width > 300"
+            " || document.querySelector('.offer')"
+        )
+
+    def _hear(self, kind, text):
+        if kind in ("error", "warning"):
+            self.complaints.append(text)
+
+    def until(self, condition):
+        """Wait for what an expression tells; the page's own policy lets no string be evaluated."""
+        end_s = time.monotonic() + PATIENCE_S
+        while not self.page.evaluate(f"() => Boolean({condition})"):
+            assert time.monotonic() < end_s, condition
+            self.page.wait_for_timeout(20)
+
+    def press(self, *keys):
+        for key in keys:
+            self.page.keyboard.press(key)
+
+    def at(self, frame):
+        """Stand still at a frame."""
+        self.press("c", " ")
+        self.until(STANDS)
+        self.page.evaluate(
+            "(frame) => { const scrub = document.querySelector('#scrub'); scrub.value = frame;"
+            " scrub.dispatchEvent(new Event('input')); }",
+            frame,
+        )
+        self.until(f"document.querySelector('#clock').textContent.endsWith('frame {frame}')")
+
+    def play(self):
+        """Play from the first frame on."""
+        self.at(0)
+        self.press("p")
+        self.until(PLAYS)
+
+    def text(self, selector):
+        return self.page.inner_text(selector)
+
+    def box(self, selector):
+        return self.page.locator(selector).first.bounding_box()
+
+    def close(self):
+        self.context.close()
+        assert self.complaints == []
+
+
+@pytest.fixture
+def opened(browser, server):
+    pages = []
+
+    def open_page(**options):
+        pages.append(Open(browser, server, **options))
+        return pages[-1]
+
+    yield open_page
+    for page in pages:
+        page.close()
+
+
+def test_the_address_loses_its_token_and_the_page_plays(opened):
+    page = opened()
+    assert "token" not in page.page.url
+    page.play()
+    page.until("parseFloat(document.querySelector('#rate').textContent) > 1")
+    assert page.page.title() == "rig.toml – fingerpost"
+
+
+def test_a_point_is_read_in_the_headline_and_drawn_in_all_views_and_on_the_plan(opened):
+    page = opened()
+    page.at(50)
+    page.until("document.documentElement.dataset.status === 'ok'")
+    assert page.text("#badge-word") == "ok"
+    assert re.fullmatch(
+        r"X\s*[\d.]+\s*±\s*[\d.]+\s*Y\s*[\d.]+\s*±\s*[\d.]+\s*mm", page.text("#point")
+    )
+    assert page.page.locator(".point-mark:visible").count() == 3
+    for shape in ("contour.tracking", "finger", "ellipse", "outline"):
+        drawn = f".view path.{shape}"
+        assert page.page.eval_on_selector_all(
+            drawn, "all => all.every(one => one.getAttribute('d'))"
+        )
+    assert page.page.locator(".view .state[data-status=ok]").count() == 2
+    assert "%" in page.text(".view .caption >> nth=0")
+
+
+def test_before_there_is_a_point_it_is_said_which_view_does_what(opened):
+    page = opened()
+    page.at(0)
+    page.until("document.documentElement.dataset.status === 'acquiring'")
+    assert page.text("#badge-word") == "acquiring"
+    assert "settle" in page.text("#words")
+    assert not page.page.is_visible("#point")
+    assert page.page.locator(".point-mark:visible").count() == 0
+
+
+def test_the_overlay_lies_where_the_picture_shows_it(opened):
+    page = opened()
+    page.at(50)
+    for k in (1, 2):
+        view = f".view:nth-of-type({k})"
+        canvas, overlay = page.box(f"{view} canvas"), page.box(f"{view} svg.overlay")
+        assert canvas == pytest.approx(overlay, abs=0.5)
+        assert canvas["width"] / canvas["height"] == pytest.approx(640 / 480, rel=0.01)
+
+
+@pytest.mark.parametrize("key", [" ", "Escape"])
+def test_space_and_escape_stop_from_anywhere(opened, key):
+    page = opened()
+    theme = page.page.evaluate("document.documentElement.dataset.theme")
+    for focus in ("body", "#theme", "#scrub", "#help button"):
+        page.play()
+        if focus == "#help button":
+            page.press("?")
+        page.page.evaluate(f"document.querySelector('{focus}').focus()")
+        page.press(key)
+        page.until(STANDS)
+    assert page.page.evaluate("document.documentElement.dataset.theme") == theme
+
+
+def test_the_cursor_goes_with_the_picture(opened):
+    page = opened()
+    for frame in (60, 20):
+        page.at(frame)
+        strip, cursor = page.box("#strip"), page.box("#cursor")
+        frames = page.page.evaluate("Number(document.querySelector('#scrub').max) + 1")
+        at = strip["x"] + (frame + 0.5) / frames * strip["width"]
+        assert cursor["x"] + cursor["width"] / 2 == pytest.approx(at, abs=1.0)
+
+
+def test_arrows_step_to_and_fro(opened):
+    page = opened()
+    page.at(30)
+    for key, frame in [("ArrowRight", 31), ("ArrowLeft", 30), ("Shift+ArrowLeft", 5), ("Home", 0)]:
+        page.press(key)
+        page.until(f"document.querySelector('#clock').textContent.endsWith('frame {frame}')")
+
+
+def test_the_stop_button_stops_and_stands_alone(opened):
+    page = opened()
+    page.play()
+    page.page.click("#stop")
+    page.until(STANDS)
+
+
+def test_a_frame_that_is_come_back_to_is_the_one_that_was_shown(opened):
+    page = opened()
+    shown = []
+    for frame in (50, 20, 50):
+        page.at(frame)
+        contour = page.page.get_attribute(".view path.contour.tracking", "d")
+        page.until("document.documentElement.dataset.status === 'ok'")
+        shown.append((contour, page.page.get_attribute(".plan path.ellipse", "d")))
+    assert shown[0] == shown[2] != shown[1]
+
+
+def test_two_pages_one_control_and_stop_from_both(opened):
+    first, second = opened(), opened()
+    first.play()
+    second.until("document.querySelector('#message').textContent.includes('control')")
+    second.press("Home")
+    second.until("document.querySelector('#message').textContent.includes('take it over')")
+    second.press(" ")
+    first.until(STANDS)
+
+
+@pytest.mark.parametrize("size", [PHONE, DESK, WALL], ids=["phone", "desk", "wall"])
+def test_everything_fits_and_nothing_overlaps(opened, size):
+    page = opened(size=size)
+    page.at(50)
+    page.until("document.documentElement.dataset.status === 'ok'")
+    for mode in ("0", "1", "3", "l"):  # all, a view alone, the plan alone, large
+        page.press("0", mode)
+        assert page.page.evaluate(OVERLAPS) == [], mode
+        stop = page.box("#stop")
+        assert stop["width"] >= 200
+        assert stop["height"] >= 64
+
+
+def test_nothing_moves_while_numbers_change(opened):
+    page = opened()
+    places = []
+    for frame in (30, 50, 70):
+        page.at(frame)
+        page.until("document.documentElement.dataset.status === 'ok'")
+        selectors = ("#sx", "#y", "#unit", "#rate", "#stop", ".plan .body")
+        places.append([page.box(selector) for selector in selectors])
+    lefts = [[round(box["x"]) for box in boxes] for boxes in places]
+    assert lefts[0] == lefts[1] == lefts[2]
+
+
+@pytest.mark.parametrize("scheme", ["dark", "light"])
+def test_words_can_be_read_against_their_ground(opened, scheme):
+    page = opened(color_scheme=scheme)
+    page.at(50)
+    poor = page.page.evaluate(
+        """() => {
+          const rgb = (text) => text.match(/[\\d.]+/g).map(Number);
+          const light = ([r, g, b]) => {
+            const f = (v) => ((v /= 255) <= 0.03928 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4);
+            return 0.2126 * f(r) + 0.7152 * f(g) + 0.0722 * f(b);
+          };
+          const ground = (e) => {
+            for (; e; e = e.parentElement) {
+              const colour = rgb(getComputedStyle(e).backgroundColor);
+              if (colour.length === 3 || colour[3] > 0) return colour;
+            }
+          };
+          const said = [...document.querySelectorAll('#badge-word, #point b, .sigma, #detail, dt,'
+            + ' dd, .panel h2, .state span, .caption, #message, #clock, #stop')];
+          return said.map((e) => {
+            const [a, b] = [light(rgb(getComputedStyle(e).color)), light(ground(e))];
+            const contrast = (Math.max(a, b) + 0.05) / (Math.min(a, b) + 0.05);
+            return [e.id || e.className || e.tagName, contrast];
+          }).filter(([, contrast]) => contrast < 4.5);
+        }"""
+    )
+    assert poor == []
+
+
+def test_everything_that_is_pressed_has_a_name_and_room(opened):
+    page = opened(size=PHONE)
+    nameless = page.page.evaluate(
+        """() => [...document.querySelectorAll('button, input')].filter((e) => e.offsetParent
+          && !(e.getAttribute('aria-label') || e.textContent.trim())).map((e) => e.outerHTML)"""
+    )
+    assert nameless == []
+    for button in page.page.locator("#tools button, #transport button").all():
+        box = button.bounding_box()
+        assert min(box["width"], box["height"]) >= 40
+
+
+def test_keys_are_shown_and_theme_and_edges_follow_them(opened):
+    page = opened(color_scheme="dark")
+    page.at(50)
+    assert page.page.get_attribute(".view path.search-lines", "d") == ""
+    page.press("e")
+    assert page.page.get_attribute(".view path.search-lines", "d").count("M") > 20
+    ground = "getComputedStyle(document.body).backgroundColor"
+    dark = page.page.evaluate(ground)
+    page.press("t")
+    assert page.page.evaluate(ground) != dark
+    page.press("?")
+    assert page.page.is_visible("#help")
+    page.press("Escape")
+    assert not page.page.is_visible("#help")
+
+
+def test_when_fingerpost_ends_the_page_says_so(browser):
+    with served() as running:
+        page = Open(browser, running)
+        running.process.terminate()
+        running.end()
+        page.until("document.documentElement.classList.contains('cut-off')")
+        assert "No connection" in page.text("#message")
+        page.context.close()
+
+
+# --- set-up ----------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def folder(tmp_path):
+    for name in ("left.mp4", "right.mp4"):
+        shutil.copy(RIG.with_name(name), tmp_path)
+    (tmp_path / "broken.mp4").write_bytes(b"no film at all")
+    return tmp_path
+
+
+def click_corners(page, k, points_px):
+    for u, v in points_px:
+        x, y = page.page.evaluate(
+            """([k, u, v]) => {
+              const svg = document.querySelectorAll('.click svg')[k];
+              const point = new DOMPoint(u, v).matrixTransform(svg.getScreenCTM());
+              return [point.x, point.y];
+            }""",
+            [k, u, v],
+        )
+        page.page.mouse.click(x, y)
+
+
+def test_a_rig_is_set_up_by_clicks_alone_and_tells_a_point(browser, folder):
+    truth = Rig.load(RIG)
+    with served(folder=folder) as running:
+        page = Open(browser, running)
+        assert page.page.locator(".offer:disabled").count() == 1
+        assert "decode" in page.page.get_attribute(".offer:disabled", "title")
+        assert page.text("#words") == "pick two views, or more"
+        for name in ("left", "right"):
+            page.page.click(f".offer:has-text('{name}')")
+        assert page.text("#words") == "click corner 1 in left"
+        click_corners(page, 0, truth.views[0].reference_points_px)
+        assert page.text("#words") == "click corner 1 in right"
+        # A corner in another view's order is named before anything is written.
+        wrong = list(truth.views[1].reference_points_px)
+        click_corners(page, 1, [wrong[0], wrong[3], wrong[2], wrong[1]])
+        page.page.click("#begin")
+        page.until("document.querySelector('#words').textContent === 'that cannot be'")
+        assert len(page.text("#detail")) > 20
+        assert not (folder / "rig.toml").exists()
+        for _ in range(2):  # taken out and in again, a view is clicked anew
+            page.page.click(".offer:has-text('right')")
+        click_corners(page, 1, truth.views[1].reference_points_px)
+        handle = page.page.locator(".click:nth-of-type(2) .handle").first
+        handle.focus()
+        page.press("ArrowLeft", "ArrowRight")
+        page.page.click("#begin")
+        page.until("document.querySelector('#point').offsetParent")
+        page.context.close()
+        assert page.complaints == []
+    saved = Rig.load(folder / "rig.toml")
+    assert [view.name for view in saved.views] == ["left", "right"]
+    for view, true in zip(saved.views, truth.views, strict=True):
+        assert view.size_px == (640, 480)
+        off_px = np.subtract(view.reference_points_px, true.reference_points_px)
+        assert np.abs(off_px).max() < 1.0
+
+
+@pytest.mark.parametrize("size", [PHONE, DESK], ids=["phone", "desk"])
+def test_a_folder_without_views_says_what_to_do(browser, tmp_path, size):
+    with served(folder=tmp_path) as running:
+        page = Open.__new__(Open)
+        page.context = browser.new_context(viewport={"width": size[0], "height": size[1]})
+        page.page = page.context.new_page()
+        page.page.goto(running.address)
+        page.until("document.querySelector('#words').textContent.startsWith('no camera')")
+        assert "recordings" in page.text("#detail")
+        assert page.page.is_disabled("#begin")
+        page.context.close()
