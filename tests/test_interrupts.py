@@ -212,7 +212,7 @@ def test_what_the_package_offers_is_what_its_modules_define():
 STUCK = """
 import socket, sys, threading, time, types
 import cv2
-import fingerpost.__main__ as program, fingerpost.cli
+import fingerpost.__main__ as program, fingerpost.cli, fingerpost.signals
 
 class Slow:
     def __del__(self, sleep=time.sleep):
@@ -227,7 +227,9 @@ def read():
     cv2.VideoCapture(url, cv2.CAP_FFMPEG, [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, 1000])
 
 def command():
-    threading.Thread(target=read, daemon=True).start()
+    reader = threading.Thread(target=read, daemon=True)
+    reader.start()
+    fingerpost.signals.leave_behind(reader)
     time.sleep(0.5)
     print("all is said")
     sys.exit(3)

@@ -4,9 +4,8 @@ import logging
 import os
 import signal
 import sys
-import threading
 
-from fingerpost.signals import ending_at_once
+from fingerpost.signals import ending_at_once, is_anything_stuck
 
 
 def main() -> None:
@@ -30,7 +29,7 @@ def _end_before_threads(code: object) -> None:
     A thread that returns from native code while the interpreter is torn down is unwound through
     frames that allow no unwinding, and the process aborts whatever its exit code was to be.
     """
-    if not any(thread.daemon for thread in threading.enumerate()):
+    if not is_anything_stuck():
         return
     logging.shutdown()
     for stream in (sys.stdout, sys.stderr):

@@ -1,7 +1,8 @@
-"""Signals that end a program: which they are, and how it ends while it is still being loaded."""
+"""How a program ends: by which signals, while it is being loaded, and beside a stuck thread."""
 
 import os
 import signal
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -35,3 +36,16 @@ def ending_at_once() -> Iterator[None]:
         yield
     finally:
         signal.signal(signal.SIGINT, raising)
+
+
+_stuck: list[threading.Thread] = []
+
+
+def leave_behind(thread: threading.Thread) -> None:
+    """Note a thread that does not come back from native code, and will not be waited for."""
+    _stuck.append(thread)
+
+
+def is_anything_stuck() -> bool:
+    """Whether a thread that was left behind still runs."""
+    return any(thread.is_alive() for thread in _stuck)

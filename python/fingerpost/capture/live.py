@@ -30,6 +30,7 @@ from fingerpost.capture.settings import CameraSettings, Control
 from fingerpost.capture.source import Frame, Loss, Source, SourceKind
 from fingerpost.checks import opencv_path
 from fingerpost.errors import CaptureError
+from fingerpost.signals import leave_behind
 
 _log = logging.getLogger(__name__)
 
@@ -265,6 +266,7 @@ class LiveSource(Source):
         self._reader.join(_JOIN_S)
         if self._reader.is_alive():
             _log.warning("%s: the device does not answer; its reader is left behind", self.name)
+            leave_behind(self._reader)
             # A decoder that comes back while the interpreter ends takes the process down with it;
             # one of a stream comes back by its own time limits, one of a device may never.
             if is_url(self.name):
