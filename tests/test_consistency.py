@@ -141,6 +141,30 @@ def test_nothing_is_said_of_a_rig_that_is_right(background, seed):
     assert [f for f in findings if f.check in ("lens", "timing")] == []
 
 
+@pytest.mark.parametrize("background", [SHEET_ON_WOOD, Background(texture="wood"), Background()])
+@pytest.mark.parametrize("seed", range(3))
+def test_a_hand_in_sight_makes_no_mistake_of_a_rig_that_is_right(background, seed):
+    rng = np.random.default_rng(seed)
+    simulated = SimulatedRig(background=background)  # as symmetric as can be
+    pose = DevicePose.pointing_at(
+        tuple(rng.uniform(120, 280, 2)), azimuth_deg=35.0, slant_deg=45.0, hover_mm=80.0
+    )
+    pictures = simulated.render(pose, rng=seed).images
+    assert Scenery(described(simulated), pictures).mistake() is None
+
+
+@pytest.mark.parametrize("height_mm", [-25.0, 25.0])
+def test_a_plane_above_or_below_the_table_is_no_mistake(height_mm):
+    """As a robot shows one: its points are not where the table's texture is."""
+    simulated = SimulatedRig(background=SHEET_ON_WOOD)
+    rig, pictures = described(simulated), simulated.render(None, rng=1).images
+    points = np.column_stack([rig.plane.points, np.full(len(rig.plane.points), height_mm)])
+    seen = {k: camera.project(points) for k, camera in enumerate(simulated.cameras)}
+    raised = with_points(rig, seen)
+    assert Scenery(raised, pictures).agreement() < 0.7
+    assert Scenery(raised, pictures).mistake() is None
+
+
 def test_more_points_than_four_and_one_between_the_others_pass():
     simulated = SimulatedRig(
         workspace=Workspace(points_per_side=3), background=Background(texture="wood", clutter=30.0)
