@@ -1,15 +1,15 @@
 //! Tracking of one hand in one view, in three states: *acquiring*, *tracking*, *lost*.
 //!
-//! **Acquiring.** The initial template stays at its start pose. In every frame a fit is started
-//! from there; it counts only if it is *accepted* (below) and its half-width is within a factor
-//! [`AcquireOptions::max_scale`] of the initial template's. Otherwise the next fit starts from the
-//! start pose again. The fit has *settled* when, over [`AcquireOptions::settle_frames`] accepted
-//! frames in a row, the finger's half-width changed by at most the fraction
-//! [`AcquireOptions::settle_change`] per frame. The hand may move meanwhile, within the reach of
-//! the initial template. The settled hand is then refitted with an appearance model learned from
-//! it: a mixture of colours, or the grey levels of each flank where there are no colours.
-//! [`Model::Ribbon`] is shortened where it extends beyond the finger; [`Model::Paper`] is deformed
-//! affinely once more and its size is frozen.
+//! **Acquiring.** The initial template stays at its start pose. A first fit starts from there, the
+//! following ones from the last fit. A fit counts only if it is *accepted* (below) and its
+//! half-width is within a factor [`AcquireOptions::max_scale`] of the initial template's; otherwise
+//! the next one starts from the start pose again. The fit has *settled* when, over
+//! [`AcquireOptions::settle_frames`] accepted frames in a row, the finger's half-width changed by
+//! at most the fraction [`AcquireOptions::settle_change`] per frame. The hand may move meanwhile,
+//! within the reach of the initial template. The settled hand is then refitted with an appearance
+//! model learned from it: a mixture of colours, or the grey levels of each flank where there are no
+//! colours. [`Model::Ribbon`] is shortened where it extends beyond the finger; [`Model::Paper`] is
+//! deformed affinely once more and its size is frozen.
 //!
 //! **Tracking, band model.** All components of the shape vector stay free. A prior holds those that
 //! a hand cannot change (widths, taper) near their acquired values, which follow the measurements
