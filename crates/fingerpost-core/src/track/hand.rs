@@ -78,7 +78,7 @@ pub(super) struct Hand {
     pub(super) is_covered: bool,
 }
 
-/// A lost hand: its last shape, kind and extent.
+/// A lost hand: its last shape, kind and finger extent.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct LastKnown {
     pub(super) shape: Shape,
@@ -127,7 +127,7 @@ impl Hand {
         if self.fitted.is_empty() { samples } else { &self.fitted }
     }
 
-    /// What is retained of it if it is lost in this shape.
+    /// The data retained of it if it is lost in this shape.
     pub(super) fn remembered(&self, shape: Shape) -> LastKnown {
         LastKnown { shape, kind: self.kind, measure: self.measure }
     }

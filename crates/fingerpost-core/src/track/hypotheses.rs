@@ -72,7 +72,7 @@ impl Hypothesis {
     }
 }
 
-/// The best of the hypotheses so far.
+/// The best of the hypotheses evaluated until now.
 struct HypothesisRanking {
     best: Hypothesis,
     /// Whether the best was fitted last, so that its search need not be repeated.

@@ -48,7 +48,7 @@ const SLIM_PX: f64 = 4.0;
 const NEAR_WIDTHS: f64 = 2.0;
 /// Number of hypotheses near the initial template that are fitted in a grey image.
 pub(super) const CLOSE_FITTED: usize = 5;
-/// Least fraction of their contour that they must explain: what they do not find nearby is not the
+/// Least fraction of their contour that they must explain: edges that are not nearby are not the
 /// hand's.
 const CLOSE_SEEN: f64 = 0.75;
 /// Sharpness ([`Convergence::sharpness`]) below which a flank is more probably a shadow's.
@@ -88,7 +88,7 @@ pub(super) struct TemplateFit {
     pub kind: Kind,
 }
 
-/// The finger with the highest quality so far.
+/// The finger with the highest quality until now.
 struct Best {
     finger: Converged<RIBBON_DOF>,
     polarity: Polarity,
@@ -338,8 +338,8 @@ impl TemplateInitialiser<'_> {
     }
 
     /// The finger that the appearance of the inside of a silhouette leads to. The hand is held up
-    /// to the template: most of what that covers belongs to the hand, even where the edges nearby
-    /// do not.
+    /// to the template, so that most of the silhouette's pixels belong to the hand, even where the
+    /// edges nearby do not.
     fn inside(
         &self,
         convergence: &mut Convergence,

@@ -13,7 +13,7 @@ pub(super) const MIN_HALF_LENGTH_PX: f64 = 5.0;
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Model {
     /// The band template: finger and thumb with widths of their own
-    /// ([`Ribbon`](crate::geometry::shape_space::Ribbon)).
+    /// ([`Ribbon`](crate::geometry::ribbon::Ribbon)).
     Ribbon,
     /// The planar template of 1994: affine during acquisition, then rigid with one shear.
     Paper,

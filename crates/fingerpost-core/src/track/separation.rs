@@ -1,4 +1,4 @@
-//! Whether a finger separates well enough from what is beside it.
+//! Whether a finger differs enough from its surroundings.
 
 /// Least separation of a finger: mean log-likelihood ratio of pixels inside minus that of pixels
 /// outside. Fingers on footage of tables, papers and cloth have 1.4 and more even in grey, false

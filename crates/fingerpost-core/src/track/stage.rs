@@ -28,7 +28,8 @@ const RESIDUAL_SHARE: f64 = 0.2;
 /// Residual offset below which a sample supports a fit \[px\].
 pub(super) const SUPPORT_PX: f64 = 1.5;
 
-/// Standard deviation of edge displacements by motion other than translation and rotation \[px\].
+/// Standard deviation of edge displacements other than by translation and rotation of the hand
+/// \[px\].
 const BESIDES_PX: f64 = 1.0;
 
 /// Parameters of one convergence.

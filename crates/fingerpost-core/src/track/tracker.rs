@@ -239,11 +239,10 @@ impl ContourTracker {
         self.take(&Scene::new(frame, None), time_s)
     }
 
-    /// Updates the tracker by one frame with a background model that has measured it
-    /// ([`Background::measure`]). Edges of the background are not taken for the hand's, and the
-    /// finger line is fitted against the known background. Background pixels that the frame
-    /// contradicts do not count. A hand that was present while the background was learned is part
-    /// of it.
+    /// Updates the tracker by one frame, which the background model has measured before by
+    /// [`Background::look`]. Edges of the background are not taken for the hand's, and the finger
+    /// line is fitted against the known background. Background pixels that the frame contradicts do
+    /// not count. A hand that was present while the background was learned is part of it.
     ///
     /// # Errors
     /// Those of [`update`](Self::update), and when the background was learned from images of
