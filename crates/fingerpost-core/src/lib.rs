@@ -1,10 +1,11 @@
 //! Track a pointing finger in an image with an active contour.
 //!
-//! A B-spline [`template`](geometry::template) of the index finger and the up-turned thumb waits in the image; at every
-//! frame the tracker [`search`](measure::edge_search)es for edges along the normals of the contour, [`fit`](solve::fit)s
-//! the deformations that a [`shape_space`](geometry::shape_space) allows by weighted least squares, and accepts or loses
-//! the hand. One basis vector of the template lies along the index finger, so the fitted shape
-//! vector gives the *finger line*, the image line that the finger points along, with its
+//! A B-spline [`template`](geometry::template) of the index finger and the up-turned thumb is
+//! placed in the image. In every frame the tracker [`search`](measure::edge_search)es for edges
+//! along the normals of the contour and [`fit`](solve::fit)s the deformations that a
+//! [`shape_space`](geometry::shape_space) allows by weighted least squares; the fit is accepted, or
+//! the hand is lost. One basis vector of the template lies along the index finger, so the fitted
+//! shape vector gives the *finger line*, the image line along which the finger points, with its
 //! covariance.
 //!
 //! The method is that of Cipolla, Hadfield & Hollinghurst, *Uncalibrated stereo vision with
@@ -13,7 +14,7 @@
 //! Pixel (0, 0) is the centre of the top-left pixel; u runs right, v runs down; angles are in
 //! radians from +u towards +v. Nothing here reads files, opens cameras, prints or panics.
 //!
-//! # A finger from start to end
+//! # Example: tracking a finger
 //!
 //! ```
 //! use fingerpost_core::nalgebra::{Point2, Vector2};
@@ -34,12 +35,12 @@
 //!     (0..width * height).map(pixel).collect()
 //! };
 //!
-//! // The template waits near the finger, a little off.
+//! // The start pose of the template is near the finger, a few pixels off.
 //! let start = StartPose { tip_px: Point2::new(183.0, 137.0), angle_rad: 0.55, length_px: 70.0 };
 //! let template = Template::pistol(Thumb::None)?;
 //! let mut tracker = ContourTracker::new(template, &start, TrackerOptions::default())?;
 //!
-//! // It moulds itself to the finger for a few frames, then follows.
+//! // It is fitted to the finger for a few frames, then tracks it.
 //! for k in 0..12 {
 //!     let tip = Point2::new(180.0, 140.0) + Vector2::new(2.0, -1.0) * f64::from(k);
 //!     let pixels = picture(tip);
@@ -50,7 +51,7 @@
 //!         let line = track.finger_line.expect("the finger is in view");
 //!         assert!((line.axis.tip - tip).norm() < 0.5);
 //!         assert!((line.axis.angle_rad - angle_rad).abs() < 0.01);
-//!         // How sure: the standard deviation of the angle.
+//!         // The standard deviation of the angle.
 //!         assert!(line.covariance[(1, 1)].sqrt() < 0.01);
 //!     }
 //! }

@@ -1,5 +1,5 @@
-//! *Acquiring*, for the first time or after a loss: a hand at the waiting template is moulded,
-//! settled on, looked at anew in its own colours, and followed from there.
+//! *Acquiring*, for the first time or after a loss: the initial template is fitted to a hand, the
+//! fit settles, is refined with the hand's own appearance model, and is tracked from there.
 
 use super::appearance::EdgeCue;
 use super::axis_curvature::AxisCurvature;
@@ -29,22 +29,24 @@ use crate::measure::edge::Scale;
 use crate::solve::dynamics::Dynamics;
 use nalgebra::Vector2;
 
-/// How often the settled hand is looked at anew in its own colours, and how much more freely than
-/// while it is tracked.
+/// Iterations of learning the settled hand's colours and refitting it by them.
 const COLOUR_REFIT_ROUNDS: usize = 3;
+/// Prior standard deviation of its dimensions in these fits, relative to tracking.
 const COLOUR_REFIT_SLACK: f64 = 4.0;
-/// A hand that settled has turned by no more than this once its looks are known \[rad\], and slid
-/// aside by no more than this part of its half-width: the line does not hang on how it is looked for.
+/// Largest rotation of the settled hand by the fit with its appearance model \[rad\]: the line must
+/// not depend on the search model.
 const MOST_TURNED_RAD: f64 = 0.2;
+/// Largest lateral displacement by that fit, as a fraction of the half-width.
 const MAX_LATERAL: f64 = 0.5;
-/// And it has slid by no more than this part of the template's length, or what the template reaches.
+/// Largest displacement by that fit, as a fraction of the template's length, unless the range of
+/// the initial search is larger.
 const MOST_SLID: f64 = 0.5;
-/// By these edges, its inside is still told from its outside and its contour is explained to this part
-/// of how well they were.
+/// Class separation and explained contour must both keep at least this fraction of their previous
+/// values.
 const KEPT_SEPARATION: f64 = 0.9;
 
 impl ContourTracker {
-    /// One frame of looking for a lost hand: where it was last, then at the waiting template.
+    /// One frame of the search for a lost hand: at its last pose, then at the start pose.
     pub(super) fn recover(
         &mut self,
         frame: &Scene<'_>,
@@ -89,7 +91,8 @@ impl ContourTracker {
         let width_before = self.hand.shape.width();
         let (mut found, mut refusal) = self.search_initial(frame, settled)?;
         if refusal.is_some() && (1..settle_frames).contains(&settled) {
-            // It has moved on farther than edges lead: the template still waits there.
+            // It has moved beyond the range of the edge search; the initial template is tried
+            // again.
             (found, refusal) = self.search_initial(frame, 0)?;
         }
         let accepted = refusal.is_none();
@@ -133,7 +136,8 @@ impl ContourTracker {
         Ok(track(time_s, status, &found, &accept, refusal).bent(misfit_bend.as_ref()))
     }
 
-    /// What is found without what is known of the background, or else with it, and why it is no hand.
+    /// The fit without the background model, or, if that is refused, with it; and the reason for
+    /// refusal.
     pub(super) fn search_initial(
         &mut self,
         frame: &Scene<'_>,
@@ -146,9 +150,10 @@ impl ContourTracker {
         self.settled(frame, settled)
     }
 
-    /// What is found at the waiting template or where it was, and why it is no hand. What lies on the
-    /// table is none, nor is the inside of a hand: a finger shows foreground inside its outline and
-    /// less of it outside, as far as what is behind it is known. A thumb may lie before the hand.
+    /// The fit at the start pose, or from the last fit, and the reason for refusal. An object on
+    /// the table is no hand, nor is the inside of a hand: a finger shows foreground inside its
+    /// outline and less of it outside, where the background is known. A thumb may lie before the
+    /// hand and is not tested.
     fn settled(
         &mut self,
         frame: &Scene<'_>,
@@ -161,7 +166,8 @@ impl ContourTracker {
         Ok((found, refusal))
     }
 
-    /// Whether a finger stands free of the table; `None` where that is not known.
+    /// Result of the [foreground test](ForegroundTest) of the finger; `None` where the background
+    /// is unknown.
     fn stands_free(&self, frame: &Scene<'_>, shape: &Shape) -> Option<bool> {
         let mut foreground_test = ForegroundTest::before(frame.table()?, shape.width());
         self.hand.outline(shape, &self.samples, |part, placed| {
@@ -172,7 +178,7 @@ impl ContourTracker {
         foreground_test.is_free()
     }
 
-    /// The hand at the waiting template, or where an earlier frame has found it.
+    /// The hand at the start pose, or near the fit of an earlier frame.
     fn initialise(&mut self, frame: &Scene<'_>, settled: usize) -> Result<FitResult> {
         let initialise = TemplateInitialiser {
             options: &self.options,
@@ -194,8 +200,9 @@ impl ContourTracker {
         Ok(initialised.hand.into())
     }
 
-    /// Keeps the settled hand's dimensions and looks: tracking starts from them. None if they are not
-    /// those of one finger, or the paper's template cannot take them on or explains them badly.
+    /// Fixes the settled hand's dimensions and appearance, from which tracking starts. `None` if
+    /// they are not those of one finger, or if the paper's template cannot take them on or explains
+    /// too little.
     fn freeze(&mut self, frame: &Scene<'_>, settled: &FitResult) -> Result<Option<FitResult>> {
         self.hand.shaded = None;
         self.refit_in_colours(frame, settled)?;
@@ -216,8 +223,8 @@ impl ContourTracker {
             (Shape::Ribbon(x), Model::Paper) => {
                 self.hand.acquired = x;
                 let length_px = self.hand.measure.length_px;
-                // A thumb that the image shows nearly along the finger makes no pistol; the finger
-                // does without it.
+                // A thumb nearly parallel to the finger makes no pistol template; the finger is
+                // then used alone.
                 let with_thumb = self.hand.kind.has_thumb;
                 let pistol = self.template.fitted(&x, length_px, with_thumb);
                 self.hand.kind.has_thumb = with_thumb && pistol.is_ok();
@@ -231,14 +238,14 @@ impl ContourTracker {
             }
             (Shape::Planar(map), _) => self.affine(frame, map, NEAR_PX)?,
         };
-        // A hand that stays has not slid along what is behind it.
+        // The refit of a resting hand does not slide along the background.
         let slid = frozen.shape.placement() - settled.shape.ahead(ahead_px).placement();
         let length_px = self.initial.measure.length_px;
         let most_px =
             self.options.acquire.reach_px(self.initial.ribbon[3]).max(MOST_SLID * length_px);
         let (sin, cos) = settled.shape.placement()[2].sin_cos();
         let lateral_px = (slid.y * cos - slid.x * sin).abs();
-        // One that has left the shade has become wider on one side.
+        // A hand that has left the shade has become wider on one side.
         let widened_px =
             self.hand.shaded.map_or(0.0, |_| frozen.shape.width() - settled.shape.width());
         let stays = slid.xy().norm() <= most_px
@@ -255,8 +262,9 @@ impl ContourTracker {
         Ok(accepted.then_some(frozen))
     }
 
-    /// Learns what the settled hand looks like, and looks at it once more in the mixture of colours
-    /// that shows it best: a shaded flank or the tip, which grey may have hidden, comes out now.
+    /// Learns the settled hand's appearance and refits the hand in the mixture of colours that
+    /// separates it best. A shaded flank or the tip, which may have had no contrast in grey, can
+    /// appear now.
     fn refit_in_colours(&mut self, frame: &Scene<'_>, settled: &FitResult) -> Result<()> {
         let mut explained_before = settled.explains_finger();
         let mut separation_before = self.finger_separation(frame);
@@ -290,7 +298,7 @@ impl ContourTracker {
         Ok(())
     }
 
-    /// How well the last search's contour tells the inside of the finger from its outside.
+    /// Separation of the finger's inside from its outside along the contour of the last search.
     pub(super) fn finger_separation(&mut self, frame: &Scene<'_>) -> f64 {
         let Self { hand, samples, convergence, .. } = self;
         let shaft = match &hand.shape {
@@ -305,7 +313,7 @@ impl ContourTracker {
         )
     }
 
-    /// A hand that was found is followed from here.
+    /// Starts tracking from a fit.
     fn start(&mut self, time_s: f64, found: &FitResult, bend_state: BendState) -> Result<()> {
         let large = self.largeness();
         self.gate = self.options.gate(large)?;
@@ -330,7 +338,7 @@ impl ContourTracker {
     }
 }
 
-/// A finger that was fitted alone, its thumb where that of the hand was.
+/// A finger that was fitted alone, with the thumb where that of the hand was.
 pub(super) fn with_thumb_of(hand: &RibbonVector, finger: &RibbonVector) -> RibbonVector {
     let slid = finger.fixed_rows::<2>(0) - hand.fixed_rows::<2>(0);
     let mut together = *finger;

@@ -1,4 +1,4 @@
-//! Grey images: hypotheses close to the initial template, ranked by the edges nearby.
+//! Grey images: start poses near the initial template, ranked by the edges nearby.
 
 use super::convergence::Convergence;
 use super::initialise::{CLOSE_FITTED, TemplateInitialiser};
@@ -8,16 +8,20 @@ use crate::Result;
 use crate::geometry::ribbon::RibbonVector;
 use nalgebra::Vector2;
 
-/// Where there are no colours, the strongest edge about is seldom the hand's: fingers about the waiting
-/// one try as well that move to what is close by alone. So far along it and across it \[half-widths\],
-/// turned by so much \[rad\] and of so many times its width; the likeliest of them are fitted.
+/// Offsets of start poses along the finger \[half-widths\]. Without colours, the strongest edge in
+/// range is seldom the hand's; start poses near the initial one therefore search nearby edges only,
+/// and the best are fitted.
 const CLOSE_ALONG: [f64; 3] = [-1.0, 0.0, 1.0];
+/// Offsets across the finger \[half-widths\].
 const CLOSE_ACROSS: [f64; 3] = [-0.6, 0.0, 0.6];
+/// Rotations \[rad\].
 const CLOSE_ANGLES_RAD: [f64; 3] = [-0.12, 0.0, 0.12];
+/// Half-widths, relative to the initial template's.
 const CLOSE_WIDTHS: [f64; 2] = [0.85, 1.15];
 
 impl TemplateInitialiser<'_> {
-    /// Of the fingers about the waiting one, turned by so much, those that have most edges close by.
+    /// The start poses, about the initial one rotated by `angle_rad`, with the greatest support by
+    /// nearby edges.
     pub(super) fn close_by(
         &self,
         convergence: &mut Convergence,

@@ -1,4 +1,4 @@
-//! Gauss–Newton in one shape space: measure, linearise, solve, move, until nothing moves.
+//! Gauss–Newton in one shape space: measure, linearise, solve, update, until convergence.
 
 use super::appearance::{AppearanceModel, Contour, EdgeCue, SearchModel};
 use super::design_effect::design_effect;
@@ -20,44 +20,47 @@ use crate::numeric::simd::Isa;
 use crate::solve::fit::{EquationBuffer, Equations, FitReport, Fitter, Outcome, Prior};
 use nalgebra::{Point2, SMatrix, SVector};
 
-/// What the search lines shrink by once a step stays well inside them, and how short they get.
+/// Factor by which the search lines shrink once a step is shorter than half their half-length.
 const SHRINK: f64 = 0.7;
-/// Within a window, the next lines need be no longer than this many steps.
+/// Within a window, half-length of the next lines in units of the last step.
 const LEFT: f64 = 3.0;
-/// Beyond that length the residual offsets' scale is not taken below this part of it: only a few
-/// samples at the tip tell how far the finger has slid along itself, and must be heard.
+/// Lower bound of the residual offsets' scale, as a fraction of the half-length beyond
+/// [`MIN_HALF_LENGTH_PX`]: only a few samples at the tip determine how far the finger has slid
+/// along itself, and must keep their weight.
 const FAR_SCALE: f64 = 0.2;
-/// How sharp the edges of a flank are is told by how much of the change across them, so far to either
-/// side, is there already this near \[px\].
+/// Sharpness of a flank: the grey-level difference across its edges at these distances to either
+/// side, relative to that at [`ABOUT_EDGE_PX`] \[px\].
 const NEAR_EDGE_PX: [f64; 2] = [1.0, 2.0];
+/// Distances at which the full grey-level difference is measured \[px\].
 const ABOUT_EDGE_PX: [f64; 2] = [5.0, 6.0];
 
-/// What is behind a hand where it shows no edge counts as if it had been seen in so many frames, if the
-/// frame teaches nothing else: about as many are remembered.
+/// Weight of the background where the hand shows no edge, in frames, if the frame gives no other
+/// information: about as many frames are remembered.
 pub(super) const UNSEEN_FRAMES: f64 = 5.0;
 
 /// The stages of one view and the buffers between them.
 #[derive(Debug, Clone)]
 pub(super) struct Convergence {
-    /// What was searched last.
+    /// The last search.
     normals: Normals,
     fitter: Fitter,
     max_iterations: usize,
     correlation: f64,
-    /// Which samples are not hidden by another limb: the line of each, in order.
+    /// Indices of the samples that no other limb hides, in the order of the search lines.
     visible: Vec<usize>,
-    /// How far the edge of each line is from the fit to them \[px\], infinite where it does not agree with
-    /// it; none does without a fit.
+    /// Absolute residual of the edge of each line \[px\]; infinite where it does not agree with the
+    /// fit, or without a fit.
     left_px: Vec<f64>,
     equations: EquationBuffer,
-    /// Where edges agree with the fit, and which of them look like the hand inside; where none was found.
+    /// Edges that agree with the fit, whether each matches the appearance model inside, and samples
+    /// without an edge.
     agreeing: Vec<PlacedSample>,
     own: Vec<bool>,
     unseen: Vec<PlacedSample>,
-    /// Residual offsets of those along the contour, part by part of the outline.
+    /// Residual offsets of the agreeing edges along the contour, with their part of the outline.
     left_over: Vec<(Part, f64)>,
-    /// Looks of a hand of which nothing is known: those that are judged, and those that lead, unless they
-    /// are lent.
+    /// Appearance models of an unknown hand: one for evaluating separation, and one for leading the
+    /// search, `None` while lent.
     unknown: AppearanceModel,
     leading: Option<AppearanceModel>,
     /// The present frame as the hand's discriminant shows it.
@@ -91,27 +94,28 @@ impl Convergence {
         Self { normals: self.normals.with_isa(isa), fitter: self.fitter.with_isa(isa), ..self }
     }
 
-    /// Forgets the last frame.
+    /// Discards the last frame.
     pub fn begin_frame(&mut self) {
         self.image.clear();
     }
 
-    /// The last search, what each line found, and whether that agrees with the fit.
+    /// The last search: the lines, the edge measurement of each, and whether it agrees with the
+    /// fit.
     pub fn search_lines(&self) -> impl ExactSizeIterator<Item = SearchedLine<'_>> {
         let searched = self.normals.lines().iter().zip(self.normals.found());
         let found = searched.zip(&self.left_px);
         found.map(|((line, found), px)| SearchedLine { line, found, agrees: px.is_finite() })
     }
 
-    /// Tells the last search of a picture in its frame.
+    /// Converts the last search from the reduced image to its frame.
     pub fn enlarge(&mut self, pyramid_level: PyramidLevel) {
         self.normals.enlarge(pyramid_level);
     }
 
-    /// Shows the finger's samples of the last search whose edges agree with the fit, each moved to
-    /// its edge, and those without an edge, to the looks of the hand; see [`AppearanceModel::learn`]. The finger's
-    /// are the first `samples` of all. A thumb may be lit quite differently, and it is the finger that
-    /// points.
+    /// Updates the appearance model by the finger's samples of the last search: those whose edges
+    /// agree with the fit, each moved to its edge, and those without an edge; see
+    /// [`AppearanceModel::learn`]. The finger's samples are the first `samples` of all. The thumb
+    /// is excluded: it may be lit differently, and the finger determines the line.
     pub fn teach(
         &mut self,
         appearance: &mut AppearanceModel,
@@ -130,7 +134,7 @@ impl Convergence {
         appearance.learn(frame, &mut self.image, &contour, finger, weights)
     }
 
-    /// The same of those without an edge alone, of a hand that something may cover elsewhere.
+    /// The same by the samples without an edge only, for a hand that an object may cover elsewhere.
     pub fn teach_unseen(
         &mut self,
         appearance: &mut AppearanceModel,
@@ -143,7 +147,7 @@ impl Convergence {
         appearance.learn(frame, &mut self.image, &contour, finger, (1.0, UNSEEN_FRAMES))
     }
 
-    /// Looks that know nothing yet, to be [given back](Self::take_back).
+    /// An empty appearance model, to be [returned](Self::take_back).
     pub fn lend_appearance(&mut self, frame: &Frame<'_>) -> AppearanceModel {
         let coloured = frame.colour().is_some();
         let kept = self.leading.take().filter(|appearance| appearance.is_coloured() == coloured);
@@ -153,13 +157,14 @@ impl Convergence {
         appearance
     }
 
-    /// Keeps looks that were lent.
+    /// Takes back the appearance model that was lent.
     pub fn take_back(&mut self, appearance: AppearanceModel) {
         self.leading = Some(appearance);
     }
 
-    /// Shows a contour to looks where it is placed, whatever edges are there; they forget all else.
-    /// Tells whether what is inside of it differs at all from what is outside.
+    /// Relearns an appearance model from a contour as placed, whatever edges are there. Returns
+    /// false, and leaves the model unchanged, if the inside of the contour does not differ from the
+    /// outside.
     pub fn teach_at(
         &mut self,
         appearance: &mut AppearanceModel,
@@ -178,8 +183,8 @@ impl Convergence {
         Ok(true)
     }
 
-    /// How well the inside of a finger of which nothing is known differs from its outside, by the edges
-    /// of the last search that agree; see [`AppearanceModel::finger_separation`].
+    /// Separation of the inside of a finger from its outside, without prior appearance, by the
+    /// agreeing edges of the last search; see [`AppearanceModel::finger_separation`].
     pub fn finger_separation(
         &mut self,
         samples: usize,
@@ -195,8 +200,8 @@ impl Convergence {
         self.unknown.finger_separation(frame, &self.agreeing, finger, shaft)
     }
 
-    /// How sharp the edges of the last search that agree are on the flank where they are softer, 0–1: 0.8
-    /// where a step is blurred by 1 px, 0.5 by 2 px and 0.35 by 4 px.
+    /// Sharpness of the agreeing edges of the last search on the softer flank, 0–1: 0.8 for a step
+    /// blurred by 1 px, 0.5 by 2 px and 0.35 by 4 px.
     pub fn sharpness(&mut self, samples: usize, frame: &Frame<'_>, finger: &Silhouette) -> f64 {
         self.gather_agreeing(samples);
         let [left, right] = finger.flanks(&self.agreeing).map(|edges| {
@@ -214,8 +219,8 @@ impl Convergence {
         left.min(right)
     }
 
-    /// Of the finger's samples of the last search, the first `samples` of all, those whose edges agree
-    /// with the fit, each moved to its edge.
+    /// Collects the finger's samples of the last search, the first `samples` of all, whose edges
+    /// agree with the fit, each moved to its edge.
     fn gather_agreeing(&mut self, samples: usize) {
         self.agreeing.clear();
         let hits = self.visible.iter().zip(self.normals.lines()).zip(self.normals.found());
@@ -227,8 +232,8 @@ impl Convergence {
         self.agreeing.extend(agreeing);
     }
 
-    /// Of the finger's samples of the last search, the first `samples` of all, those on whose lines there
-    /// is no edge.
+    /// Collects the finger's samples of the last search, the first `samples` of all, on whose lines
+    /// there is no edge.
     fn gather_unseen(&mut self, samples: usize) {
         self.unseen.clear();
         let searched = self.visible.iter().zip(self.normals.lines()).zip(self.normals.found());
@@ -238,8 +243,8 @@ impl Convergence {
         self.unseen.extend(unseen);
     }
 
-    /// Of the agreeing edges, forgets those that do not look like the hand inside, as long as most do:
-    /// they are those of what covers it. In another light none looks like it did.
+    /// Discards the agreeing edges that do not match the appearance model inside, unless these are
+    /// the majority: they are a covering object's. After a change of light no edge matches.
     fn leave_out_covered(&mut self, appearance: &AppearanceModel, frame: &Scene<'_>) -> Result<()> {
         let Some(search_model) =
             appearance.search_model(frame, EdgeCue::HandEdges, Polarity::Unknown)
@@ -257,9 +262,9 @@ impl Convergence {
         Ok(())
     }
 
-    /// Where along its limb each visible sample of a part of the outline is in the last search, in units
-    /// of the template, and how far its edge is from the fit \[px\]: infinitely, if it does not agree.
-    /// None without an edge.
+    /// For each visible sample of one part of the outline in the last search, its position along
+    /// the limb in units of the template, and the absolute residual of its edge \[px\]: infinite if
+    /// it does not agree, `None` without an edge.
     pub fn edges_along(
         &self,
         samples: &[TemplateSample],
@@ -273,7 +278,7 @@ impl Convergence {
         })
     }
 
-    /// The frame about a finger, as a mixture shows it.
+    /// The frame near a finger, as a mixture shows it.
     pub fn shown<'a>(
         &'a mut self,
         frame: &Frame<'a>,
@@ -283,7 +288,7 @@ impl Convergence {
         self.image.shown(frame, mixture, || finger_region(finger))
     }
 
-    /// The frame about some pixels, as a mixture shows it.
+    /// The frame near some pixels, as a mixture shows it.
     pub fn shown_about<'a>(
         &'a mut self,
         frame: &Frame<'a>,
@@ -294,8 +299,9 @@ impl Convergence {
         self.image.shown(frame, mixture, || region_about(pixels.map(|p| (p, reach_px))))
     }
 
-    /// From `x`, where the image takes it in this space. `believed` is a prior on the shape vector
-    /// itself.
+    /// Gauss–Newton from `x` in this space. `believed` is a prior on the shape vector itself.
+    ///
+    /// The fit is `None` if a step is not determined, and for a stage that another continues.
     pub fn run<S: ShapeSpace<D>, const D: usize>(
         &mut self,
         frame: &Scene<'_>,
@@ -332,7 +338,7 @@ impl Convergence {
             }
             if moved_px < half_length_px / 2.0 {
                 let shrunk_px = half_length_px * SHRINK;
-                // In its window, one step brings the contour most of the way.
+                // Within the window, one step brings the contour most of the way.
                 let left_px = stage.window.map_or(shrunk_px, |_| LEFT * moved_px);
                 half_length_px = shrunk_px.min(left_px).max(MIN_HALF_LENGTH_PX);
             }
@@ -344,8 +350,9 @@ impl Convergence {
         Ok(at)
     }
 
-    /// No edge that the last search found is further than this from its solution, whose step moved the
-    /// contour so far; infinite where so many lines found none that theirs may be beyond them.
+    /// Bound on the distance of the edges of the last search from its solution, whose step moved
+    /// the contour by `moved_px`; infinite if too many lines found none, since their edges may lie
+    /// beyond them.
     fn edges_within_px(&self, moved_px: f64) -> f64 {
         let residuals = self.fitter.residuals();
         if (residuals.len() as f64) < SURE * self.normals.lines().len() as f64 {
@@ -355,7 +362,8 @@ impl Convergence {
         (furthest_px + LEFT * moved_px).max(MIN_HALF_LENGTH_PX)
     }
 
-    /// As how many edge measurements that are independent the last ones count once.
+    /// Design effect: number of correlated edge measurements that carry the information of one
+    /// independent measurement.
     fn design_effect(&mut self, samples: &[TemplateSample]) -> f64 {
         let Self { visible, normals, fitter, left_over, .. } = self;
         let hits = visible.iter().zip(normals.found()).filter(|(_, found)| found.is_ok());
@@ -366,8 +374,8 @@ impl Convergence {
         design_effect(left_over)
     }
 
-    /// The samples of the contour at `x` that nothing hides, in order, and the offsets of the edges that
-    /// they find, without fitting anything.
+    /// The visible samples of the contour at `x`, in order, and the offsets of their edges \[px\],
+    /// without a fit.
     pub fn offsets<S: ShapeSpace<D>, const D: usize>(
         &mut self,
         frame: &Scene<'_>,
@@ -380,7 +388,7 @@ impl Convergence {
         Ok(self.visible.iter().copied().zip(offsets))
     }
 
-    /// Searches the image along the normals of the contour as `pose` places it.
+    /// Searches the image along the normals of the contour as placed by `pose`.
     fn measure<P: Pose>(
         &mut self,
         frame: &Scene<'_>,
@@ -411,8 +419,8 @@ impl Convergence {
         self.normals.search(frame, &shown, search_model, *scale, *own_only)
     }
 
-    /// The part of the visible contour of the first `samples` whose edges the last fit explains to
-    /// within so much, and which look like the hand inside, 0–1.
+    /// Fraction of the visible contour of the first `samples` whose edges are within `within_px` of
+    /// the last fit and match the appearance model inside, 0–1.
     pub fn own_share(
         &mut self,
         frame: &Scene<'_>,
@@ -434,7 +442,7 @@ impl Convergence {
         Ok(own as f64 / visible.max(1) as f64)
     }
 
-    /// Notes how far edges are from the last solution, if they agree with it.
+    /// Records the absolute residuals of the edges that agree with the last solution.
     fn mark_agreeing(&mut self) {
         let hits = self.left_px.iter_mut().zip(self.normals.found()).filter(|(_, m)| m.is_ok());
         let fitted = self.fitter.residuals().iter().zip(self.fitter.agreeing());
@@ -445,7 +453,7 @@ impl Convergence {
         }
     }
 
-    /// Which samples the last solution explains: those whose edge it leaves close by.
+    /// Samples that the last solution explains: those with a residual offset below [`SUPPORT_PX`].
     fn support(&self, samples: &[TemplateSample]) -> Support {
         let mut support = Support::default();
         let mut fitted = self.fitter.residuals().iter().zip(self.fitter.agreeing());
@@ -467,7 +475,7 @@ impl Convergence {
         fit: &FitReport<D>,
         stage: &FitStage<'_>,
     ) -> Fit {
-        // Counted already: that neighbours share pixels.
+        // The covariance already includes the correlation of neighbours by shared pixels.
         let design_effect = (self.design_effect(stage.samples) / self.correlation).max(1.0);
         let covariance = fit.covariance * self.correlation;
         let pose = space.pose(x);
@@ -499,8 +507,8 @@ impl Convergence {
     }
 }
 
-/// By how many grey levels what is inside of an edge differs from what is outside, the mean of so far to
-/// either side; none where that is outside of the image.
+/// Grey-level difference across an edge, inside minus outside, as the mean over the distances `px`
+/// to either side; `None` if one of these places is outside of the image.
 fn change_across(frame: &Frame<'_>, edge: &PlacedSample, px: [f64; 2]) -> Option<f64> {
     let level = |px: f64| {
         let at = SidedPixel::at(
@@ -514,7 +522,7 @@ fn change_across(frame: &Frame<'_>, edge: &PlacedSample, px: [f64; 2]) -> Option
     Some(0.5 * (first? + second?))
 }
 
-/// One equation for every edge that a search found.
+/// One equation for every edge found.
 fn linearise<'a, S: ShapeSpace<D>, const D: usize>(
     space: &S,
     pose: &S::Pose,
@@ -531,7 +539,7 @@ fn linearise<'a, S: ShapeSpace<D>, const D: usize>(
     Ok(equations)
 }
 
-/// The part of the image that a finger is refined in.
+/// Image region in which a finger is refined.
 pub(super) fn finger_region(finger: &Finger) -> [f64; 4] {
     let (axis, reach) = (finger.axis, 2.0 * finger.half_width_px + KERNEL_REACH_PX);
     let from = finger.flanks[0].from_px.min(finger.flanks[1].from_px);

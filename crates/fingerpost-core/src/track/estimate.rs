@@ -1,12 +1,12 @@
-//! An estimated shape vector, whatever its shape space.
+//! An estimated shape vector of any shape space.
 
 use crate::geometry::ribbon::RIBBON_DOF;
 use nalgebra::{SMatrix, SVector};
 
-/// Components of the largest shape space.
+/// Dimension of the largest shape space.
 pub const MAX_DOF: usize = RIBBON_DOF;
 
-/// A shape vector, its covariance and what its components are.
+/// A shape vector with its covariance and the names of its components.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ShapeEstimate {
     /// Name and unit of each component.

@@ -1,4 +1,4 @@
-//! What the fit to one frame came to.
+//! The result of fitting one frame.
 
 use super::appearance::EdgeCue;
 use super::options::AcceptOptions;
@@ -6,26 +6,26 @@ use super::shape::Shape;
 use super::stage::{Converged, Fit, max_residual_px};
 use crate::geometry::planar::AffineMap;
 use crate::geometry::ribbon::RIBBON_DOF;
-/// Why the fit of a frame does not count.
+/// Reason for refusing the fit of a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Refusal {
     /// No fit was determined, or none that could be a finger.
     NoFit,
-    /// It is much wider, slimmer or more tapered than the hand that is followed.
+    /// It is much wider, slimmer or more tapered than the tracked hand.
     Size,
-    /// No hand moves like that.
+    /// Its motion is impossible for a hand.
     Motion,
     /// Too few edges agree with it.
     Agreement,
-    /// Those that agree lie too far from it.
+    /// The residual offsets of the agreeing edges are too large.
     Residual,
-    /// It lies on a table that is known, or inside of what stands before that.
+    /// It lies on a table that is known, or inside an object in front of that.
     Background,
     /// The finger is bent: no straight line is its axis.
     Misfit,
 }
 
-/// What one frame's fit came to.
+/// The fit of one frame.
 pub(super) struct FitResult<T = Shape> {
     pub(super) shape: T,
     pub(super) fit: Option<Fit>,
@@ -39,7 +39,7 @@ impl FitResult {
         self.refusal(accept).is_none()
     }
 
-    /// Why its edges alone do not make it a hand.
+    /// Reason for refusing it by its edges alone; `None` if they suffice.
     pub(super) fn refusal(&self, accept: &AcceptOptions) -> Option<Refusal> {
         let Some(fit) = &self.fit else { return Some(Refusal::NoFit) };
         if fit.agreement < accept.min_inliers {
@@ -51,8 +51,8 @@ impl FitResult {
         }
     }
 
-    /// Which edges show what was found: those of the image in which the hand stands out best, unless
-    /// only those of the grey one led to it.
+    /// The edge cue that shows the fit: edges of the image that separates the hand best, unless
+    /// those of the grey image led to it.
     pub(super) fn edges(&self) -> EdgeCue {
         match self.fit {
             Some(Fit { edge_cue: EdgeCue::GreyEdges, .. }) => EdgeCue::GreyEdges,
@@ -60,14 +60,14 @@ impl FitResult {
         }
     }
 
-    /// The part of the visible contour that the fit explains, 0–1.
+    /// Explained fraction of the visible contour, 0–1.
     pub(super) fn explained(&self) -> f64 {
         self.fit.map_or(0.0, |f| f.support.share())
     }
 }
 
 impl<T> FitResult<T> {
-    /// The same of the finger alone.
+    /// Explained fraction of the finger's contour, 0–1.
     pub(super) fn explains_finger(&self) -> f64 {
         self.fit.map_or(0.0, |f| f.support.of_finger())
     }
@@ -83,7 +83,7 @@ impl From<FitResult<AffineMap>> for FitResult {
 impl From<Converged<RIBBON_DOF>> for FitResult {
     fn from(found: Converged<RIBBON_DOF>) -> Self {
         let Converged { x, fit, iterations, edges_within_px } = found;
-        // A band that is turned inside out is no finger.
+        // A band of negative width is no finger.
         let fit = fit.filter(|_| x[3] > 0.0);
         Self { shape: Shape::Ribbon(x), fit, iterations, edges_within_px }
     }

@@ -1,4 +1,4 @@
-//! From nearby by edges: what each model leaves free, fitted in stages.
+//! The stages of a fit near the hand: the free components of each model, fitted in turn.
 
 use super::appearance::EdgeCue;
 use super::fit_result::FitResult;
@@ -19,27 +19,30 @@ use crate::measure::edge::Scale;
 use crate::solve::fit::Prior;
 use nalgebra::{Matrix2, SMatrix, SVector};
 
-/// How far what a hand cannot change may stray while it is tracked: standard deviations of the
-/// band template, in parts of the finger's half-width, of 1 for the taper, and of its length. The
-/// thumb may move, and foreshortening moves its root.
+/// Prior standard deviation of the half-widths of a tracked hand, as a fraction of the acquired
+/// ones.
 const HELD_WIDTH_SIGMA: f64 = 0.06;
+/// Prior standard deviation of its taper.
 const HELD_TAPER_SIGMA: f64 = 0.03;
+/// Prior standard deviation of the thumb's root and spine, as a fraction of the finger's length:
+/// the thumb may move, and foreshortening moves its root.
 const HELD_THUMB_SIGMA: f64 = 0.1;
-/// A thumb has grown or shrunk by no more than this factor since the hand was acquired, and this
-/// part of it is explained.
+/// Largest ratio of a thumb's length or half-width to the acquired one, or its inverse.
 const THUMB_CHANGE: f64 = 1.7;
+/// Least explained fraction of a thumb.
 const THUMB_SEEN: f64 = 0.4;
-/// Before all samples tell the shear of the paper's template, one in so many is enough to place and turn
-/// it. Bands get a width of their own by theirs, and would miss one frame in thirty of a fast hand.
+/// Every how many samples take part in placing and rotating the paper's template, before all
+/// determine its shear. Bands use all samples, which also determine the width; with half of them,
+/// one frame in thirty of a fast hand would be missed.
 const ENOUGH_TO_TURN: usize = 2;
 
-/// How a hand is settled on: from which shape, at which scale, in which window, led by what.
+/// Path of a fit: initial shape, kernel scale, window of the prediction, and edge cue.
 pub(super) type Path = (Shape, Scale, Option<Window>, EdgeCue);
 
 impl ContourTracker {
-    /// From nearby, or as far as the window says, by edges: everything that the model leaves a
-    /// tracked hand. The paper's leans its thumb, if it has one to show the shear; the band model
-    /// takes up what a hand can change.
+    /// Fits all components that the model leaves free in a tracked hand, by edges near `from` or
+    /// within the window. The paper's model fits the shear only with a thumb, which determines it;
+    /// the band model fits the finger under the prior, then the thumb.
     pub(super) fn fit_stages(
         &mut self,
         frame: &Scene<'_>,
@@ -59,7 +62,8 @@ impl ContourTracker {
             Shape::Planar(map) if self.shows_shear() => {
                 let near = SearchPlan { every: ENOUGH_TO_TURN, ..before_others };
                 let turned = self.planar::<Rigid, 3>(frame, map, near)?;
-                // Bands search all of their lines: cut short, their point was worse on grey footage.
+                // Bands search the full range: shortened lines gave less accurate points on grey
+                // footage.
                 let within = SearchPlan { edges_within_px: turned.edges_within_px, ..plan };
                 self.planar::<RigidShear, 4>(frame, turned.shape, within)?.into()
             }
@@ -86,8 +90,8 @@ impl ContourTracker {
         })
     }
 
-    /// The paper's acquisition: the template moves, turns, then deforms affinely; a finger alone,
-    /// which shows neither length nor shear, only grows.
+    /// The paper's acquisition: the template translates, rotates, then deforms affinely. A finger
+    /// alone, which determines neither length nor shear, only scales.
     pub(super) fn affine(
         &mut self,
         frame: &Scene<'_>,
@@ -104,7 +108,7 @@ impl ContourTracker {
         })
     }
 
-    /// One planar shape space; a fit that mirrors or flattens the template is none.
+    /// Fits one planar shape space; a fit that mirrors or flattens the template is discarded.
     pub(super) fn planar<S: PlanarSpace<D>, const D: usize>(
         &mut self,
         frame: &Scene<'_>,
@@ -132,14 +136,14 @@ impl ContourTracker {
         })
     }
 
-    /// Whether the planar template has a thumb that shows length and shear; a traced outline is
-    /// taken to be no mere finger.
+    /// Whether the planar template has a thumb that determines length and shear; a traced outline
+    /// is assumed to be more than a finger.
     fn shows_shear(&self) -> bool {
         self.hand.kind.has_thumb || self.template.proportions().is_none()
     }
 
-    /// The thumb of a finger that was fitted. A thumb bends and leans; it must not turn the finger,
-    /// whose line and covariance stay as they are.
+    /// Fits the thumb of a fitted finger. A thumb bends and leans; it must not turn the finger,
+    /// whose line and covariance stay unchanged.
     fn lean_thumb(
         &mut self,
         frame: &Scene<'_>,
@@ -148,7 +152,7 @@ impl ContourTracker {
         plan: SearchPlan,
     ) -> Result<Converged<RIBBON_DOF>> {
         let mut held = self.held::<RIBBON_DOF>(&finger.x, 1.0);
-        // While the thumb is fitted, the finger stays where it is.
+        // The finger is held fixed while the thumb is fitted.
         for i in 0..5 {
             held.mean[i] = finger.x[i];
             held.information[(i, i)] = PINNED_SIGMA.powi(-2);
@@ -157,7 +161,7 @@ impl ContourTracker {
         let whole = self.run_ribbon(frame, &finger.x, Limb::Thumb, plan, Some(&held))?;
         let Some(with_thumb) = whole.fit else { return Ok(*finger) };
         if !self.is_thumb(&whole.x, &with_thumb) {
-            // It stays where it was.
+            // The thumb keeps its place.
             return Ok(Converged {
                 fit: Some(Fit { counts: with_thumb.counts, ..*fit }),
                 ..*finger
@@ -180,8 +184,8 @@ impl ContourTracker {
         })
     }
 
-    /// Whether what was fitted is still a thumb: about as long and as wide as it was when the hand
-    /// was acquired, and seen. A thumb that has gone astray would hide the finger.
+    /// Whether a fitted thumb is valid: its length and width are near the acquired ones, and it is
+    /// seen. A misplaced thumb would hide the finger.
     fn is_thumb(&self, x: &RibbonVector, fit: &Fit) -> bool {
         let spine = |x: &RibbonVector| x.fixed_rows::<2>(6).norm();
         let acquired = &self.hand.acquired;
@@ -191,8 +195,8 @@ impl ContourTracker {
             && fit.support.of(Part::Thumb) >= THUMB_SEEN
     }
 
-    /// One prefix of the band template's shape vector, by the samples of the finger or of all of
-    /// the hand, down to the thumb.
+    /// Fits the first `D` components of the band template's shape vector, by the samples of the
+    /// finger, or of the whole hand down to the thumb.
     pub(super) fn run_ribbon<const D: usize>(
         &mut self,
         frame: &Scene<'_>,
@@ -217,7 +221,7 @@ impl ContourTracker {
         Ribbon::about(about, &self.hand.measure.with_thumb(self.hand.kind.has_thumb))
     }
 
-    /// How wide a finger is that something may cover in part; None of one that nothing does.
+    /// Prior on the width of a finger that an object may cover; `None` of one that is not covered.
     pub(super) fn belief(&self, line_covariance: &Matrix2<f64>) -> Option<Belief> {
         let (acquired, slack) = (&self.hand.acquired, self.hand.slack());
         self.hand.is_covered.then(|| Belief {
@@ -229,8 +233,8 @@ impl ContourTracker {
         })
     }
 
-    /// What the hand cannot change: the widths and the taper are those it was acquired with, the
-    /// thumb is near where it was in the last frame.
+    /// Prior on the components that a hand cannot change: widths and taper about the acquired ones,
+    /// the thumb about its last place.
     pub(super) fn held<const D: usize>(&self, last: &RibbonVector, slack: f64) -> Prior<D> {
         let acquired = &self.hand.acquired;
         let thumb_px = HELD_THUMB_SIGMA * self.hand.measure.length_px;

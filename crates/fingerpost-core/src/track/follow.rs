@@ -1,4 +1,4 @@
-//! *Tracking*: where the hand is foretold to be, what is found there, and whether that is the hand.
+//! *Tracking*: prediction of the hand's pose, localisation near it, and validation of the fit.
 
 use super::fit_result::{FitResult, Refusal};
 use super::hand::Hand;
@@ -15,14 +15,14 @@ use super::validation::{Motion, Validation};
 use crate::Result;
 use crate::solve::dynamics::{Innovation, Prediction};
 
-/// A finger that is moved this way and that by this part of its length, and turned by as much, is in
-/// another place.
+/// Cell size of distinct places: this fraction of the finger's length along u and along v, and the
+/// same number in radians.
 const PLACE_PART: f64 = 1.0 / 8.0;
-/// A hand whose finger is bent in more frames in a row than this is lost.
+/// Frames in a row with a bent finger after which the hand is lost.
 const MOST_BENT_FRAMES: usize = 30;
 
 impl ContourTracker {
-    /// One frame of tracking. A hand that was not seen for long is not followed but found again.
+    /// One frame of tracking. After a long gap the hand is not tracked but acquired again.
     pub(super) fn follow(
         &mut self,
         frame: &Scene<'_>,
@@ -35,7 +35,8 @@ impl ContourTracker {
             return self.recover(frame, time_s, 0, self.hand.remembered(from));
         };
         let expected = prediction.window.expected.vector;
-        // It may as well have stopped or turned round, and the longer it is unseen the more it may.
+        // The hand may also have stopped or reversed, and may have done more the longer it is
+        // unseen.
         let went_px = (expected - from.placement()).xy().norm();
         let lately = if self.hand.is_back { LOST_REACH } else { 1.0 };
         let reach_px = self.largeness() * half_length_px * (lately + missed as f64) + went_px;
@@ -95,7 +96,7 @@ impl ContourTracker {
         Ok(track)
     }
 
-    /// What the hand's motion tells about this frame; nothing after a long gap.
+    /// The prediction for this frame; `None` before acquisition and after a long gap.
     fn predict_motion(&self, time_s: f64) -> Result<Option<MotionPrediction>> {
         let Some(dynamics) = self.dynamics else { return Ok(None) };
         Ok(match dynamics.predict(time_s)? {
@@ -108,8 +109,8 @@ impl ContourTracker {
         })
     }
 
-    /// A bent finger yields no line, but stays in sight, to be followed again when it is straight;
-    /// not for longer than it has been straight, for what is bent may be no finger at all.
+    /// A bent finger yields no line but stays tracked until it is straight; not for more frames
+    /// than it has been straight, since a bent shape may be no finger at all.
     fn hold_bent(&mut self, time_s: f64, found: &FitResult, accept: &AcceptOptions) -> Track {
         self.hand.bent_frames += 1;
         // The template slides as the finger bends, and back again.
@@ -124,7 +125,7 @@ impl ContourTracker {
         track(time_s, self.status(), found, accept, Some(Refusal::Misfit))
     }
 
-    /// What a fit of the followed hand is judged by.
+    /// The reference values for validating a fit of the tracked hand.
     pub(super) fn validation(
         &self,
         accept: &AcceptOptions,

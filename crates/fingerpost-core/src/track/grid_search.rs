@@ -1,24 +1,26 @@
-//! From afar: which pose, of many, has what looks like the hand inside and what does not outside.
+//! Coarse localisation: the pose, on a grid, that best separates hand pixels inside the contour
+//! from background pixels outside.
 //!
 //! A search along normals leads the contour to the hand if most of its lines cross the hand's edge
-//! and little else. A hand that turned round between two frames is beyond that, however long the
-//! lines are; its pixels still vote for it. A grid of poses, as fine as the finger is wide, is judged
-//! by the votes on either side of the contour: too coarse to place it, fine enough to find it.
+//! and few others. A hand that rotated between two frames may be out of its range, however long the
+//! lines are, but its pixels still have high log-likelihood ratios. The poses of the grid, spaced
+//! by [`SPACING`] half-widths, are scored by the log-likelihood ratios on either side of the
+//! contour. This is too coarse to fit the contour and fine enough to initialise the fit.
 
 use crate::appearance::histogram::HistogramModel;
 use crate::geometry::shape_space::PlacedSample;
 use crate::image::frame::Frame;
 use nalgebra::{Point2, Vector2};
 
-/// Distance between the poses of the grid, in parts of the finger's half-width.
+/// Spacing of the grid, as a fraction of the finger's half-width.
 const SPACING: f64 = 0.6;
-/// At most this many poses lie between the middle of the grid and its border.
+/// Largest number of steps from the middle of the grid to its border.
 const MOST_STEPS: f64 = 12.0;
-/// Pixels are judged at half the finger's half-width on either side of the contour, but not in its
-/// blurred edge \[px\].
+/// Pixels are sampled at half the finger's half-width on either side of the contour, but at least
+/// this far from it, outside its blurred edge \[px\].
 const CLEARANCE_PX: f64 = 3.0;
 
-/// A contour to judge: pixels inside and outside of it.
+/// A contour to score: pixels inside and outside of it.
 #[derive(Debug, Clone)]
 pub(super) struct GridSearch {
     half_width_px: f64,
@@ -31,12 +33,12 @@ struct Pair {
     outside: Point2<f64>,
 }
 
-/// A place that was judged.
+/// The score of a displacement.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct ShiftScore {
-    /// How far the contour was moved there \[px\].
+    /// Displacement of the contour \[px\].
     pub by_px: Vector2<f64>,
-    /// Mean vote inside minus mean vote outside.
+    /// Mean log-likelihood ratio inside minus that outside.
     pub separation: f32,
 }
 
@@ -45,7 +47,7 @@ impl GridSearch {
         Self { half_width_px: 0.0, pairs: Vec::with_capacity(samples) }
     }
 
-    /// Forgets the contour; the next one's finger is `half_width_px` wide on either side.
+    /// Removes the contour; the next one's finger has the half-width `half_width_px`.
     pub fn clear(&mut self, half_width_px: f64) {
         self.half_width_px = half_width_px;
         self.pairs.clear();
@@ -58,12 +60,12 @@ impl GridSearch {
         self.pairs.push(Pair { inside: position - away, outside: position + away });
     }
 
-    /// The pixels that judge the contour where it is.
+    /// The pixels that score the contour in its present place.
     pub fn pixels(&self) -> impl Iterator<Item = Point2<f64>> {
         self.pairs.iter().flat_map(|pair| [pair.inside, pair.outside])
     }
 
-    /// Where the contour separates the hand best, moved by at most `reach_px` along u and v.
+    /// The best-scoring displacement, by at most `reach_px` along u and v.
     pub fn best(
         &self,
         frame: &Frame<'_>,

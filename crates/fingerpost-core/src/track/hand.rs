@@ -1,4 +1,4 @@
-//! The hand as it is known: its shape, its looks, and what is usual of it.
+//! The state of the hand: its shape, its appearance model, and its usual residuals.
 
 use super::appearance::{AppearanceModel, EdgeCue, SearchModel};
 use super::fit_result::FitResult;
@@ -16,22 +16,25 @@ use crate::geometry::template::{Part, Template, TemplateSample};
 use crate::measure::edge::{Polarity, Scale};
 use nalgebra::Vector2;
 
-/// Part of a change of width or taper that is taken over per accepted frame.
+/// Rate at which the acquired widths and taper follow the fit, per accepted frame.
 const HELD_RATE: f64 = 0.05;
-/// Where covers may give a hand edges that it does not have, the residual offsets' scale is at most so
-/// many times the usual one and need not be below this \[px\]; the usual one follows slowly.
+/// Largest scale of the residual offsets of a hand that may be covered, relative to its usual
+/// scale. Edges of the covering object are not the hand's.
 const USUAL_TIMES: f64 = 2.0;
+/// Lower bound of that limit \[px\].
 const USUAL_LEAST_PX: f64 = 0.2;
+/// Rate at which the usual scale follows, per frame.
 const USUAL_RATE: f64 = 0.1;
-/// An edge is its own only within so many of the largest scales of its residual offsets.
+/// Distance from the fit within which an edge may be the hand's own, in units of the largest scale
+/// of its residual offsets.
 const OWN_SCALES: f64 = 1.5;
-/// What is covered changes its dimensions by no more than this part of what it may while it is seen
-/// whole. From one frame to the next a hand of constant size has hardly any change at all.
+/// Prior standard deviation of the dimensions of a covered hand, relative to that of a hand seen
+/// whole. From one frame to the next a hand of constant size hardly changes.
 const COVERED_SLACK: f64 = 0.1;
-/// What has not been seen whole for so many frames may be no hand that is covered in part, but none.
+/// Frames without a whole view after which a partly seen hand may be no hand at all.
 pub(super) const MOST_COVERED_FRAMES: usize = 90;
 
-/// The template before it has seen a hand.
+/// The initial template, before it was fitted to a hand.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct InitialTemplate {
     pub(super) map: AffineMap,
@@ -39,44 +42,43 @@ pub(super) struct InitialTemplate {
     pub(super) measure: BandMeasure,
 }
 
-/// The hand as it is known now.
+/// The present state of the hand.
 #[derive(Debug, Clone)]
 pub(super) struct Hand {
     pub(super) shape: Shape,
-    /// The band template when the hand was acquired; its widths and taper follow slowly.
+    /// The band template at acquisition; its widths and taper follow slowly.
     pub(super) acquired: RibbonVector,
-    /// What the acquired hand shows.
+    /// Whether it shows a thumb, and the polarity of its edges.
     pub(super) kind: Kind,
-    /// Where along its finger the samples stand: as far as that shows.
+    /// Extent of the finger along which the samples lie.
     pub(super) measure: BandMeasure,
-    /// The planar template moulded to this hand; unused by the band model.
+    /// The planar template fitted to this hand; unused by the band model.
     pub(super) fitted: Vec<TemplateSample>,
-    /// What it looks like, once it was seen.
+    /// Its appearance model, once learned.
     pub(super) appearance: Option<AppearanceModel>,
-    /// The flank of its finger that is as dark as what is behind it, if it was acquired with one.
+    /// The shaded flank of its finger, which in grey has no contrast to the background; `None` if
+    /// it was acquired without one.
     pub(super) shaded: Option<Part>,
-    /// Where it was when they were last learned \[px\], and the frames that it was tracked since.
+    /// Its place when the appearance model was last updated \[px\], and the frames tracked since.
     pub(super) taught_at_px: Vector2<f64>,
     pub(super) untaught_frames: usize,
-    /// Frames in a row in which its thumb was not seen.
+    /// Frames in a row in which the thumb was not seen.
     pub(super) thumb_missed: usize,
-    /// Whether its finger is straight, for how many frames in a row it has not been, and how often
-    /// it has been since it was acquired.
+    /// Bend state of its finger, bent frames in a row, and straight frames since acquisition.
     pub(super) bend_state: BendState,
     pub(super) bent_frames: usize,
     pub(super) straight_frames: usize,
-    /// Whether it was found again in the last frame: how fast it moves is not known.
+    /// Whether it was found again in the last frame, so that its velocity is unknown.
     pub(super) is_back: bool,
-    /// Root mean square of its edges' residual offsets as it is seen usually \[px\]; infinite as
-    /// long as that is not known.
+    /// Usual root mean square of its residual offsets \[px\]; infinite until known.
     pub(super) usual_px: f64,
     /// Frames since nearly all of its contour was last explained.
     pub(super) partly_frames: usize,
-    /// Whether something may cover it in part, for all that is known of it.
+    /// Whether an object may cover part of it.
     pub(super) is_covered: bool,
 }
 
-/// A lost hand: where it was last, and what it showed.
+/// A lost hand: its last shape, kind and finger extent.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct LastKnown {
     pub(super) shape: Shape,
@@ -84,7 +86,8 @@ pub(super) struct LastKnown {
     pub(super) measure: BandMeasure,
 }
 
-/// How far a convergence looks along the normals, and whether by the pixels' votes or by edges.
+/// Parameters of one convergence: range along the normals, and whether it follows log-likelihood
+/// ratios or edges.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct SearchPlan {
     pub(super) half_length_px: f64,
@@ -94,13 +97,13 @@ pub(super) struct SearchPlan {
     pub(super) scale: Scale,
     pub(super) window: Option<Window>,
     pub(super) rest: StageEnd,
-    /// One sample in so many takes part.
+    /// Every how many samples one takes part.
     pub(super) every: usize,
     pub(super) own_only: bool,
 }
 
 impl InitialTemplate {
-    /// What a hand would show that is just like the template.
+    /// The kind of a hand that equals the template.
     pub(super) fn kind(&self, options: &TrackerOptions) -> Kind {
         Kind { has_thumb: self.measure.side != 0.0, polarity: options.polarity }
     }
@@ -119,17 +122,17 @@ impl Hand {
         if self.kind.has_thumb { samples } else { finger_samples(samples) }
     }
 
-    /// The planar template's samples: those moulded to this hand, or the waiting template's.
+    /// The planar template's samples: those fitted to this hand, or the initial template's.
     pub(super) fn planar<'a>(&'a self, samples: &'a [TemplateSample]) -> &'a [TemplateSample] {
         if self.fitted.is_empty() { samples } else { &self.fitted }
     }
 
-    /// What is kept of it where it is lost in this shape.
+    /// The data retained of it if it is lost in this shape.
     pub(super) fn remembered(&self, shape: Shape) -> LastKnown {
         LastKnown { shape, kind: self.kind, measure: self.measure }
     }
 
-    /// Lets the dimensions that a hand cannot change follow slowly: it may come nearer.
+    /// Lets the widths and the taper follow the fit slowly: the hand may come nearer.
     pub(super) fn grow(&mut self) {
         if let Shape::Ribbon(x) = self.shape {
             for k in [3, 4, 8] {
@@ -138,8 +141,8 @@ impl Hand {
         }
     }
 
-    /// By how much a finger of this half-width at its anchor \[px\] and taper is wider so far ahead of
-    /// there \[px\], and more tapered, than the hand's is known to be.
+    /// (Δw, Δτ): by how much a finger of half-width `half_width_px` at its anchor and of this taper
+    /// is wider than the acquired one, `ahead_px` ahead of the anchor \[px\], and more tapered.
     pub(super) fn shape_mismatch(
         &self,
         half_width_px: f64,
@@ -150,7 +153,7 @@ impl Hand {
         Vector2::new(half_width_px - self.acquired[3] + ahead_px * more_tapered, more_tapered)
     }
 
-    /// Leaves out a thumb that was not seen for so many frames: it would hide the finger.
+    /// Leaves out a thumb that was not seen for `most_missed` frames: it would hide the finger.
     pub(super) fn count_thumb(&mut self, found: &FitResult, most_missed: usize) {
         let seen = found.fit.is_some_and(|f| f.shape.names.len() == RIBBON_DOF);
         self.thumb_missed = if seen { 0 } else { self.thumb_missed + 1 };
@@ -159,7 +162,8 @@ impl Hand {
         }
     }
 
-    /// The hand's samples where a shape puts them, but for those that another limb hides.
+    /// Calls `each` for the hand's samples as a shape places them, except those that another limb
+    /// hides.
     pub(super) fn outline(
         &self,
         shape: &Shape,
@@ -182,7 +186,7 @@ impl Hand {
         }
     }
 
-    /// How many of its samples are the finger's: the first ones.
+    /// Number of its samples on the finger; these come first.
     pub(super) fn fingers(&self, samples: &[TemplateSample]) -> usize {
         match self.shape {
             Shape::Ribbon(_) => finger_samples(samples).len(),
@@ -190,7 +194,7 @@ impl Hand {
         }
     }
 
-    /// A search for these samples by what is known of the hand.
+    /// The search stage of these samples, with the search model of the hand.
     pub(super) fn stage<'a>(
         &'a self,
         samples: &'a [TemplateSample],
@@ -224,7 +228,8 @@ impl Hand {
         }
     }
 
-    /// Whether it was seen whole of late: what never was may be none, and moves as it likes.
+    /// Whether it was seen whole within [`MOST_COVERED_FRAMES`]. One that never was may be no hand;
+    /// its motion is not constrained.
     pub(super) fn is_known_whole(&self) -> bool {
         self.partly_frames < MOST_COVERED_FRAMES
     }
@@ -235,32 +240,33 @@ impl Hand {
         found.explained() >= SURE && found.fit.as_ref().is_some_and(scatters_as_usual)
     }
 
-    /// Whether the last fit that counts is that of all of a hand, or of one that was never seen whole.
+    /// Whether the last accepted fit has representative residuals: it is that of a whole hand, or
+    /// of one that was never seen whole.
     pub(super) fn shows_what_is_usual(&self) -> bool {
         self.partly_frames == 0 || !self.is_known_whole()
     }
 
-    /// Notes whether something may cover it where it was found.
+    /// Records whether an object may cover it in this fit.
     pub(super) fn note_covered(&mut self, found: &FitResult) {
         self.is_covered = self.is_known_whole() && !self.is_whole(found);
     }
 
-    /// Notes whether a fit that counts explains nearly all of its contour.
+    /// Counts the frames since an accepted fit explained nearly all of its contour.
     pub(super) fn count_partly(&mut self, found: &FitResult) {
         self.partly_frames =
             if self.is_whole(found) { 0 } else { self.partly_frames.saturating_add(1) };
     }
 
-    /// Takes over what the edges of a fit that counts scatter. What covers a hand that is known
-    /// whole has edges that are not its own.
+    /// Updates the usual residual scale by an accepted fit, unless an object may cover a hand that
+    /// is known whole: some of its edges are the object's.
     pub(super) fn learn_usual(&mut self, found: &FitResult) {
         if let Some(fit) = found.fit.filter(|_| self.shows_what_is_usual()) {
             self.usual_px += USUAL_RATE * (fit.residual_rms_px - self.usual_px);
         }
     }
 
-    /// By how much the edges of a fit scatter more than is usual, as a standard deviation \[px\]:
-    /// a hand that is known whole does not, but what covers it.
+    /// Excess residual scatter of a fit over the usual, as a standard deviation \[px\]: √(rms² −
+    /// limit²). The excess is due to a covering object, not to a hand that is known whole.
     pub(super) fn unusual_px(&self, fit: &Fit) -> f64 {
         if self.shows_what_is_usual() {
             return 0.0;
@@ -268,25 +274,25 @@ impl Hand {
         (fit.residual_rms_px.powi(2) - self.most_scale_px().powi(2)).max(0.0).sqrt()
     }
 
-    /// What its edges scatter at most about a fit in its place \[px\].
+    /// Largest residual scatter of a fit at its true place \[px\].
     pub(super) fn most_scale_px(&self) -> f64 {
         (USUAL_TIMES * self.usual_px).max(USUAL_LEAST_PX)
     }
 
-    /// An edge may be its own only this near to a fit in its place \[px\].
+    /// Largest distance of an own edge from a fit at its true place \[px\].
     pub(super) fn own_within_px(&self) -> f64 {
         (OWN_SCALES * self.most_scale_px()).min(SUPPORT_PX)
     }
 
-    /// How freely its dimensions change, in parts of how freely they do while all of it is seen: what
-    /// covers it makes it neither wider nor slimmer, but the longer it lasts the more they may have
-    /// changed.
+    /// Slack of the prior on its dimensions, relative to that of a hand seen whole. An object that
+    /// covers it makes it neither wider nor slimmer, but the dimensions may change the longer that
+    /// lasts.
     pub(super) fn slack(&self) -> f64 {
         let since = self.partly_frames as f64 / MOST_COVERED_FRAMES as f64;
         (COVERED_SLACK + (1.0 - COVERED_SLACK) * since).min(1.0)
     }
 
-    /// How to look for it in a frame.
+    /// The search model of the hand in a frame.
     pub(super) fn search_model(
         &self,
         frame: &Scene<'_>,
@@ -298,12 +304,12 @@ impl Hand {
         known.unwrap_or(SearchModel::unknown(polarity))
     }
 
-    /// Whether a mixture of colours shows it better than the grey image.
+    /// Whether a mixture of colours separates it better than the grey image.
     pub(super) fn is_mixed(&self) -> bool {
         self.appearance.as_ref().is_some_and(AppearanceModel::is_mixed)
     }
 
-    /// Whether its looks are known so far that this frame can show them.
+    /// Whether its appearance model applies to this frame: a model of colours needs a colour frame.
     pub(super) fn is_shown_in(&self, frame: &Scene<'_>) -> bool {
         self.appearance.as_ref().is_some_and(|l| !l.is_coloured() || frame.colour().is_some())
     }

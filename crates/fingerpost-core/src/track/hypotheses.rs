@@ -1,4 +1,4 @@
-//! Where a followed hand is: the ways to settle on it, each weighed by what tells for and against it.
+//! Localisation of a tracked hand: hypotheses about its pose, each fitted, scored and ranked.
 
 use super::appearance::EdgeCue;
 use super::fit_result::FitResult;
@@ -17,65 +17,68 @@ use crate::geometry::planar::{Rigid, Translation};
 use crate::geometry::template::Limb;
 use crate::measure::edge::{MAX_HALF_LENGTH_PX, Scale};
 
-/// A fit whose motion costs no more than this needs no second look from afar.
+/// Motion cost up to which a fit needs no further hypotheses, as a fraction of the contour.
 const UNSURPRISING: f64 = 0.1;
-/// A contour of which less than this looks like the hand may be seen in another light.
+/// Score below which a change of light is tried as a hypothesis.
 const UNLIKE: f64 = 0.3;
-/// What an edge counts that does not look like the hand inside, beside one that does: in a new light
-/// none does.
+/// Weight of an edge whose inside does not match the appearance model, relative to one that
+/// matches. It is positive because in a new light no edge matches.
 const UNLIKE_WEIGHT: f64 = 0.1;
-/// Most of a hand's edges look like it inside: where less than this part do, they may be another's.
+/// Expected fraction of the hand's explained edges whose inside matches the appearance model; with
+/// a smaller fraction the edges may be another object's, and count less in proportion.
 const MOST: f64 = 0.7;
-/// Once the votes have been sought, their changes are looked for this part of the way, for the hand
-/// may have turned besides.
+/// Range of the search along normals after the grid search, as a fraction of the grid's range: the
+/// hand may also have turned.
 const APPROACHED_REACH: f64 = 0.5;
-/// Turns of the hand that are sought \[rad\].
+/// Rotations of the grid search \[rad\].
 const GRID_TURNS_RAD: [f64; 3] = [0.0, -0.25, 0.25];
 
-/// Where the hand was found.
+/// The selected hypothesis.
 pub(super) struct Selection {
     pub(super) found: FitResult,
-    /// How far it may have been pushed back along its finger by what covers the tip \[px\].
+    /// Distance by which an object that covers the tip may have pushed the fit back along the
+    /// finger \[px\].
     pub(super) pushed_px: f64,
-    /// What its edges count, 0–1: all of them where most look like the hand inside.
+    /// Weight of its edges, 0–1: 1 where the inside of most matches the appearance model.
     pub(super) likeness: f64,
 }
 
-/// One of the places where the hand may be.
+/// A hypothesis about the hand's pose, after its fit.
 struct Hypothesis {
     found: FitResult,
     path: Path,
-    /// The part of the finger's contour whose edge is explained and looks like the hand inside; what goes
-    /// on ahead of its tip has a contour too.
+    /// Fraction of the finger's contour whose edges are explained and match the appearance model
+    /// inside, divided by 1 + d / finger length, where d is the distance that the hand extends
+    /// beyond the tip.
     own: f64,
-    /// What its motion costs; ∞ if no hand can have become or moved to it, or it is no fit.
+    /// Cost of its motion; ∞ if the hand cannot have changed or moved to it, or without a fit.
     cost: f64,
 }
 
-/// How a hand has moved to a place.
+/// The motion from the last frame to a fit.
 struct MotionCost {
     /// As [`Hypothesis::cost`].
     cost: f64,
-    /// Whether a hand that moves as it did would hardly be there.
+    /// Whether the motion is improbable under the motion prior.
     surprises: bool,
 }
 
 impl Hypothesis {
-    /// How well it explains the contour, less what its motion costs. Edges that do not look like the
-    /// hand inside may be those of what covers it.
+    /// Score: own + [`UNLIKE_WEIGHT`] (explained − own) − cost. Edges whose inside does not match
+    /// the appearance model may be those of an occluding object.
     fn score(&self) -> f64 {
         let others = (self.found.explained() - self.own).max(0.0);
         self.own + UNLIKE_WEIGHT * others - self.cost
     }
 }
 
-/// The best of the ways that were tried.
+/// The best of the hypotheses evaluated until now.
 struct HypothesisRanking {
     best: Hypothesis,
-    /// Whether it was the last one tried, so that its search need not be done again.
+    /// Whether the best was fitted last, so that its search need not be repeated.
     is_last: bool,
-    /// Of those that no hand can have become or moved to the one that explains its contour best, if that
-    /// is as much as a hand that is sure shows.
+    /// Among hypotheses outside the motion gate, the one with the greatest contour support, if that
+    /// is at least [`SURE`].
     impossible: Option<Hypothesis>,
 }
 
@@ -84,7 +87,7 @@ impl HypothesisRanking {
         Self { best: hypothesis, is_last: true, impossible: None }
     }
 
-    /// Takes a way into account that was tried next: of equals the last one is the best.
+    /// Adds the next hypothesis; of equal scores the last one is the best.
     fn or(&mut self, hypothesis: Hypothesis) {
         let is_better = hypothesis.score() >= self.best.score();
         let other = self.keep_better(hypothesis, is_better);
@@ -95,7 +98,7 @@ impl HypothesisRanking {
         }
     }
 
-    /// The same of a way that is or is not better; tells the other one.
+    /// Adds a hypothesis that is or is not better than the best, and returns the worse one.
     fn keep_better(&mut self, hypothesis: Hypothesis, is_better: bool) -> Hypothesis {
         self.is_last = is_better;
         if is_better { std::mem::replace(&mut self.best, hypothesis) } else { hypothesis }
@@ -103,10 +106,10 @@ impl HypothesisRanking {
 }
 
 impl ContourTracker {
-    /// The hand about a predicted shape. Its edges are usually near and sharp; when they explain
-    /// the contour badly, or by a motion that surprises, it may have gone on as it did and be covered
-    /// in part, or have gone elsewhere. What explains the contour best by edges that look like the hand
-    /// counts, less what its motion costs.
+    /// Finds the hand near a predicted shape. Its edges are usually near and sharp. If they explain
+    /// too little of the contour, or the motion surprises, the hand may have continued as before
+    /// and be partly covered, or may be elsewhere; further hypotheses are then tried. The
+    /// hypothesis with the highest [score](Hypothesis::score) is selected.
     pub(super) fn find(
         &mut self,
         frame: &Scene<'_>,
@@ -133,7 +136,7 @@ impl ContourTracker {
         let reach_px = reach_px.min(MAX_HALF_LENGTH_PX as f64);
         let approached = self.approach(frame, predicted, reach_px)?;
         self.try_from_afar(frame, &mut ranking, approached, prediction)?;
-        // What covers the tip has pushed it back, for as many frames as it took.
+        // An object that covers the tip may have pushed the fit back over several frames.
         if let Some(from) = uncovered {
             let path = (from, Scale::Fine, None, EdgeCue::HandEdges);
             ranking.or(self.evaluate_path(frame, path, prediction)?);
@@ -141,18 +144,20 @@ impl ContourTracker {
         self.try_in_grey(frame, &mut ranking, approached, prediction)?;
         self.try_in_another_light(frame, &mut ranking, predicted, prediction)?;
         let HypothesisRanking { best, is_last, impossible } = ranking;
-        // What no hand can have become or moved to is told as such, where no hand is left.
+        // A hypothesis outside the motion gate is reported as such, if no other explains the
+        // contour.
         let no_hand = best.found.explained() < self.options.track.accept.min_inliers;
         let found = match impossible.filter(|_| no_hand) {
             Some(hypothesis) => self.fit_stages(frame, hypothesis.path)?,
             None if is_last => best.found,
-            // Once more, so that the last search is that of the best.
+            // Repeated, so that the last search is that of the best hypothesis.
             None => self.fit_stages(frame, best.path)?,
         };
         self.selection(frame, found, pushed_px)
     }
 
-    /// A hand that was seen whole lately may be covered in part and go on as it did.
+    /// A hand whose whole contour was seen recently may be partly covered and continue at its
+    /// velocity.
     fn try_constant_velocity(
         &mut self,
         frame: &Scene<'_>,
@@ -169,7 +174,7 @@ impl ContourTracker {
         Ok(())
     }
 
-    /// To where a hand is that goes on as it did.
+    /// The path to the hand at constant velocity.
     fn constant_velocity_path(
         &self,
         predicted: Shape,
@@ -184,7 +189,8 @@ impl ContourTracker {
         )
     }
 
-    /// Where the votes have led, a larger kernel sees edges that motion has smeared.
+    /// From the result of the log-likelihood ratios, a wider kernel finds edges that motion has
+    /// blurred.
     fn try_from_afar(
         &mut self,
         frame: &Scene<'_>,
@@ -203,10 +209,11 @@ impl ContourTracker {
         Ok(())
     }
 
-    /// Where the best shows less than a hand must show to be acquired, the mixture of colours that tells
-    /// the hand from most of what was behind it may not tell it from what is behind it now: in the grey
-    /// image the hand has an edge before what is darker and before what is lighter, and is believed to be
-    /// there if it shows as much as a followed hand must. One that is lit from one side shows less there.
+    /// Tries the grey image where the best hypothesis scores below the acquisition threshold. The
+    /// mixture of colours that separates the hand from most of its past background may not separate
+    /// it from the present one. In the grey image a hand has an edge both before a darker and
+    /// before a lighter background. The hypothesis must reach the tracking threshold. It is skipped
+    /// for a hand lit from one side, which shows less in grey.
     fn try_in_grey(
         &mut self,
         frame: &Scene<'_>,
@@ -229,7 +236,8 @@ impl ContourTracker {
         Ok(())
     }
 
-    /// Where nothing looks like the hand and all its edges are in their place, the light has changed.
+    /// Where nothing matches the appearance model but all edges are in place, the light has
+    /// changed.
     fn try_in_another_light(
         &mut self,
         frame: &Scene<'_>,
@@ -248,8 +256,8 @@ impl ContourTracker {
         Ok(())
     }
 
-    /// What the last search has found. Edges that do not look like the hand count less, unless looks did
-    /// not lead to them.
+    /// The result of the last search with the weight of its edges. If the appearance model selected
+    /// the edges, those that do not match it count less.
     fn selection(
         &mut self,
         frame: &Scene<'_>,
@@ -266,7 +274,7 @@ impl ContourTracker {
         Ok(Selection { found, pushed_px, likeness })
     }
 
-    /// A way to settle, tried.
+    /// Fits and evaluates a hypothesis.
     fn evaluate_path(
         &mut self,
         frame: &Scene<'_>,
@@ -277,7 +285,7 @@ impl ContourTracker {
         self.evaluated(frame, found, path, prediction)
     }
 
-    /// What was found in the last search, and what tells for and against it.
+    /// The result of the last search with its appearance share and motion cost.
     fn evaluated(
         &mut self,
         frame: &Scene<'_>,
@@ -294,15 +302,16 @@ impl ContourTracker {
         Ok(Hypothesis { found, path, own, cost })
     }
 
-    /// The part of the finger's contour whose edge the last search has found and explains to within so
-    /// much, and looks like the hand inside.
+    /// Fraction of the finger's contour whose edges are within `within_px` of the last fit and
+    /// match the appearance model inside, 0–1.
     fn own_share(&mut self, frame: &Scene<'_>, edges: EdgeCue, within_px: f64) -> Result<f64> {
         let samples = self.hand.fingers(&self.samples);
         let search_model = self.hand.search_model(frame, edges, self.options.polarity);
         self.convergence.own_share(frame, &search_model, samples, within_px)
     }
 
-    /// How far the hand goes on ahead of the tip of a finger \[px\], for all that looks tell.
+    /// Distance that the hand extends beyond the tip of a finger, by the appearance model \[px\]; 0
+    /// where that is unknown.
     fn goes_on_px(&mut self, frame: &Scene<'_>, shape: &Shape) -> Result<f64> {
         let Shape::Ribbon(x) = shape else { return Ok(0.0) };
         let shaft = Shaft::of_band(x, self.hand.measure.length_px);
@@ -313,13 +322,13 @@ impl ContourTracker {
         Ok(shaft.goes_on_px(&shown, appearance))
     }
 
-    /// Whether a fit leaves nothing to ask: nearly all of the contour is explained, where a hand would
-    /// be that goes on as it did.
+    /// Whether a fit needs no further hypotheses: it explains nearly all of the contour, by a
+    /// motion that does not surprise.
     fn is_plain(&self, found: &FitResult, prediction: Option<&MotionPrediction>) -> Result<bool> {
         Ok(self.hand.is_whole(found) && !self.motion(found, prediction)?.surprises)
     }
 
-    /// What the way to a fit costs, and whether it surprises.
+    /// The cost of the motion to a fit, and whether it surprises.
     fn motion(
         &self,
         found: &FitResult,
@@ -339,8 +348,9 @@ impl ContourTracker {
         Ok(MotionCost { cost, surprises })
     }
 
-    /// From afar: by the votes of pixels, if they are known, to about the right place; then the
-    /// template moves, then turns, until it covers what looks like the hand.
+    /// Coarse localisation. If the appearance model applies, a grid search over the log-likelihood
+    /// ratios of pixels comes first. Then the template translates, then rotates as well, along the
+    /// normals.
     fn approach(&mut self, frame: &Scene<'_>, from: Shape, reach_px: f64) -> Result<Shape> {
         let (from, plan) = if self.hand.is_shown_in(frame) {
             let plan = SearchPlan {
@@ -363,7 +373,7 @@ impl ContourTracker {
         })
     }
 
-    /// The pose about another that looks most like the hand.
+    /// The pose near another that best separates hand from background pixels.
     fn grid_search(&mut self, frame: &Scene<'_>, about: Shape, reach_px: f64) -> Result<Shape> {
         let Self { hand, samples, grid_search, convergence, options, .. } = self;
         let search_model = hand.search_model(frame, EdgeCue::LogRatio, options.polarity);

@@ -1,11 +1,11 @@
-//! Moulding: the waiting template takes the dimensions of the hand that is held up to it.
+//! Initialisation: the initial template takes the dimensions of the hand that is held up to it.
 //!
-//! The finger comes first, alone: it is what the waiting pose tells most about. Several widths,
-//! angles and polarities try, each fitted in stages (place, angle, then width and taper), and the
-//! one that explains most of its contour stays. Without colours, fingers close by that move to the
-//! next edges alone try as well, and one whose flanks are soft, as a shadow's are, is worth less.
-//! The thumb may lean anywhere and be seen at any length, so a grid of thumbs is judged by the edges
-//! they lie on, and the best of them are fitted together with the finger.
+//! The finger is fitted first, alone, since the start pose determines it best. Several widths,
+//! angles and polarities are tried, each fitted in stages (place, angle, then width and taper); the
+//! one with the highest quality is kept. Without colours, start poses near the initial one that
+//! search nearby edges only are tried as well, and a finger with soft flanks, as a shadow has,
+//! scores lower. The thumb may lean in any direction and appear at any length: a grid of thumbs is
+//! ranked by the edges near each, and the best are fitted together with the finger.
 
 use super::appearance::{AppearanceModel, EdgeCue, SearchModel};
 use super::convergence::Convergence;
@@ -25,50 +25,56 @@ use crate::measure::edge_search::Cue;
 use crate::solve::fit::Prior;
 use nalgebra::{Point2, Rotation2, SMatrix, Vector2};
 
-/// Half-widths that try, in parts of the waiting template's.
+/// Half-widths tried, relative to the initial template's.
 const WIDTHS: [f64; 3] = [0.8, 1.2, 1.8];
-/// Angles that try, from the waiting template's \[rad\].
+/// Angles tried, relative to the initial template's \[rad\].
 const ANGLES_RAD: [f64; 3] = [0.0, -0.35, 0.35];
-/// Tapers of a finger: it may get slimmer towards the tip, hardly stouter. Fingers on 33 recordings have
-/// -0.13 to 0.03.
+/// Admissible tapers of a finger: it may narrow towards the tip, hardly widen. Fingers on 33
+/// recordings have −0.13 to 0.03.
 const TAPERS: std::ops::RangeInclusive<f64> = -0.2..=0.12;
-/// What part of a flank, of the tip and of the thumb a fit has to explain before it is a hand.
+/// Least explained fraction of each flank of a hand.
 const FLANK_SEEN: f64 = 0.4;
+/// Least explained fraction of its tip.
 const TIP_SEEN: f64 = 0.4;
-/// How many times as much the finger that looks lead to must be worth: its thumb may be lost.
+/// Factor by which a fit led by appearance must exceed the quality of one by edges: it may lose the
+/// thumb.
 const MIN_SCORE_GAIN: f64 = 1.1;
-/// How often its looks lead a finger.
+/// Iterations of learning the appearance of a finger and refitting by it.
 const LED_ROUNDS: usize = 2;
-/// Half the width of a finger so slim that search lines of the usual length reach across it and far
-/// beyond \[px\], and how far its edges are looked for from nearby \[half-widths\].
+/// Half-width of a finger below which search lines of the usual length reach across it and far
+/// beyond \[px\].
 const SLIM_PX: f64 = 4.0;
+/// Range of the edge search near such a finger \[half-widths\].
 const NEAR_WIDTHS: f64 = 2.0;
-/// So many hypotheses close to the initial template are fitted in a grey image.
+/// Number of hypotheses near the initial template that are fitted in a grey image.
 pub(super) const CLOSE_FITTED: usize = 5;
-/// They explain this part of their contour at least: what they do not see is not a hand's.
+/// Least fraction of their contour that they must explain: edges that are not nearby are not the
+/// hand's.
 const CLOSE_SEEN: f64 = 0.75;
-/// A flank whose edges are less sharp than this ([`Convergence::sharpness`]) is rather that of a shadow.
+/// Sharpness ([`Convergence::sharpness`]) below which a flank is more probably a shadow's.
 const SHARP: f64 = 0.6;
 
-/// A finger that explains this part of its contour is clear enough to look no further.
+/// Score, as a fraction of the contour, from which no further angles are tried.
 const CLEAR: f64 = 0.9;
-/// One that explains less than this part of it, after what its distance from the waiting template and
-/// what is alike beside it cost, is none.
+/// Least score × separation / (1 + separation) of a finger, as a fraction of the contour. The score
+/// is reduced by distance from the initial template.
 const LEAST_SCORE: f64 = 0.4;
-/// How far from the waiting template a hand is expected: its tip, in parts of the finger's length,
-/// and its angle. A finger at one sigma has to explain this part of the contour more than one in
-/// place.
+/// Expected distance of a hand's tip from the initial template's, as a fraction of the finger's
+/// length (one standard deviation).
 const PLACE_SIGMA: f64 = 0.35;
+/// The same of its angle \[rad\].
 const ANGLE_SIGMA_RAD: f64 = 0.35;
+/// Fraction of the contour that a finger at one standard deviation must explain in addition.
 const DISTANCE_WEIGHT: f64 = 0.05;
 
-/// What is believed about a hand before it is seen, as standard deviations of the band template:
-/// in parts of the finger's half-width, of 1 for the taper, and of the finger's length.
+/// Prior standard deviation of the half-widths, as a fraction of the finger's half-width.
 const WIDTH_SIGMA: f64 = 0.4;
+/// Prior standard deviation of the taper.
 const TAPER_SIGMA: f64 = 0.08;
+/// Prior standard deviation of the thumb's root and spine, as a fraction of the finger's length.
 const THUMB_SIGMA: f64 = 0.3;
 
-/// The waiting hand and what is looked for around it.
+/// The initial template and the options of the search around it.
 pub(super) struct TemplateInitialiser<'a> {
     pub options: &'a TrackerOptions,
     pub samples: &'a [TemplateSample],
@@ -76,20 +82,20 @@ pub(super) struct TemplateInitialiser<'a> {
     pub measure: BandMeasure,
 }
 
-/// A hand that was found: its band template, and what kind of hand it is.
+/// A hand that was found: its band template, and its kind.
 pub(super) struct TemplateFit {
     pub hand: Converged<RIBBON_DOF>,
     pub kind: Kind,
 }
 
-/// The finger that is worth most of those that were tried.
+/// The finger with the highest quality until now.
 struct Best {
     finger: Converged<RIBBON_DOF>,
     polarity: Polarity,
     quality: f64,
 }
 
-/// Whether a hand shows a thumb, and which side of its edges is the hand.
+/// Whether a hand shows a thumb, and the polarity of its edges.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Kind {
     pub has_thumb: bool,
@@ -97,9 +103,9 @@ pub(super) struct Kind {
 }
 
 impl TemplateInitialiser<'_> {
-    /// The hand at the waiting template, if the image shows one. The thumb counts only where it is
-    /// seen well: the finger is found and followed without it, and a thumb in the wrong place
-    /// would turn it.
+    /// The hand at the initial template, if the image shows one. The thumb counts only where most
+    /// of it is seen: the finger is found and tracked without it, and a misplaced thumb would turn
+    /// the finger.
     pub fn find(&self, convergence: &mut Convergence, frame: &Scene<'_>) -> Result<TemplateFit> {
         let samples = finger_samples(self.samples).len() as f64;
         let mut best = Best {
@@ -130,7 +136,7 @@ impl TemplateInitialiser<'_> {
             }
             let led = self.inside(convergence, frame, &initial, polarity)?;
             self.consider(&mut best, convergence, frame, &led, polarity)?;
-            // The other angles are for a hand that is held up badly turned.
+            // The other angles serve a hand that is held up at a wrong angle.
             if self.score(&best.finger) >= CLEAR * samples {
                 break;
             }
@@ -140,7 +146,7 @@ impl TemplateInitialiser<'_> {
             let (hand, polarity) = self.thumb(convergence, frame, &finger.x)?;
             if hand.fit.is_some() {
                 let kind = Kind { has_thumb: true, polarity };
-                // Once more, so that the last search is that of the best.
+                // Repeated, so that the last search is that of the best fit.
                 return self.refit(convergence, frame, &hand.x, kind);
             }
         }
@@ -151,8 +157,8 @@ impl TemplateInitialiser<'_> {
         self.refit(convergence, frame, &finger.x, kind)
     }
 
-    /// Takes the finger that was fitted last, or the one that its looks lead to, for the best so far
-    /// if it is: what explains most of its contour and stands out most.
+    /// Replaces the best finger by the one fitted last, or by the one that its appearance leads to,
+    /// if that has a higher quality.
     fn consider(
         &self,
         best: &mut Best,
@@ -178,9 +184,11 @@ impl TemplateInitialiser<'_> {
         Ok(())
     }
 
-    /// What a finger is worth that explains such a part of its contour in the last search and is told so
-    /// well from what is beside it. Without colours, a finger and its shadow together are told from paper
-    /// better than the finger alone: how well they are says less, and the shadow's edges are soft.
+    /// Quality of a finger that explains the fraction `explained` of its contour in the last
+    /// search: `explained` × `separation` with colours, else `explained` × √`separation` ×
+    /// min(sharpness / [`SHARP`], 1)². Without colours, a finger together with its shadow separates
+    /// better from paper than the finger alone, so that separation is less informative; the
+    /// shadow's edges are soft.
     fn quality(
         &self,
         convergence: &mut Convergence,
@@ -196,10 +204,11 @@ impl TemplateInitialiser<'_> {
         explained * separation.sqrt() * (sharpness / SHARP).min(1.0).powi(2)
     }
 
-    /// From an earlier fit, all of the hand at once: by the edges about it, or the finger that what is
-    /// inside of it leads to, whichever is worth more. A pattern's edges are anywhere, and of a slim
-    /// finger's the other flank's and the fist's are within reach as well: where they are taken for its
-    /// own, it is looked at once more from nearby; and so is every finger without colours.
+    /// Refits the whole hand from an earlier fit: by the edges near it, or the finger by the
+    /// appearance of its inside, whichever has the higher quality. A pattern has edges anywhere,
+    /// and for a slim finger the edges of the opposite flank and of the fist are within reach. If
+    /// too few edges agree with a slim finger, it is searched once more at short range; without
+    /// colours every finger is.
     pub fn refit(
         &self,
         convergence: &mut Convergence,
@@ -224,19 +233,19 @@ impl TemplateInitialiser<'_> {
             edges = if close.0.hand.explains_finger() >= CLOSE_SEEN && close.1 >= edges.1 {
                 close
             } else {
-                // Once more, so that the last search is that of the best.
+                // Repeated, so that the last search is that of the best fit.
                 self.judged(convergence, frame, from, kind, EdgeCue::AnyEdge, searched_px)?
             };
         }
         if led_score > MIN_SCORE_GAIN * edges.1 {
-            // Once more, so that the last search is that of the best.
+            // Repeated, so that the last search is that of the best fit.
             edges = self.judged(convergence, frame, from, kind, EdgeCue::LogRatio, reach_px)?;
         }
         Ok(edges.0)
     }
 
-    /// A hand about an earlier fit, by what is inside of that or by edges, and what it is worth: how much
-    /// of its contour it explains times how well it stands out.
+    /// A fit near an earlier one, by the appearance of its inside or by edges, with its
+    /// [quality](Self::quality); 0 if it is no hand.
     fn judged(
         &self,
         convergence: &mut Convergence,
@@ -268,13 +277,13 @@ impl TemplateInitialiser<'_> {
             return Ok((none(hand.x), 0.0));
         };
         let quality = self.quality(convergence, frame, &hand.x, (explained, separation));
-        // A thumb of a finger that was elsewhere is none.
+        // Appearance may have moved the finger and dropped the thumb.
         let has_thumb = has_thumb && fit.shape.names.len() == RIBBON_DOF;
         Ok((TemplateFit { hand, kind: Kind { has_thumb, polarity } }, quality))
     }
 
-    /// Whether a fit is a hand of about the size that was waited for, seen on both flanks, at the
-    /// tip and at the thumb if it has one.
+    /// Whether a fit is a hand of about the expected size, seen on both flanks, at the tip and, if
+    /// it has one, at the thumb.
     pub(super) fn is_plausible(
         &self,
         fitted_finger: &Converged<RIBBON_DOF>,
@@ -292,9 +301,9 @@ impl TemplateInitialiser<'_> {
             && (!has_thumb || (THUMB_SIZES.contains(&thumb) && self.shows_thumb(&fit.support)))
     }
 
-    /// The finger that was fitted last, or the one that its looks lead to where these tell its inside
-    /// from its outside better, and how well they do: one flank of a finger before a pattern may have
-    /// been the pattern's.
+    /// The finger fitted last, or the one that its appearance leads to if that has a higher product
+    /// of explained contour and separation; with its separation. One flank of a finger before a
+    /// pattern may have been fitted to the pattern.
     fn by_appearance(
         &self,
         convergence: &mut Convergence,
@@ -328,8 +337,9 @@ impl TemplateInitialiser<'_> {
         Ok(best)
     }
 
-    /// The finger that the looks of what is inside of a silhouette lead to: it is held up to the
-    /// template, and most of what that covers is of it where the edges nearby are not.
+    /// The finger that the appearance of the inside of a silhouette leads to. The hand is held up
+    /// to the template, so that most of the silhouette's pixels belong to the hand, even where the
+    /// edges nearby do not.
     fn inside(
         &self,
         convergence: &mut Convergence,
@@ -338,7 +348,7 @@ impl TemplateInitialiser<'_> {
         polarity: Polarity,
     ) -> Result<Converged<RIBBON_DOF>> {
         let mut appearance = convergence.lend_appearance(frame);
-        // First it only moves and turns: its width is that of what has been inside.
+        // First it only moves and turns: its width is that of the pixels taken for inside.
         let reach_px = self.options.acquire.reach_px(self.initial[3]);
         let mut led = Converged::at(*from);
         if self.teach_at(convergence, frame, &mut appearance, from)?
@@ -353,7 +363,8 @@ impl TemplateInitialiser<'_> {
         Ok(led)
     }
 
-    /// Shows looks that know nothing yet what is inside of a finger and what is not, if that differs.
+    /// Teaches an empty appearance model the inside and the outside of a finger; false if these do
+    /// not differ.
     fn teach_at(
         &self,
         convergence: &mut Convergence,
@@ -367,8 +378,9 @@ impl TemplateInitialiser<'_> {
         convergence.teach_at(appearance, frame, contour, &Silhouette::of_band(x))
     }
 
-    /// Where looks lead from a silhouette: by votes from afar, then by the edges that look like it,
-    /// and in the end by edges alone, as any other: what looks lead to is no more of a hand for that.
+    /// The fit that an appearance model leads to: by log-likelihood ratios from afar, then by edges
+    /// that match the model, finally by edges alone, as for any other fit: appearance is no
+    /// evidence for a hand.
     fn led(
         &self,
         convergence: &mut Convergence,
@@ -386,7 +398,7 @@ impl TemplateInitialiser<'_> {
         let Some(edges) = appearance.search_model(frame, EdgeCue::HandEdges, polarity) else {
             return Ok(led);
         };
-        // Of looks that one frame has shown, grey edges gain nothing.
+        // For an appearance model learned from one frame, grey edges gain nothing.
         let edges = SearchModel { in_grey: None, ..edges };
         let edges_alone = SearchModel { cue: Cue::Edges, ..edges };
         for (half_px, search_model) in
@@ -401,7 +413,7 @@ impl TemplateInitialiser<'_> {
         Ok(led)
     }
 
-    /// How well the finger that was fitted last stands out; see [`AppearanceModel::finger_separation`].
+    /// Separation of the finger that was fitted last; see [`AppearanceModel::finger_separation`].
     fn finger_separation(
         &self,
         convergence: &mut Convergence,
@@ -413,8 +425,8 @@ impl TemplateInitialiser<'_> {
         convergence.finger_separation(samples, frame, &Silhouette::of_band(x), Some(&shaft))
     }
 
-    /// Whether a finger stands out that is told so well from what is beside it, and so much of whose
-    /// contour is explained.
+    /// Whether a finger with this separation and explained fraction of its contour stands out; see
+    /// [`stands_out`].
     fn stands_out(
         &self,
         frame: &Scene<'_>,
@@ -432,8 +444,8 @@ impl TemplateInitialiser<'_> {
         })
     }
 
-    /// How well a finger explains its contour, less what its distance from the waiting pose costs:
-    /// the operator holds the hand up to the template, not beside it.
+    /// Number of explained samples, less a penalty that is quadratic in the distance from the start
+    /// pose: the operator holds the hand up to the template, not beside it.
     fn score(&self, fitted_finger: &Converged<RIBBON_DOF>) -> f64 {
         let tip = |x: &RibbonVector| {
             Axis::of_finger(Point2::new(x[0], x[1]), x[2], 0.5 * self.measure.length_px).tip
@@ -445,8 +457,8 @@ impl TemplateInitialiser<'_> {
         fitted_finger.support() as f64 - DISTANCE_WEIGHT * visible * (away * away + turned * turned)
     }
 
-    /// What the edges of a waiting template may look like. A hand before an even background has
-    /// edges of one polarity, and is easier to find when only those are looked at.
+    /// Edge polarities to try. A hand before an even background has edges of one polarity, and is
+    /// easier to find when only those are searched.
     pub(super) fn hypotheses(&self) -> &'static [Polarity] {
         match self.options.polarity {
             Polarity::Bright => &[Polarity::Bright],
@@ -455,7 +467,7 @@ impl TemplateInitialiser<'_> {
         }
     }
 
-    /// The waiting hand, turned about its fingertip.
+    /// The initial template, rotated about its fingertip.
     pub(super) fn turned(&self, angle_rad: f64) -> RibbonVector {
         let mut x = *self.initial;
         let half = 0.5 * self.measure.length_px;
@@ -469,7 +481,7 @@ impl TemplateInitialiser<'_> {
         x
     }
 
-    /// The finger alone: it moves, turns, then takes its width and taper.
+    /// Fits the finger alone: translation, then rotation, then width and taper.
     fn finger(
         &self,
         convergence: &mut Convergence,
@@ -483,7 +495,7 @@ impl TemplateInitialiser<'_> {
         self.bands::<5>(convergence, frame, &turned.x, from, half_px, polarity)
     }
 
-    /// Finger and thumb together.
+    /// Fits finger and thumb together.
     pub(super) fn whole(
         &self,
         convergence: &mut Convergence,
@@ -495,8 +507,9 @@ impl TemplateInitialiser<'_> {
         self.bands::<RIBBON_DOF>(convergence, frame, from, from, half_length_px, polarity)
     }
 
-    /// One prefix of the band template's shape vector, from `x`; `believed` is the hand that the
-    /// prior is about. Up to the taper it is the finger alone, and no thumb hides anything of it.
+    /// Fits the first `D` components of the band template's shape vector, from `x`; `believed` is
+    /// the mean of the prior. For `D` up to 5 only the finger is fitted, and no thumb hides any of
+    /// it.
     fn bands<const D: usize>(
         &self,
         convergence: &mut Convergence,
@@ -510,7 +523,7 @@ impl TemplateInitialiser<'_> {
         self.explained::<D>(convergence, frame, (x, believed), half_length_px, search_model)
     }
 
-    /// The same by what is known of the hand.
+    /// The same with a search model of the hand.
     fn explained<const D: usize>(
         &self,
         convergence: &mut Convergence,
@@ -530,8 +543,8 @@ impl TemplateInitialiser<'_> {
         Ok(Converged { x: space.full(&x), fit, iterations, edges_within_px })
     }
 
-    /// Samples of the finger, or of the thumb if the shape space has one, that lie within reach of an
-    /// edge, and near it all alike: an edge found half the reach away counts half.
+    /// Support of the finger, or of the thumb if the shape space has one: the sum over its samples
+    /// of 1000 (1 − |d| / r) for an edge at offset d within the range r = `reach_px`.
     pub(super) fn support<const D: usize>(
         &self,
         convergence: &mut Convergence,
@@ -550,7 +563,8 @@ impl TemplateInitialiser<'_> {
         Ok(offsets.map(|d| (1000.0 * (1.0 - (d / reach_px).abs()).max(0.0)) as u64).sum())
     }
 
-    /// The prior of a hand about `from`: nothing about place and angle, a little about its size.
+    /// The prior of a hand about `from`: no information about place and angle, weak information
+    /// about size.
     fn belief<const D: usize>(&self, from: &RibbonVector) -> Prior<D> {
         let thumb_px = THUMB_SIGMA * self.measure.length_px;
         let sigmas = [
@@ -569,7 +583,7 @@ impl TemplateInitialiser<'_> {
             information[(i, i)] = sigma.powi(-2);
         }
         let mut mean = Ribbon::<D>::free(from);
-        // A taper is as likely one way as the other, whatever an earlier fit made of it.
+        // The prior of the taper is symmetric about zero, whatever an earlier fit gave.
         if D > 4 {
             mean[4] = 0.0;
         }
@@ -577,7 +591,7 @@ impl TemplateInitialiser<'_> {
     }
 }
 
-/// A search by some samples of a hand of which no motion is known yet.
+/// A search by some samples of a hand without a motion prediction.
 fn stage<'a>(
     samples: &'a [TemplateSample],
     search_model: SearchModel<'a>,

@@ -1,8 +1,8 @@
-//! Where finger and thumb are among the samples of a template, and where they meet.
+//! The samples of finger and thumb in a template, and where they meet.
 
 use crate::geometry::template::{Limb, TemplateSample};
 
-/// Lengths that a fitted thumb may have, in finger lengths.
+/// Admissible lengths of a fitted thumb, in finger lengths.
 pub(super) const THUMB_SIZES: std::ops::RangeInclusive<f64> = 0.2..=1.5;
 
 pub(super) fn thumb_samples(samples: &[TemplateSample]) -> &[TemplateSample] {

@@ -1,57 +1,62 @@
-//! The life of a hand in one view: *acquiring*, *tracking*, *lost*.
+//! Tracking of one hand in one view, in three states: *acquiring*, *tracking*, *lost*.
 //!
-//! **Acquiring.** The template waits at its start pose until a hand is held up to it, and moulds
-//! itself to finger and thumb. A fit counts only if it is *accepted* (below) and is about the size
-//! of the template that waits; otherwise the template goes back to its start. It has *settled*
-//! when, over [`AcquireOptions::settle_frames`] accepted frames in a row, no frame changed the
-//! finger's half-width by more than [`AcquireOptions::settle_change`] of it: the hand may move
-//! meanwhile, from any place that the waiting template reaches to any other. Then it is looked at
-//! anew in its own colours, or in the grey levels of either flank where there are none;
-//! [`Model::Ribbon`] is shortened where it reaches beyond the finger, and
-//! [`Model::Paper`] deforms affinely once more and freezes the size.
+//! **Acquiring.** The initial template stays at its start pose. A first fit starts from there, the
+//! following ones from the last fit. A fit counts only if it is *accepted* (below) and its
+//! half-width is within a factor [`AcquireOptions::max_scale`] of the initial template's; otherwise
+//! the next one starts from the start pose again. The fit has *settled* when, over
+//! [`AcquireOptions::settle_frames`] accepted frames in a row, the finger's half-width changed by
+//! at most the fraction [`AcquireOptions::settle_change`] per frame. The hand may move meanwhile,
+//! within the reach of the initial template. The settled hand is then refitted with an appearance
+//! model learned from it: a mixture of colours, or the grey levels of each flank where there are no
+//! colours. [`Model::Ribbon`] is shortened where it extends beyond the finger; [`Model::Paper`] is
+//! deformed affinely once more and its size is frozen.
 //!
-//! **Tracking.** Of the band model everything stays free, but what a hand cannot change is held
-//! near its acquired value by a prior, which follows slowly. The finger comes first: its thumb is
-//! fitted afterwards and does not turn it, and is left out once it has not been seen for a while.
-//! Either flank counts from the tip on for as far as it agrees: behind may be a thumb that lies along
-//! the finger.
-//! The finger line comes from the pixels about the flanks where they can be believed
-//! ([`crate::axis`]), else from the contour; the lines of the frames before have a say in it where
-//! they tell it better, carried along by the finger's skin. It is told for one stretch of the finger,
-//! whatever part of the flanks a frame shows, and its covariance counts how bent the finger is and how
-//! the lines of its frames scatter. The paper's model keeps the settled
-//! size; rigid motion and one shear remain (rigid motion alone where the template has no thumb:
-//! nothing but the thumb shows the shear). A Kalman filter with constant velocity
-//! ([`DynamicsOptions`]) foretells place and angle, what both models share, and how far along each
-//! normal the edge may be. Where the edges there explain the hand badly, or by a motion that
-//! surprises, it is sought all around.
+//! **Tracking, band model.** All components of the shape vector stay free. A prior holds those that
+//! a hand cannot change (widths, taper) near their acquired values, which follow the measurements
+//! slowly. The finger is fitted first. The thumb is fitted afterwards, so that it does not turn the
+//! finger, and is left out after [`TrackOptions::lose_after_frames`] frames without it. Each flank
+//! is used from the tip back to where it stops agreeing with the fit: behind that, a thumb may lie
+//! along the finger. The finger line comes from the pixels near the flanks if their fit can be
+//! relied on ([`crate::axis`]), else from the contour. It is combined with the lines of earlier
+//! frames, carried along by registration of the finger's texture, where these are more certain. The
+//! line is reported for one fixed stretch of the finger, whichever part of the flanks a frame
+//! shows. Its covariance includes the curvature of the finger's axis and the scatter of the lines
+//! of successive frames.
 //!
-//! **Lost.** After [`TrackOptions::lose_after_frames`] frames without an accepted fit the hand is
-//! lost. It is looked for where it last was, and followed again from the first fit there that
-//! acquisition would accept; and where the template first waited, until a fit settles there.
+//! **Tracking, paper's model.** The size is the settled one; rigid motion and one shear remain, or
+//! rigid motion alone for a template without a thumb, since only the thumb determines the shear.
 //!
-//! A fit is accepted when it is determined, enough of the visible contour has an edge that agrees
-//! with it, and the residual offsets of those are small; see [`AcceptOptions`]. A frame whose fit
-//! is not accepted yields no finger line.
+//! **Prediction.** For both models a Kalman filter with constant velocity ([`DynamicsOptions`])
+//! predicts place and angle (c_u, c_v, θ), and from their covariance the length of each search
+//! line. If the fit found there explains too little of the contour, or its innovation is too large,
+//! other hypotheses are searched over a larger region.
 //!
-//! **Bent.** No straight line is the axis of a bent finger. Of a fit that is accepted by its edges
-//! the two halves of the finger are looked at once more, each for itself ([`crate::axis::Bend`]).
-//! Where they differ by more than 20° in the image, by two standard deviations more than that or in
-//! the second such frame in a row, the fit is a [`Refusal::Misfit`]: a first frame that is not as sure
-//! keeps its line, for blur and what is behind the finger bend flanks too. The hand stays in sight
-//! without a line until its halves differ by less than 15° and its tip is seen; a frame whose halves do
-//! not tell gives it back as well if it explains nearly all of the contour, and after a single bent
-//! frame if it explains most of it. A view sees only what of a bend lies across its line of sight. The
-//! paper's model is not looked at so.
+//! **Lost.** After [`TrackOptions::lose_after_frames`] frames in a row without an accepted fit the
+//! hand is lost. It is searched for at its last pose, where tracking resumes with the first fit
+//! that acquisition would accept, and at the start pose, until a fit settles there.
 //!
-//! **Large.** A hand of the band model whose start pose promises a finger of 24 px across or more
-//! is followed in a picture that is smaller than the frames by a whole factor, so that its finger is
-//! 12 to 18 px wide there; what is told is told of the frame. Where a frame is sharp and its pixels
-//! agree with a finger, the line is theirs.
+//! **Acceptance.** A fit is accepted when it is determined, when the edges of a sufficient fraction
+//! of the visible contour agree with it, and when the residual offsets of those are small; see
+//! [`AcceptOptions`]. A frame without an accepted fit yields no finger line.
 //!
-//! A frame goes through `acquire` or `follow`; the latter has `choose` try the places where
-//! the hand may be. Each place is settled on by `fit_stages`, the stages of the fit, and an accepted
-//! one yields its line, and teaches what the hand looks like, in `tell`.
+//! **Bent finger.** A bent finger has no straight axis. After a fit is accepted by its edges, the
+//! two halves of the finger are measured separately ([`crate::axis::Bend`]). The fit is refused as
+//! [`Refusal::Misfit`] if their directions differ by more than 20° in the image, either by two
+//! standard deviations more than that or in the second such frame in a row. A first frame that is
+//! less certain keeps its line, because blur and background also bend flanks. The hand is still
+//! tracked, without a line, until its halves differ by less than 15° and its tip is seen. If a
+//! frame does not determine the bend, the line returns when the fit explains at least 85 % of the
+//! contour, or 70 % after a single bent frame. One view observes only the component of a bend
+//! across its line of sight. The paper's model is not tested for bend.
+//!
+//! **Large hands.** A hand of the band model whose start pose implies a finger at least 24 px
+//! across is tracked in an image reduced by an integer factor, in which the finger is 12 to 18 px
+//! wide; all results are reported in pixels of the frame. The line is refined in the full frame
+//! where that is sharp and its pixels agree with the model of a finger.
+//!
+//! **Structure.** `acquire` or `follow` processes a frame. The latter calls `hypotheses`, which
+//! tries the places where the hand may be. `fit_stages` fits each of them; `report` derives the
+//! finger line of an accepted fit and updates the appearance model.
 //!
 //! Source: Cipolla, Hadfield & Hollinghurst 1994, section 3.2.
 

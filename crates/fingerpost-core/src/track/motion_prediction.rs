@@ -1,4 +1,4 @@
-//! Where the frames so far let the next one expect the hand.
+//! The motion prediction for the next frame.
 
 use super::fit_result::FitResult;
 use super::stage::Window;
@@ -6,11 +6,11 @@ use crate::Result;
 use crate::solve::dynamics::{Dynamics, Innovation};
 use nalgebra::{Matrix3, Vector3};
 
-/// What a fit's covariance does not know of: how far the template slides on a hand that is not
-/// quite like it, standard deviations of (c_u, c_v, θ) \[px, px, rad\].
+/// Standard deviations of (c_u, c_v, θ) that a fit's covariance does not include: the template
+/// slides on a hand that differs from it \[px, px, rad\].
 const MISFIT_SIGMAS: [f64; 3] = [0.5, 0.5, 0.01];
 
-/// What the last frames foretell of the next one.
+/// Prediction of the pose in the next frame.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct MotionPrediction {
     pub(super) dynamics: Dynamics<3>,
@@ -19,7 +19,8 @@ pub(super) struct MotionPrediction {
 }
 
 impl MotionPrediction {
-    /// The same, if what covers the tip may have pushed the finger back along itself by so much \[px\].
+    /// The same with the uncertainty that an object covering the tip may have pushed the fit back
+    /// along the finger by `by_px`.
     pub(super) fn pushed(mut self, by_px: f64) -> Self {
         let (sin, cos) = self.window.expected.vector[2].sin_cos();
         let by = Vector3::new(by_px * cos, by_px * sin, 0.0);
@@ -28,7 +29,7 @@ impl MotionPrediction {
         self
     }
 
-    /// The filter after a fit, and the innovation; None without a fit.
+    /// The filter after a fit, and the innovation; `None` without a fit.
     pub(super) fn followed(
         &self,
         found: &FitResult,

@@ -1,33 +1,32 @@
-//! How a hand has moved lately, beside what a hand may do at any time.
+//! Motion prior: the recent motion of a hand, in addition to the process noise.
 //!
-//! The filter's process noise allows for a hand that starts, stops or turns round in any frame, so
-//! that it is not lost when it does. To a hand at rest that leaves room for every edge nearby: a jump
-//! costs it nothing. What it did in the last frames tells how likely a jump is. It may start to move
-//! all the same, so that what is unlikely costs with the logarithm alone (Student's t, whose scale
-//! the last innovations give).
+//! The process noise of the filter allows a hand to start, stop or reverse in any frame, so that it
+//! is not lost when it does. For a hand at rest this admits every edge nearby: a jump costs
+//! nothing. The innovations of the last frames determine how likely a jump is. Since the hand may
+//! start to move, the cost grows only with the logarithm (Student's t, with the scale of the last
+//! innovations).
 //!
-//! The longer a hand was not seen, the more places it may be in, and the more often one of them shows
-//! by chance what looks like it: a fit is asked to explain the more of the contour, the less likely its
-//! place was beforehand.
+//! The longer a hand is unseen, the more places it may be in, and the more often one of them
+//! resembles it by chance. The required fraction of the contour therefore grows as the prior
+//! probability of a fit's place falls.
 
 use super::options::MIN_HALF_LENGTH_PX;
 use super::stage::Window;
 use crate::solve::dynamics::{Expectation, Innovation};
 
-/// Innovations of so many frames tell how a hand moves.
+/// Frames over which innovations are averaged.
 const FRAMES: f64 = 5.0;
-/// However still it keeps, its innovation is expected to be this part of what the process noise
-/// says, in squares.
+/// Least expected mean square of the innovation, relative to the process noise.
 const STILLEST: f64 = 0.01;
-/// Place and angle.
+/// Components of the innovation: place and angle.
 const COMPONENTS: f64 = 3.0;
-/// A hand starts, stops or turns round in this part of all frames.
+/// Fraction of frames in which a hand starts, stops or reverses.
 const CHANGES: f64 = 0.05;
-/// What an e-fold of surprise costs, in parts of the contour explained.
+/// Cost of one nat of surprise, as a fraction of the contour.
 const SURPRISE_WEIGHT: f64 = 0.05;
 
-/// The mean square of the last innovations, in units of their covariance: 1 for a hand that moves as
-/// its process noise says, less for one that keeps still or moves steadily.
+/// Mean square of the last innovations, in units of their covariance: 1 for a hand that moves as
+/// the process noise states, less for one that is at rest or moves uniformly.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct MotionPrior {
     mean_square: f64,
@@ -35,34 +34,36 @@ pub(super) struct MotionPrior {
 }
 
 impl MotionPrior {
-    /// Of a hand that has not been followed yet.
+    /// The prior of a hand that has not been tracked yet.
     pub fn unknown() -> Self {
         Self { mean_square: 1.0, frames: 1.0 }
     }
 
-    /// Takes over the innovation of a frame, as a normalised square.
+    /// Updates the prior by the normalised square of a frame's innovation.
     pub fn follow(&mut self, normalised_square: Option<f64>) {
         let Some(square) = normalised_square else { return };
         self.frames = (self.frames + 1.0).min(FRAMES);
         self.mean_square += (square / COMPONENTS - self.mean_square) / self.frames;
     }
 
-    /// What is expected of the next innovation's mean square.
+    /// Expected mean square of the next innovation.
     fn expected(self) -> f64 {
         self.mean_square.clamp(STILLEST, 1.0)
     }
 
-    /// Where a hand is that goes on as it did.
+    /// The window of a hand at constant velocity.
     pub fn constant_velocity(self, window: &Window) -> Window {
         let Expectation { vector, covariance } = window.expected;
         let expected = Expectation { vector, covariance: covariance * self.expected() };
         Window { expected, near_px: MIN_HALF_LENGTH_PX, own_only: true, ..*window }
     }
 
-    /// What tells against a fit beside those to anything else, in parts of the contour explained: the
-    /// hand may be in so many places, each as large as a `cell`, and this is not the likeliest, whether
-    /// it goes on as it did or as it may at any time. It is the logarithm of the odds before the contour
-    /// is looked at.
+    /// Improbability of a fit's place before the contour is measured, as a fraction of the contour:
+    /// `SURPRISE_WEIGHT` × min(o(s), o(1) − ln `CHANGES`), with s the expected mean square, r² the
+    /// normalised square per component, n = √det S / `cell`, and the log-odds o(s) = ln max(n
+    /// s^(3/2), 1) + ln(1 + r²/s). The first term counts the cells in which the hand may be, the
+    /// second is the distance from the likeliest. The hand either continues as before (s) or moves
+    /// as the process noise allows (1).
     pub fn unlikely(self, innovation: &Innovation<3>, cell: f64) -> f64 {
         let places = innovation.covariance.determinant().max(0.0).sqrt() / cell;
         let square = innovation.normalised_square() / COMPONENTS;
@@ -72,14 +73,14 @@ impl MotionPrior {
         SURPRISE_WEIGHT * odds(self.expected()).min(odds(1.0) - CHANGES.ln())
     }
 
-    /// What an innovation costs, in parts of the contour explained.
+    /// Cost of an innovation: `SURPRISE_WEIGHT` × ln(1 + r²/s), as a fraction of the contour.
     pub fn cost(self, innovation: &Innovation<3>) -> f64 {
         let square = innovation.normalised_square() / (COMPONENTS * self.expected());
         SURPRISE_WEIGHT * square.ln_1p()
     }
 }
 
-// The pace is private to the crate, and what it must agree with are the odds it stands for.
+// The motion prior is private to the crate, and is tested against the odds that it represents.
 #[cfg(test)]
 #[expect(clippy::unwrap_used, reason = "a test may panic")]
 mod tests {
@@ -90,7 +91,8 @@ mod tests {
 
     const CELL: f64 = 8.0;
 
-    /// A hand that has kept still for long is next seen so much later, so far off.
+    /// Innovation of a hand at rest for 30 frames that is next seen `after_s` later, displaced by
+    /// `off`.
     fn innovation(after_s: f64, off: Vector3<f64>) -> Innovation<3> {
         let seen = Matrix3::from_diagonal(&Vector3::new(0.25, 0.25, 1e-4));
         let components = DynamicsOptions::default().components(1.0);
@@ -120,7 +122,8 @@ mod tests {
             let unlikely = |after_s, part| {
                 motion_prior.unlikely(&innovation(after_s, turned * part), CELL) / SURPRISE_WEIGHT
             };
-            // Where it is foretold, but among more and more places; a hand at rest is in its own.
+            // At the predicted place, but among more and more places; a hand at rest stays in its
+            // own.
             assert!(unlikely(0.8, 0.0) > unlikely(0.4, 0.0) + 1.0);
             for after_s in [0.04, 0.12, 0.24] {
                 assert!(unlikely(after_s, 1.0) > unlikely(after_s, 0.5) + 0.5);

@@ -1,4 +1,4 @@
-//! Options of a tracker, their defaults and ranges.
+//! Options of a tracker, with defaults and ranges.
 
 use crate::measure::edge::{MAX_HALF_LENGTH_PX, Polarity};
 use crate::measure::edge_search::SearchOptions;
@@ -6,92 +6,92 @@ use crate::solve::dynamics::{Component, Course, Domain, Gate, acceleration_densi
 use crate::solve::fit::FitOptions;
 use crate::{Error, Result};
 
-/// The shortest half-length of a search line \[px\].
+/// Least half-length of a search line \[px\].
 pub(super) const MIN_HALF_LENGTH_PX: f64 = 5.0;
 
-/// Which model of the hand is tracked.
+/// Model of the hand.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Model {
     /// The band template: finger and thumb with widths of their own
-    /// ([`Ribbon`](crate::geometry::shape_space::Ribbon)).
+    /// ([`Ribbon`](crate::geometry::ribbon::Ribbon)).
     Ribbon,
-    /// The planar template of 1994: affine until the hand is acquired, then rigid with one shear.
+    /// The planar template of 1994: affine during acquisition, then rigid with one shear.
     Paper,
 }
 
-/// When a fit counts.
+/// Conditions for accepting a fit.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct AcceptOptions {
-    /// Least part of the contour's visible samples whose edges agree with the fit, 0–1.
+    /// Least fraction of the contour's visible samples whose edges agree with the fit, 0–1.
     pub min_inliers: f64,
-    /// Largest root mean square of their residual offsets \[px\], positive; a fifth of the finger's
-    /// half-width if that is more.
+    /// Largest root mean square of their residual offsets \[px\], positive; for large fingers a
+    /// fifth of the half-width, if that is more.
     pub max_residual_px: f64,
 }
 
-/// The template's patience while it waits for the hand.
+/// Options of acquisition.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct AcquireOptions {
     /// Half-length of the search lines \[px\], 1–128.
     pub half_length_px: f64,
-    /// When a fit counts.
+    /// Conditions for accepting a fit.
     pub accept: AcceptOptions,
     /// Accepted frames in a row until the hand is acquired, at least 1.
     pub settle_frames: usize,
-    /// Largest change of the finger's half-width from frame to frame, in parts of it, positive.
+    /// Largest relative change of the finger's half-width from frame to frame, positive.
     pub settle_change: f64,
-    /// The hand is between 1 / this and this times as wide as the waiting pistol, above 1.
+    /// Largest ratio of the hand's width to the initial template's, or its inverse, above 1.
     pub max_scale: f64,
 }
 
-/// Half the width of the largest finger for which lengths in pixels are meant as they are while it is
-/// waited for \[px\]; those of a larger one grow with it.
+/// Largest half-width of an initial template for which lengths in pixels apply unscaled \[px\]; for
+/// a larger one they grow in proportion.
 const LARGEST_HALF_WIDTH_PX: f64 = 10.0;
 
 impl AcquireOptions {
-    /// How far a waiting finger of this half-width looks for edges \[px\].
+    /// Half-length of the edge search for an initial template of this half-width \[px\].
     pub(super) fn reach_px(&self, half_width_px: f64) -> f64 {
         let large = (half_width_px / LARGEST_HALF_WIDTH_PX).max(1.0);
         (large * self.half_length_px).min(MAX_HALF_LENGTH_PX as f64)
     }
 }
 
-/// How the hand is followed.
+/// Options of tracking.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TrackOptions {
-    /// Longest half-length of the search lines of a hand that moves as expected \[px\], 1–128. A
-    /// hand that is not found there is sought this much further, and for every frame without it
-    /// once more.
+    /// Largest half-length of the search lines of a hand that moves as predicted \[px\], 1–128. If
+    /// it is not found there, the search range grows by this length, and again for every frame
+    /// without it.
     pub half_length_px: f64,
-    /// When a fit counts.
+    /// Conditions for accepting a fit.
     pub accept: AcceptOptions,
     /// Frames in a row without an accepted fit until the hand is lost, at least 1.
     pub lose_after_frames: usize,
-    /// How fast the known appearance follows what is seen: part taken over per accepted frame,
-    /// 0–1.
+    /// Rate at which the appearance model follows the image, per accepted frame, 0–1.
     pub appearance_rate: f64,
-    /// How the hand moves.
+    /// Motion model of the hand.
     pub dynamics: DynamicsOptions,
 }
 
-/// How a hand moves in the image between frames: a Kalman filter with constant velocity predicts
-/// it, see [`Dynamics`](crate::solve::dynamics::Dynamics).
+/// Motion model of a hand in the image: a Kalman filter with constant velocity, see
+/// [`Dynamics`](crate::solve::dynamics::Dynamics).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct DynamicsOptions {
-    /// Typical (root mean square) acceleration along u and along v \[px/s²\], 1–1e5.
+    /// Root mean square acceleration along u and along v \[px/s²\], 1–1e5.
     pub acceleration_px_s2: f64,
-    /// The same of the finger's angle \[rad/s²\], 0.01–1000.
+    /// Root mean square angular acceleration of the finger \[rad/s²\], 0.01–1000.
     pub acceleration_rad_s2: f64,
-    /// How long an acceleration keeps its direction \[s\], 0.001–1.
+    /// Correlation time of the acceleration \[s\], 0.001–1.
     pub acceleration_lasts_s: f64,
-    /// Typical speed along u and along v of a hand that is first seen \[px/s\], 0–1e5.
+    /// Standard deviation of the initial speed along u and along v \[px/s\], 0–1e5.
     pub first_speed_px_s: f64,
-    /// The same of the finger's angle \[rad/s\], 0–100.
+    /// Standard deviation of the initial angular speed \[rad/s\], 0–100.
     pub first_speed_rad_s: f64,
     /// Probability with which the search along a normal reaches the hand's edge if the hand moves
-    /// like this, 0.5–0.999999.
+    /// by this model, 0.5–0.999999.
     pub confidence: f64,
-    /// A hand unseen for longer than this is not followed but found again \[s\], 0.001–60.
+    /// Longest gap over which a hand is tracked; after a longer one it is acquired again \[s\],
+    /// 0.001–60.
     pub longest_gap_s: f64,
 }
 
@@ -110,7 +110,7 @@ impl Default for DynamicsOptions {
 }
 
 impl DynamicsOptions {
-    /// Of (c_u, c_v, θ) of a hand so many times as large as usual.
+    /// Filter components (c_u, c_v, θ) of a hand `large` times the usual size.
     pub(super) fn components(&self, large: f64) -> [Component; 3] {
         let component = |acceleration, first_sigma, domain| Component {
             course: Course::Velocity {
@@ -143,33 +143,33 @@ impl DynamicsOptions {
     }
 }
 
-/// Options of a [`ContourTracker`](super::ContourTracker), with their defaults. Lengths and speeds of the
-/// band model are in pixels of the picture in which the hand is followed: of the frame, or where its
-/// finger is 24 px across or more, of one that is smaller by a whole factor.
+/// Options of a [`ContourTracker`](super::ContourTracker), with defaults. For the band model,
+/// lengths and speeds are in pixels of the image in which the hand is tracked: the frame, or, for a
+/// finger at least 24 px across, the frame reduced by an integer factor.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TrackerOptions {
-    /// What is tracked.
+    /// Model of the hand.
     pub model: Model,
-    /// Samples along the contour, 8–2000.
+    /// Number of samples along the contour, 8–2000.
     pub samples: usize,
-    /// Searches along the normals per shape space and frame at most, 1–100.
+    /// Largest number of iterations (searches along the normals) per shape space and frame, 1–100.
     pub max_iterations: usize,
-    /// What an edge is.
+    /// Edge detection.
     pub search: SearchOptions,
-    /// Which side of an edge is the hand.
+    /// Polarity of edges: which side is the hand.
     pub polarity: Polarity,
-    /// How offsets become a step.
+    /// Robust least squares.
     pub fit: FitOptions,
-    /// Neighbouring edge measurements share pixels: the covariance of the fit is multiplied by
-    /// this, at least 1.
+    /// Factor on the covariance of the fit, at least 1: neighbouring edge measurements share
+    /// pixels.
     pub correlation: f64,
     /// Whether the band model's finger line is refined by the flanks alone
-    /// ([`Refiner`](crate::axis::Refiner)) and told with those of the frames before; the paper's
-    /// never is.
+    /// ([`Refiner`](crate::axis::Refiner)) and combined with the lines of earlier frames; the
+    /// paper's model is never refined.
     pub refine: bool,
-    /// Until the hand is acquired.
+    /// Options until the hand is acquired.
     pub acquire: AcquireOptions,
-    /// From then on.
+    /// Options from then on.
     pub track: TrackOptions,
 }
 
@@ -203,14 +203,14 @@ impl Default for TrackerOptions {
 }
 
 impl TrackerOptions {
-    /// How far the edges of a tracked hand so many times as large as usual are looked for.
+    /// Validation gate of the edge search for a tracked hand `large` times the usual size.
     pub(super) fn gate(&self, large: f64) -> Result<Gate> {
         let TrackOptions { half_length_px, dynamics, .. } = &self.track;
         let longest_px = (large * half_length_px).min(MAX_HALF_LENGTH_PX as f64);
         Gate::new(dynamics.confidence, MIN_HALF_LENGTH_PX.min(longest_px), longest_px)
     }
 
-    /// Whether every option is finite and in its range; search and fit check their own.
+    /// Checks that every option is finite and in its range; search and fit check their own.
     pub(super) fn check(&self) -> Result<()> {
         let Self { samples, max_iterations, correlation, acquire, track, .. } = self;
         Error::within("contour samples", *samples as f64, "8 to 2000", |n| {

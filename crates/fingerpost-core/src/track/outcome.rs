@@ -1,4 +1,4 @@
-//! What a tracker tells of one frame.
+//! The result of one frame.
 
 use super::estimate::ShapeEstimate;
 use super::fit_result::{FitResult, Refusal};
@@ -8,65 +8,65 @@ use super::stage::{EdgeCounts, max_residual_px};
 use super::status::Status;
 use crate::axis::Bend;
 
-/// Why a frame went the way it did.
+/// Diagnostics of one frame.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Diagnostics {
-    /// Samples of the contour that no other limb hides.
+    /// Contour samples that no other limb hides.
     pub visible: usize,
-    /// Those that found an edge.
+    /// Visible samples on whose search line an edge was found.
     pub hits: usize,
     /// Edges that agree with the fit.
     pub inliers: usize,
-    /// The part of the finger's visible samples (of the contour's, for the paper's model) whose
-    /// edges agree with the fit, 0–1: a thumb, which bends, does not count.
+    /// Fraction of the finger's visible samples (the contour's, for the paper's model) whose edges
+    /// agree with the fit, 0–1. The thumb does not count, because it bends.
     pub agreement: f64,
-    /// The least agreement with which the frame's fit counted; above 1 where none would have done.
+    /// The smallest agreement with which the frame's fit would be accepted; above 1 if none would.
     pub min_agreement: f64,
-    /// Root mean square of the residual offsets of those \[px\].
+    /// Root mean square of the residual offsets of the inliers \[px\].
     pub residual_rms_px: f64,
-    /// The largest with which the frame's fit counted \[px\].
+    /// The largest such residual with which the frame's fit would be accepted \[px\].
     pub max_residual_px: f64,
-    /// Directions of the shape space that the measurements determine.
+    /// Rank of the information matrix: directions of the shape space that the measurements
+    /// determine.
     pub rank: usize,
-    /// Searches along the normals in the last shape space.
+    /// Iterations (searches along the normals) in the last shape space.
     pub iterations: usize,
     /// Whether the fit was determined and accepted.
     pub accepted: bool,
-    /// Why it was not.
+    /// Why the fit was refused; `None` if it was accepted.
     pub refusal: Option<Refusal>,
-    /// How much place and angle of a fit surprise, as the square of the innovation in units of its
-    /// covariance: 3 on average for a hand that moves as [`dynamics`](super::TrackOptions::dynamics) says. None
-    /// where nothing foretold them.
+    /// Normalised square of the innovation of place and angle: 3 on average for a hand that moves
+    /// as [`dynamics`](super::TrackOptions::dynamics) states. `None` without a prediction.
     pub innovation: Option<f64>,
-    /// How much the finger is bent, as the image shows it: the direction of the half with the tip
-    /// minus that of the half with the knuckle \[rad\]. None where the flanks do not tell.
+    /// Bend of the finger in the image: direction of the half with the tip minus that of the half
+    /// with the knuckle \[rad\]. `None` where the flanks do not determine it.
     pub bend_rad: Option<f64>,
 }
 
-/// What one frame told.
+/// The estimate of one frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Track {
     /// When the frame was captured \[s\].
     pub time_s: f64,
-    /// Where the tracker is after it.
+    /// State of the tracker after the frame.
     pub status: Status,
     /// The fitted shape, if the frame's fit was accepted.
     pub shape: Option<ShapeEstimate>,
     /// The finger line, if the hand is tracked and the frame's fit was accepted.
     pub finger_line: Option<FingerLine>,
-    /// Why.
+    /// Diagnostics of the fit.
     pub diagnostics: Diagnostics,
 }
 
 impl Track {
-    /// The same where the flanks have told this of the finger's bend.
+    /// The same with the bend that the flanks gave.
     pub(super) fn bent(mut self, bend: Option<&Bend>) -> Self {
         self.diagnostics.bend_rad = bend.map(|b| b.angle_rad);
         self
     }
 }
 
-/// The story of one frame whose fit was judged by `accept`, but for the finger line.
+/// The result of one frame whose fit was validated by `accept`, without the finger line.
 pub(super) fn track(
     time_s: f64,
     status: Status,

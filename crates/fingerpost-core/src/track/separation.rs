@@ -1,22 +1,26 @@
-//! Whether a finger differs enough from what is beside it.
+//! Whether a finger differs enough from its surroundings.
 
-/// How much the inside and the outside of a finger differ at least, as the mean of the pixels' votes:
-/// fingers on footage of tables, papers and cloth do by 1.4 and more even in grey, false ones on
-/// patterned cloth by up to 1.2.
+/// Least separation of a finger: mean log-likelihood ratio of pixels inside minus that of pixels
+/// outside. Fingers on footage of tables, papers and cloth have 1.4 and more even in grey, false
+/// ones on patterned cloth up to 1.2.
 pub(super) const STANDS_OUT: f64 = 1.3;
 
-/// The same of a finger that stands free of a table that is known: that tells them apart as well. Dark
-/// hands before dark wood differ by 0.8 to 1.
+/// The same for a finger that passes the foreground test against a known table, which separates
+/// them as well. Dark hands before dark wood have 0.8 to 1.
 pub(super) const STANDS_OUT_FREE: f64 = 0.7;
 
-/// The same of a finger that is seen whole, all around, to this part of its contour. Skin before wood of
-/// its brightness differs by 0.4 to 0.6. Of 1560 templates beside the hands of 13 films this takes 2 more
-/// for a finger (113 in all), and of 480 about the hands of 15 it finds 13 more (438).
+/// The same for a finger that explains at least the fraction [`WHOLE`] of its contour. Skin before
+/// wood of its brightness has 0.4 to 0.6. Of 1560 templates beside the hands of 13 films this
+/// accepts 2 more as fingers (113 in all); of 480 near the hands of 15 films it finds 13 more
+/// (438).
 pub(super) const STANDS_OUT_WHOLE: f64 = 0.4;
+/// Least explained fraction of the contour for [`STANDS_OUT_WHOLE`].
 pub(super) const WHOLE: f64 = 0.7;
 
-/// Whether a finger stands out that is told so well from what is beside it ([`AppearanceModel::finger_separation`]), and
-/// so much of whose contour is explained, and which may stand free of the table, if that is known.
+/// Whether a finger stands out from its surroundings, by its separation
+/// ([`AppearanceModel::finger_separation`](super::appearance::AppearanceModel::finger_separation)),
+/// the explained fraction of its contour, and the foreground test, `None` where the table is
+/// unknown.
 pub(super) fn stands_out(
     separation: f64,
     explained: f64,

@@ -1,4 +1,4 @@
-//! One stage of a fit: what it searches with, and what it comes to.
+//! One stage of a fit: its parameters and its result.
 
 use super::appearance::{EdgeCue, SearchModel};
 use super::estimate::ShapeEstimate;
@@ -9,62 +9,65 @@ use crate::measure::edge::Scale;
 use crate::solve::dynamics::{Expectation, Gate};
 use crate::solve::fit::Prior;
 use nalgebra::{Matrix2, SVector, Vector3};
-/// A fit that explains this part of the contour needs no second look from afar.
+/// Explained fraction of the contour from which a fit needs no further hypotheses.
 pub(super) const SURE: f64 = 0.85;
-/// A contour has converged when no sample moves further than this \[px\]: what is left is a tenth.
+/// Largest motion of a sample below which a contour has converged \[px\]; the remaining motion is a
+/// tenth of it.
 const CONVERGED_PX: f64 = 0.05;
 
+/// The same for a thumb \[px\].
 const THUMB_RESTS_PX: f64 = 0.1;
 
+/// The same for a stage that another shape space continues \[px\].
 const TAKEN_OVER_PX: f64 = 1.0;
 
-/// Motion smears a large finger as it does a small one, in proportion: residual offsets up to this part
-/// of its half-width are no reason to refuse it.
+/// Largest admissible residual as a fraction of the half-width: motion blur grows with the size of
+/// the finger.
 const RESIDUAL_SHARE: f64 = 0.2;
 
-/// A sample supports a fit when its residual offset is below this \[px\].
+/// Residual offset below which a sample supports a fit \[px\].
 pub(super) const SUPPORT_PX: f64 = 1.5;
 
-/// What a hand does besides moving and turning shifts its edges by this, as a standard deviation
+/// Standard deviation of edge displacements other than by translation and rotation of the hand
 /// \[px\].
 const BESIDES_PX: f64 = 1.0;
 
-/// How one convergence searches.
+/// Parameters of one convergence.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct FitStage<'a> {
-    /// The samples that take part: every one, or one in so many.
+    /// The samples, of which every `every`-th takes part.
     pub samples: &'a [TemplateSample],
     pub every: usize,
-    /// What the search lines look for, and in which image.
+    /// Search model: what the search lines look for, and in which image.
     pub search_model: SearchModel<'a>,
     pub scale: Scale,
-    /// The longest search line.
+    /// Largest half-length of a search line \[px\].
     pub half_length_px: f64,
-    /// No edge is expected further away than this \[px\]: lines need be no longer, and the fit takes
-    /// those that they find as it would take them on longer ones.
+    /// Bound on the distance of edges \[px\]: lines need be no longer, and the fit weighs their
+    /// edges as on lines of `half_length_px`.
     pub edges_within_px: f64,
-    /// What shortens the lines further, if the hand's motion is known.
+    /// Prediction that shortens the lines further, if the hand's motion is known.
     pub window: Option<Window>,
     pub rest: StageEnd,
-    /// Whether edges count alone that look like the hand inside.
+    /// Whether only edges that match the appearance model inside count.
     pub own_only: bool,
-    /// The residual offsets' scale near the hand's edges is at most this \[px\].
+    /// Largest scale of the residual offsets near the hand's edges \[px\].
     pub most_scale_px: f64,
 }
 
-/// What becomes of a contour that has come to rest.
+/// Use of a contour that has converged.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum StageEnd {
-    /// It is told.
+    /// It is reported.
     Reported,
-    /// Another shape space takes over and converges itself: no fit is told.
+    /// Another shape space continues from it and converges itself: no fit is reported.
     TakenOver,
-    /// It is told; no finger line depends on where exactly it is, which is a thumb's.
+    /// It is reported; it is a thumb's, on whose exact place no finger line depends.
     Thumb,
 }
 
 impl StageEnd {
-    /// It rests when no sample moves further than this \[px\].
+    /// Largest motion of a sample at convergence \[px\].
     pub fn px(self) -> f64 {
         match self {
             Self::Reported => CONVERGED_PX,
@@ -74,27 +77,30 @@ impl StageEnd {
     }
 }
 
-/// Where a hand that moved on is expected, and how far from there its edges are looked for.
+/// Predicted pose of a hand, and the range of the edge search about it.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Window {
-    /// (c_u, c_v, θ).
+    /// Predicted (c_u, c_v, θ).
     pub expected: Expectation<3>,
     pub gate: Gate,
-    /// How far they are looked for once the hand is placed \[px\].
+    /// Half-length of the search lines once the hand is placed \[px\].
     pub near_px: f64,
-    /// Whether what does not look like the hand inside of an edge is taken for what covers it.
+    /// Whether edges that do not match the appearance model inside are attributed to a covering
+    /// object.
     pub own_only: bool,
 }
 
 impl Window {
-    /// What a hand that goes on as it did is believed to do; nothing is of any other.
+    /// Prior on (c_u, c_v, θ) of a hand at constant velocity; `None` for any other window, or for a
+    /// singular covariance.
     pub fn belief(&self) -> Option<Prior<3>> {
         let Expectation { vector, covariance } = self.expected;
         let information = covariance.try_inverse().filter(|_| self.own_only)?;
         Some(Prior { mean: vector, information })
     }
 
-    /// How far to look along the normal of a sample: it moves with the hand, and a little besides.
+    /// Half-length of the search along the normal of a sample, which moves with the hand and by
+    /// [`BESIDES_PX`] in addition \[px\].
     pub fn length(&self, placed: &PlacedSample) -> f64 {
         let PlacedSample { position, normal } = placed;
         let arm = position.coords - self.expected.vector.xy();
@@ -103,15 +109,15 @@ impl Window {
     }
 }
 
-/// Where the template came to rest.
+/// Result of one convergence.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Converged<const D: usize> {
     pub x: SVector<f64, D>,
     /// The last fit, if it was determined.
     pub fit: Option<Fit>,
     pub iterations: usize,
-    /// No edge that was found is further from here than this, for a stage that takes over \[px\];
-    /// infinite where too few were found to tell, or it did not come to rest.
+    /// For a stage that another continues, bound on the distance of the edges found from `x`
+    /// \[px\]; infinite if too few were found, or without convergence.
     pub edges_within_px: f64,
 }
 
@@ -120,49 +126,50 @@ impl<const D: usize> Converged<D> {
         Self { x, fit: None, iterations: 0, edges_within_px: f64::INFINITY }
     }
 
-    /// The part of the finger's visible samples that the fit explains, 0–1; nothing without a fit.
+    /// Explained fraction of the finger's visible samples, 0–1; 0 without a fit.
     pub fn explains_finger(&self) -> f64 {
         self.fit.map_or(0.0, |f| f.support.of_finger())
     }
 
-    /// Samples that the fit explains; none without a fit.
+    /// Number of samples that the fit explains; 0 without a fit.
     pub fn support(&self) -> usize {
         self.fit.map_or(0, |f| f.support.supported())
     }
 }
 
-/// A determined fit, whatever its shape space.
+/// A determined fit in any shape space.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Fit {
     pub shape: ShapeEstimate,
     pub axis: Axis,
     pub line_covariance: Matrix2<f64>,
-    /// What became of the samples, those of a thumb that was fitted afterwards included.
+    /// Sample counts, including those of a thumb that was fitted afterwards.
     pub counts: EdgeCounts,
-    /// The part of the samples that were fitted whose edges agree with the fit, 0–1.
+    /// Fraction of the fitted samples whose edges agree with the fit, 0–1.
     pub agreement: f64,
     pub support: Support,
     pub residual_rms_px: f64,
     pub rank: usize,
-    /// Whether edges counted alone that look like the hand inside.
+    /// Whether only edges that match the appearance model inside counted.
     pub own_only: bool,
-    /// What led to its edges, and whether its looks told which of them are the hand's.
+    /// The edge cue, and whether the appearance model selected the edges.
     pub edge_cue: EdgeCue,
     pub by_appearance: bool,
 }
 
-/// What became of the samples of a search.
+/// Sample counts of a search.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct EdgeCounts {
-    /// Those that no other limb hides.
+    /// Samples that no other limb hides.
     pub visible: usize,
-    /// Those that found an edge.
+    /// Visible samples on whose search line an edge was found.
     pub hits: usize,
-    /// Those whose edge agrees with the fit.
+    /// Samples whose edge agrees with the fit.
     pub inliers: usize,
 }
 
-/// How many samples of each part of the outline a fit explains, and how many there are.
+/// Sample counts for each part of the outline: explained by the fit (residual offset below
+/// [`SUPPORT_PX`]), agreeing with it (inliers of the robust fit), and visible.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Support {
     pub supported: [usize; 4],
@@ -175,36 +182,36 @@ impl Support {
         self.supported.iter().sum()
     }
 
-    /// The part of all visible samples that is explained, 0–1.
+    /// Explained fraction of all visible samples, 0–1.
     pub fn share(&self) -> f64 {
         self.supported() as f64 / self.visible.iter().sum::<usize>().max(1) as f64
     }
 
-    /// The same of one part of the outline; nothing of what is not visible is explained.
+    /// Explained fraction of one part of the outline, 0–1; 0 if it is not visible.
     pub fn of(&self, part: Part) -> f64 {
         self.supported[part as usize] as f64 / self.visible[part as usize].max(1) as f64
     }
 
-    /// The part of the visible samples of one part of the outline whose edges agree with the fit, 0–1:
-    /// those of a smeared one scatter.
+    /// Fraction of the visible samples of one part of the outline whose edges agree with the fit,
+    /// 0–1. The edges of a blurred part scatter, so that this may exceed the explained fraction.
     pub fn agreeing(&self, part: Part) -> f64 {
         self.agreeing[part as usize] as f64 / self.visible[part as usize].max(1) as f64
     }
 
-    /// The part of the finger's visible samples that is explained, 0–1.
+    /// Explained fraction of the finger's visible samples, 0–1.
     pub fn of_finger(&self) -> f64 {
         let parts = [Part::LeftFlank, Part::RightFlank, Part::Tip].map(|part| part as usize);
         let sum = |counts: &[usize; 4]| parts.iter().map(|&part| counts[part]).sum::<usize>();
         sum(&self.supported) as f64 / sum(&self.visible).max(1) as f64
     }
 
-    /// How many samples of a part of the outline are explained.
+    /// Number of explained samples of a part of the outline.
     pub fn count(&self, part: Part) -> usize {
         self.supported[part as usize]
     }
 }
 
-/// How large the residual offsets of a finger of this half-width may be \[px\].
+/// Largest admissible residual for a finger of this half-width \[px\].
 pub(super) fn max_residual_px(accept: &AcceptOptions, half_width_px: f64) -> f64 {
     accept.max_residual_px.max(RESIDUAL_SHARE * half_width_px)
 }

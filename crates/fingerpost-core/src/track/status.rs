@@ -1,8 +1,8 @@
-//! Where a template waits, and where its hand is in its life.
+//! The start pose of a template, and the state of a tracker.
 
 use nalgebra::Point2;
 
-/// Where the template waits for the hand.
+/// The start pose of the initial template.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct StartPose {
     /// The finger's tip \[px\].
@@ -13,13 +13,13 @@ pub struct StartPose {
     pub length_px: f64,
 }
 
-/// Where the tracker is in the life of a hand.
+/// The state of a tracker.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Status {
-    /// The template waits, or moulds itself to a hand that is held up to it.
+    /// The template is at its start pose, or is being fitted to a hand that is held up to it.
     Acquiring,
-    /// The hand is followed.
+    /// The hand is tracked.
     Tracking,
-    /// The hand was followed and is gone; it is looked for.
+    /// The hand was tracked and is no longer found; it is searched for.
     Lost,
 }

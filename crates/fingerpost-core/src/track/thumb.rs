@@ -1,4 +1,4 @@
-//! The thumb of a hand that is held up: a grid of thumbs, and the best of them fitted.
+//! The thumb of a hand that is held up: a grid of thumbs, of which the best are fitted.
 
 use super::convergence::Convergence;
 use super::initialise::TemplateInitialiser;
@@ -11,36 +11,37 @@ use crate::geometry::template::Part;
 use crate::measure::edge::{MAX_HALF_LENGTH_PX, Polarity};
 use nalgebra::Vector2;
 
-/// Roots of the thumb that try, in finger lengths from the finger's middle.
+/// Thumb roots tried, in finger lengths from the finger's middle.
 const THUMB_ROOTS: [f64; 4] = [-0.75, -0.6, -0.45, -0.3];
 
-/// Angles between thumb and finger that try \[rad\].
+/// Angles tried between thumb and finger \[rad\].
 const THUMB_ANGLES_RAD: [f64; 6] = [0.6, 0.85, 1.1, 1.35, 1.6, 1.85];
 
-/// Lengths of the thumb that try, in finger lengths.
+/// Thumb lengths tried, in finger lengths.
 const THUMB_LENGTHS: [f64; 4] = [0.4, 0.6, 0.8, 1.0];
 
-/// What part of the thumb a fit has to explain before it is one.
+/// Least explained fraction of the thumb's visible samples.
 const THUMB_SEEN: f64 = 0.7;
 
-/// What part of the thumb's contour has to be explained, counted with what the finger hides.
+/// Least explained fraction of all of the thumb's samples, including those that the finger hides.
 const THUMB_IN_SIGHT: f64 = 0.5;
 
-/// How many of the thumbs are fitted.
+/// Number of thumbs that are fitted.
 const THUMBS_FITTED: usize = 4;
 
-/// How far a thumb of the grid may be from the true one \[px per px of finger length\].
+/// Largest distance of the best thumb of the grid from the true one \[px per px of finger length\].
 const THUMB_REACH: f64 = 0.12;
 
 impl TemplateInitialiser<'_> {
-    /// Whether a fit explains enough of the thumb's contour, and not because the finger hides it.
+    /// Whether a fit explains enough of the thumb's contour, and not because the finger hides the
+    /// rest.
     pub(super) fn shows_thumb(&self, support: &Support) -> bool {
         let all = thumb_samples(self.samples).len() as f64;
         support.of(Part::Thumb) >= THUMB_SEEN
             && support.count(Part::Thumb) as f64 >= THUMB_IN_SIGHT * all
     }
 
-    /// The thumb of a finger that was found: the grid's best, fitted with the finger.
+    /// The thumb of a finger that was found: the best of the grid, fitted with the finger.
     pub(super) fn thumb(
         &self,
         convergence: &mut Convergence,

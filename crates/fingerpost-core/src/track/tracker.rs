@@ -1,4 +1,4 @@
-//! The tracker of one view: its state, and what it does with a frame.
+//! The tracker of one view: its state, and the update by one frame.
 
 use super::axis_curvature::AxisCurvature;
 use super::convergence::Convergence;
@@ -31,7 +31,7 @@ use super::options::{Model, TrackerOptions};
 use super::outcome::Track;
 use super::status::{StartPose, Status};
 
-/// Follows one hand in one view.
+/// Tracks one hand in one view.
 #[derive(Debug, Clone)]
 pub struct ContourTracker {
     pub(super) template: Template,
@@ -41,60 +41,65 @@ pub struct ContourTracker {
     pub(super) convergence: Convergence,
     pub(super) grid_search: GridSearch,
     pub(super) gate: Gate,
-    /// An innovation beyond this is no motion of a hand.
+    /// Validation gate: an innovation whose normalised square exceeds this surprises.
     pub(super) surprise: f64,
     pub(super) hand: Hand,
     pub(super) phase: Phase,
     pub(super) refiner: Refiner,
-    /// How a tracked hand moves.
+    /// Motion filter of a tracked hand; `None` before the first acquisition.
     pub(super) dynamics: Option<Dynamics<3>>,
     pub(super) motion_prior: MotionPrior,
-    /// What the frames so far have told of its line, and of its bend.
+    /// Estimates of the finger line and of its axis curvature over the frames.
     pub(super) line_filter: LineFilter,
     pub(super) axis_curvature: AxisCurvature,
     pub(super) foreshortening: f64,
     pub(super) variance_factor: VarianceFactor,
     pub(super) last_time_s: Option<f64>,
-    /// Whether the template waits with a length that is longer than the finger, for all that is known.
+    /// Whether the initial template may be longer than the finger, so that acquisition measures the
+    /// length.
     pub(super) takes_length: bool,
-    /// The light in which the hand's looks are known.
+    /// Exposure at which the appearance model was learned.
     pub(super) exposure: Exposure,
-    /// How much smaller than the frames the pictures are that the hand is followed in, the present
-    /// one, and the frame itself as the hand's discriminant shows it.
+    /// Reduction factor from the frames to the images in which the hand is tracked, the present
+    /// reduced image, and the full frame as the hand's discriminant shows it.
     pub(super) pyramid_level: PyramidLevel,
     pub(super) picture: ReducedImage,
     pub(super) whole: DiscriminantImage,
 }
 
-/// The status, with what it has to remember.
+/// The status with its data.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Phase {
     /// `settled` accepted frames in a row.
     Acquiring { settled: usize },
     /// `missed` frames in a row without an accepted fit.
     Tracking { missed: usize },
-    /// Where the hand was last, and what it showed; `settled` accepted frames in a row since.
+    /// Pose and kind of the hand when last seen; `settled` accepted frames in a row since.
     Lost { last: LastKnown, settled: usize },
 }
 
-/// A hand that moves as foretold stays below what counts as a surprise with this probability.
+/// Probability with which the normalised square of the innovation of a hand that moves as predicted
+/// stays below the gate (χ², 3 degrees of freedom).
 pub(super) const SURPRISE: f64 = 0.9999;
-/// Half the width of the largest finger for which lengths and speeds in pixels are meant as they
-/// are while it is followed \[px\]; those of a larger one grow with it.
+/// Largest half-width of a tracked finger for which lengths and speeds in pixels apply unscaled
+/// \[px\]; for a larger finger they grow in proportion.
 pub(super) const FOLLOWED_HALF_WIDTH_PX: f64 = 13.0;
-/// A hand that is lost, or was until the last frame, is looked for this much further than a tracked one.
+/// Search range of a hand that is lost, or was until the last frame, relative to that of a tracked
+/// hand.
 pub(super) const LOST_REACH: f64 = 2.0;
-/// Once votes have led the contour to the hand, its edges are looked for this far \[px\].
+/// Half-length of the edge search after the log-likelihood ratios of pixels have placed the contour
+/// \[px\].
 pub(super) const NEAR_PX: f64 = 10.0;
-/// What is known so well moves for no edge: standard deviation of each component \[px, rad, 1\].
+/// Standard deviation of a component that edges must not move \[px, rad, 1\].
 pub(super) const PINNED_SIGMA: f64 = 1e-4;
 
 impl ContourTracker {
-    /// A tracker whose template waits at `start`.
+    /// A tracker whose initial template is placed at `start`.
     ///
     /// # Errors
     /// When the start pose or an option is not finite or outside its documented range, and
-    /// [`Error::Unsupported`] for a traced outline with [`Model::Ribbon`]: only a pistol has bands.
+    /// [`Error::Unsupported`] for a traced outline with [`Model::Ribbon`]: only a pistol template
+    /// has bands.
     pub fn new(template: Template, start: &StartPose, options: TrackerOptions) -> Result<Self> {
         options.check()?;
         let pyramid_level = Self::pyramid_level(&template, start, &options);
@@ -162,10 +167,11 @@ impl ContourTracker {
         })
     }
 
-    /// A tracker whose hand is believed to be at `start` already, as a candidate of
-    /// [`candidates`](crate::detect::candidates) is: the first frame is fitted there at once, from the
-    /// template's own width, where a template that waits would try several places, angles and
-    /// widths, and keeps its length. When that frame shows no hand there, the template waits.
+    /// A tracker of a hand that is already at `start`, such as one of
+    /// [`candidates`](crate::detect::candidates). The first frame is fitted there directly, from
+    /// the template's own width, and keeps its length; a tracker made by [`new`](Self::new) would
+    /// try several places, angles and widths. If that frame shows no hand there, acquisition starts
+    /// as with `new`.
     ///
     /// # Errors
     /// Those of [`new`](Self::new).
@@ -176,8 +182,8 @@ impl ContourTracker {
         Ok(tracker)
     }
 
-    /// Hands of the band model are followed at the usual size; one of the paper's, which is not
-    /// refined, at its own.
+    /// A hand of the band model is reduced to the usual size; a hand of the paper's model, whose
+    /// line is not refined, is tracked at its own size.
     pub(super) fn pyramid_level(
         template: &Template,
         start: &StartPose,
@@ -191,24 +197,25 @@ impl ContourTracker {
         }
     }
 
-    /// The same tracker with another instruction set than the processor's widest: slower, with the
-    /// same results to the last bit.
+    /// The same tracker with another instruction set than the processor's widest: slower, with
+    /// bit-identical results.
     #[must_use]
     pub fn with_isa(self, isa: Isa) -> Self {
         let convergence = self.convergence.with_isa(isa);
         Self { convergence, refiner: self.refiner.with_isa(isa), ..self }
     }
 
-    /// By how much the view shows the finger shorter than it is; see
+    /// The foreshortening of the finger in this view; see
     /// [`set_foreshortening`](Self::set_foreshortening).
     #[must_use]
     pub fn foreshortening(&self) -> f64 {
         self.foreshortening
     }
 
-    /// Tells by how much the view shows the finger shorter than it is: the sine of the angle between
-    /// the finger and the ray to its tip, which other views know; 1 if nobody tells. A finger's front,
-    /// which its line is told for, is known by its width, and that is not foreshortened.
+    /// Sets the foreshortening of the finger in this view, 0–1: the sine of the angle between the
+    /// finger and the ray to its tip, which other views determine; 1 if unknown. The line is
+    /// reported for the distal segment, whose length is derived from the finger's width; unlike
+    /// length, width is not foreshortened.
     ///
     /// # Errors
     /// When it is not above 0 and at most 1.
@@ -221,20 +228,21 @@ impl ContourTracker {
         Ok(())
     }
 
-    /// Takes one frame, captured at `time_s`, and tells where the hand is.
+    /// Updates the tracker by one frame, captured at `time_s`, and returns the estimate for it.
     ///
     /// # Errors
     /// When `time_s` is not finite or before the last frame's, or the frame is larger than
-    /// [`EdgeSearch::search`](crate::measure::edge_search::EdgeSearch::search) takes; nothing else of a tracker
-    /// that was made can be refused. A hand that is not there is no error but a [`Status`].
+    /// [`EdgeSearch::search`](crate::measure::edge_search::EdgeSearch::search) accepts; a tracker
+    /// that was constructed has no other errors. The absence of the hand is a [`Status`], not an
+    /// error.
     pub fn update(&mut self, frame: &Frame<'_>, time_s: f64) -> Result<Track> {
         self.take(&Scene::new(frame, None), time_s)
     }
 
-    /// Takes one frame before a background that has looked at it
-    /// ([`Background::measure`]): edges of the background are not taken for the hand's, and the finger
-    /// line is measured before what is known to be behind it. What the frame contradicts does not
-    /// count. A hand that has stood there while the background was learned is part of it.
+    /// Updates the tracker by one frame, which the background model has measured before by
+    /// [`Background::look`]. Edges of the background are not taken for the hand's, and the finger
+    /// line is fitted against the known background. Background pixels that the frame contradicts do
+    /// not count. A hand that was present while the background was learned is part of it.
     ///
     /// # Errors
     /// Those of [`update`](Self::update), and when the background was learned from images of
@@ -264,7 +272,7 @@ impl ContourTracker {
         if !pyramid_level.is_smaller() {
             return self.measure(frame, time_s);
         }
-        // Taken out while the hand is followed in it.
+        // Moved out, since `measure` borrows it together with `self`.
         let mut picture = std::mem::take(&mut self.picture);
         let track = picture
             .of(frame, pyramid_level)
@@ -283,7 +291,7 @@ impl ContourTracker {
         }
     }
 
-    /// Takes what is known of colours over into the light of a frame.
+    /// Adapts the appearance model to the exposure of a frame.
     pub(super) fn relight(&mut self, frame: &Frame<'_>) {
         let gain = self.exposure.changed(frame.image());
         if let (Some(gain), Some(appearance)) = (gain, &mut self.hand.appearance) {
@@ -303,7 +311,7 @@ impl ContourTracker {
         &self.options
     }
 
-    /// Where the tracker is after the last frame.
+    /// The state after the last frame.
     #[must_use]
     pub fn status(&self) -> Status {
         match self.phase {
@@ -313,7 +321,7 @@ impl ContourTracker {
         }
     }
 
-    /// The contour as it stands in the image after the last frame, or where it waits.
+    /// The contour in the image after the last frame, or at the start pose.
     #[must_use]
     pub fn contour(&self) -> Vec<PlacedSample> {
         let mut contour = Vec::with_capacity(self.samples.len());
@@ -324,18 +332,21 @@ impl ContourTracker {
         contour
     }
 
-    /// The last search: lines, what each one found, and whether that agrees with the fit.
+    /// The last search: the lines, the edge measurement of each, and whether it agrees with the
+    /// fit.
     #[must_use]
     pub fn search_lines(&self) -> impl ExactSizeIterator<Item = SearchedLine<'_>> {
         self.convergence.search_lines()
     }
 
-    /// How many times as large as a usual hand this one is seen: it moves so much farther.
+    /// Size of this hand relative to the largest usual one, at least 1; its motion in pixels scales
+    /// with it.
     pub(super) fn largeness(&self) -> f64 {
         (self.hand.acquired[3] / FOLLOWED_HALF_WIDTH_PX).max(1.0)
     }
 
-    /// How far its edges are looked for from nearby \[px\]; no search line is longer than the longest.
+    /// Half-length of the edge search near the hand \[px\], at most that of the longest search
+    /// line.
     pub(super) fn near_px(&self) -> f64 {
         (self.largeness() * NEAR_PX).min(MAX_HALF_LENGTH_PX as f64)
     }

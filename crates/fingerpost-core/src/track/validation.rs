@@ -1,10 +1,11 @@
-//! Whether a fit is the hand that is followed: several signs together, for each alone misleads.
+//! Validation of a fit: whether it is the tracked hand, by several criteria, each insufficient
+//! alone.
 //!
-//! Wedges on a printed mat and edges of a table can have as many edges that agree as a finger has.
-//! But a hand keeps about its size and its looks, and moves from where it was by what its motion
-//! foretells: the less likely the place of a fit, the more of the contour must agree with it. And
-//! where it is foretold, edges that are not seen, in front of something alike or smeared, tell
-//! less against it than edges that lie elsewhere.
+//! Wedges on a printed mat and edges of a table can show as many agreeing edges as a finger does. A
+//! hand, however, keeps its size and appearance approximately, and moves from its last place as its
+//! motion predicts. The agreement required of a fit therefore grows as its place becomes less
+//! likely. At the predicted place, missing edges, caused by blur or by a background similar to the
+//! hand, are weaker evidence against the fit than edges found elsewhere.
 
 use super::fit_result::{FitResult, Refusal};
 use super::options::AcceptOptions;
@@ -15,58 +16,65 @@ use crate::geometry::ribbon::RibbonVector;
 use crate::geometry::template::Part;
 use crate::solve::dynamics::Innovation;
 
-/// A followed finger has grown or shrunk by no more than this factor since it was acquired, and its
-/// taper has changed by no more than this: what it was acquired with follows slowly.
+/// Largest ratio of a tracked finger's half-width to the acquired one, or its inverse. The acquired
+/// value follows the measurements slowly.
 const WIDTH_CHANGE: f64 = 1.6;
+/// Largest difference of its taper from the acquired one.
 const TAPER_CHANGE: f64 = 0.19;
-/// An innovation so many times as large as one that surprises is no motion of a hand, even of one
-/// that turns back in full motion; nor is a turn so many standard deviations from what was foretold.
+/// Normalised square of an innovation, relative to the gate, above which it is no motion of a hand,
+/// not even of one that reverses at full speed.
 const IMPOSSIBLE: f64 = 8.0;
+/// Innovation of the angle, in standard deviations, above which it is no motion of a hand.
 const IMPOSSIBLE_TURN: f64 = 6.0;
-/// Of a hand exactly where it was foretold, this part of the least agreement will do, if at most this
-/// part of its contour has an edge elsewhere and this part of either flank agrees.
+/// Factor on the required agreement for a hand exactly at the predicted place, under the two
+/// conditions below.
 const PREDICTED_SHARE: f64 = 0.66;
+/// Largest fraction of its contour with an edge that disagrees with the fit.
 const CONTRADICTED: f64 = 0.08;
-/// The same where all that counts looks like the hand: what covers a hand has edges inside of it.
+/// The same where only edges that match the appearance model count: an object that covers a hand
+/// has edges inside its outline.
 const CONTRADICTED_BY_COVER: f64 = 0.2;
+/// Least fraction of each flank whose edges agree.
 const FLANK_SEEN: f64 = 0.25;
-/// Of a hand that is covered in part, what is bare must lie where it goes on as it did and scatter no
-/// more than usual; then this part of the least agreement will do, and the covariance tells the rest.
+/// Factor on the required agreement for a hand that is partly covered. Its visible part must lie
+/// where a hand at constant velocity would, and its residuals must scatter no more than usual; the
+/// covariance accounts for the rest.
 const COVERED_SHARE: f64 = 0.5;
 
-/// A finger whose halves differ by more than this is bent \[rad\]: a line fitted to both would be
-/// off the direction of either by half of it. Fingers that point straight in real footage have less
+/// Angle between the halves of a finger above which it is bent \[rad\]: a line fitted to both is
+/// off the direction of each by half of it. Fingers that point straight in real footage have less
 /// than 4° (device), 8° (desk) and 12° (mat, with motion blur) in 95 % of frames.
 const BENT_RAD: f64 = 20.0 * RAD_PER_DEG;
-/// One frame alone shows it for sure by so many standard deviations more than that.
+/// Standard deviations by which the angle of one frame must exceed that to establish the bend
+/// alone.
 const SURELY: f64 = 2.0;
-/// One that was bent is straight again when its halves differ by less than this, its tip seen to at
-/// least this part.
+/// Angle between the halves below which a bent finger is straight again \[rad\].
 const STRAIGHT_RAD: f64 = 15.0 * RAD_PER_DEG;
+/// Least explained fraction of the tip of such a finger.
 const TIP_SEEN: f64 = 0.6;
-/// One that was bent and leaves more than the rest of its contour unexplained has bent further, so
-/// that one of its halves is not found.
+/// Explained fraction of the contour below which a finger bent once has bent further, so that one
+/// of its halves is not found.
 const HALF_SEEN: f64 = 0.7;
 const RAD_PER_DEG: f64 = std::f64::consts::PI / 180.0;
 
-/// Whether a finger is straight, as far as it was seen.
+/// Evidence about whether a finger is straight.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum BendState {
-    /// It is, or nothing shows that it is not.
+    /// It is straight, or nothing shows that it is not.
     Straight,
-    /// One frame showed it bent, but not for sure: blur and what is behind it bend flanks too.
+    /// One frame showed it bent, without certainty: blur and background also bend flanks.
     Uncertain,
-    /// It is not, as a frame showed for sure, but none before: it yields no line, but where the next
-    /// one does not show it, neither is it known to be bent.
+    /// One frame showed it bent with certainty, none before: it yields no line. If the next frame
+    /// does not determine the bend, it is not known to be bent.
     BentOnce,
-    /// It is not, and yields no line.
+    /// It is bent and yields no line.
     Bent,
 }
 
 impl BendState {
-    /// After a frame whose fit shows this bend, if it tells one. A straight line lies well along
-    /// either half of a bent finger, and what it leaves unexplained might be hidden: a finger that
-    /// was seen to bend is straight again only when it is seen to be.
+    /// The state after a frame with this fit and bend, `None` if the flanks did not determine it. A
+    /// straight line fits either half of a bent finger, and the part that it does not explain might
+    /// be hidden: a finger that was seen to bend is straight again only when it is seen to be.
     pub fn after(self, bend: Option<&Bend>, found: &FitResult) -> Self {
         let Some(Bend { angle_rad, sigma_rad }) = bend else {
             return match self {
@@ -95,32 +103,33 @@ impl BendState {
     }
 }
 
-/// What is known of the hand before its fit is judged.
+/// The hand's reference values against which a fit is validated.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Validation<'a> {
     pub accept: AcceptOptions,
-    /// The band template as the hand was acquired.
+    /// The band template at acquisition.
     pub acquired: &'a RibbonVector,
-    /// How the fit differs from what its motion foretold; None where nothing did.
+    /// Deviation of the fit from the motion prediction; `None` without a prediction.
     pub motion: Option<Motion>,
-    /// What its edges scatter at most about a fit in its place \[px\].
+    /// Largest residual scatter of a fit at its true place \[px\].
     pub most_scatter_px: f64,
 }
 
-/// How place and angle differ from those foretold.
+/// Deviation of place and angle from the prediction.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Motion {
-    /// The innovation's normalised square, in units of one that surprises.
+    /// Normalised square of the innovation, relative to the gate.
     surprise: f64,
-    /// That of the angle alone, in its standard deviations.
+    /// Innovation of the angle, in its standard deviations.
     turn: f64,
-    /// How much more of the contour must agree, in parts of it, than of a hand where it must be.
+    /// Additional agreement required, as a fraction of the contour, relative to a hand at its
+    /// likeliest place.
     unlikely: f64,
 }
 
 impl Motion {
-    /// Where a normalised square above `surprise` is no motion that was foretold; see
-    /// [`MotionPrior::unlikely`](super::pace::Pace::unlikely).
+    /// The deviation for an innovation; `surprise` is the gate on its normalised square, `unlikely`
+    /// is [`MotionPrior::unlikely`](super::motion_prior::MotionPrior::unlikely).
     pub fn of(innovation: &Innovation<3>, surprise: f64, unlikely: f64) -> Self {
         Self {
             surprise: innovation.normalised_square() / surprise,
@@ -131,7 +140,10 @@ impl Motion {
 }
 
 impl Validation<'_> {
-    /// Whether a hand can have become and moved to what was found, whatever edges say.
+    /// Whether the hand can have changed and moved to this shape, irrespective of edges.
+    ///
+    /// # Errors
+    /// [`Refusal::Size`] or [`Refusal::Motion`] if it cannot.
     pub fn is_possible(&self, shape: &Shape) -> Result<(), Refusal> {
         if let Shape::Ribbon(x) = shape {
             let width = (x[3] / self.acquired[3]).max(self.acquired[3] / x[3]);
@@ -143,7 +155,10 @@ impl Validation<'_> {
         if self.motion.is_some_and(impossible) { Err(Refusal::Motion) } else { Ok(()) }
     }
 
-    /// Whether it is the hand, and if not, why; its edges look like the hand to this part, 0–1.
+    /// Whether the fit is the hand. `likeness`, 0–1, is the weight of its edges by appearance.
+    ///
+    /// # Errors
+    /// The reason for refusal.
     pub fn judge(&self, found: &FitResult, likeness: f64) -> Result<(), Refusal> {
         let Some(fit) = &found.fit else { return Err(Refusal::NoFit) };
         self.is_possible(&found.shape)?;
@@ -152,13 +167,13 @@ impl Validation<'_> {
         found.refusal(&accept).map_or(Ok(()), Err)
     }
 
-    /// How much of the contour must agree. It may be more than there is.
+    /// Required agreement: (share × `min_inliers` + unlikely) / likeness. It may exceed 1.
     pub fn min_agreement(&self, fit: &Fit, likeness: f64) -> f64 {
         let unlikely = self.motion.map_or(0.0, |motion| motion.unlikely);
         (self.least_share(fit) * self.accept.min_inliers + unlikely) / likeness
     }
 
-    /// The part of the least agreement that will do in the likeliest place.
+    /// Factor on `min_inliers` at the likeliest place.
     fn least_share(&self, fit: &Fit) -> f64 {
         if fit.own_only && fit.residual_rms_px <= self.most_scatter_px {
             return COVERED_SHARE;
@@ -194,7 +209,7 @@ mod tests {
         for side in [-1.0, 1.0] {
             assert_eq!(after(BendState::Straight, side * 30.0, 4.0), BendState::BentOnce);
             assert_eq!(after(BendState::Straight, side * 30.0, 10.0), BendState::Uncertain);
-            // A second one need not be as sure.
+            // The second frame may be less certain.
             assert_eq!(after(BendState::Uncertain, side * 30.0, 10.0), BendState::Bent);
             assert_eq!(after(BendState::BentOnce, side * 30.0, 10.0), BendState::Bent);
         }
