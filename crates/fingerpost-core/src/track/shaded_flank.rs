@@ -299,7 +299,7 @@ impl FlankProfile {
         })
     }
 
-    /// Means over the finger, and over what is behind it.
+    /// Means over the finger, and over the background.
     fn flank_levels(&self) -> Option<(ShadeMeans, ShadeMeans)> {
         let behind = self.behind();
         Some((self.mean(self.first, 0)?, self.mean(behind, behind + BEHIND_PX)?))
