@@ -36,9 +36,9 @@ pub enum Schedule {
     SideBySide,
 }
 
-/// Updates the tracker of every view and returns the tracks in the order of the views. An error of one
-/// view ([`ContourTracker::update_before`] lists them) leaves the others' tracks intact. If the system
-/// starts no more threads, the calling one does the work.
+/// Updates the tracker of every view and returns the tracks in the order of the views. An error of
+/// one view ([`ContourTracker::update_before`] lists them) leaves the others' tracks intact. If the
+/// system starts no more threads, the calling one does the work.
 ///
 /// ```
 /// use fingerpost_core::nalgebra::Point2;
