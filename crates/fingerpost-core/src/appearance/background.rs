@@ -139,8 +139,8 @@ struct Plane {
     seen: Vec<u8>,
 }
 
-/// Number of frames in which all pairs of rows are updated, one pair in so many each, so that every
-/// frame updates an equal number of rows with colours.
+/// Number of frames in which all pairs of rows are updated: a frame updates every fourth pair, so
+/// that all frames update equally many rows with colours.
 const IN_TURN: usize = 4;
 /// The same once no region has been new for [`BackgroundOptions::absorb_frames`].
 const SETTLED_IN_TURN: usize = 8;

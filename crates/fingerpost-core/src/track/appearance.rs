@@ -43,7 +43,7 @@ pub(super) enum EdgeCue {
     AnyEdge,
 }
 
-/// How search lines measure the hand, from what is known of it.
+/// Model by which search lines measure the hand.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct SearchModel<'a> {
     /// The requested cue.
@@ -156,7 +156,7 @@ pub(super) struct AppearanceModel {
     /// The pixels of one frame.
     pixels: Vec<SidedPixel>,
     /// The flank that is as dark as the background, if there is one; see
-    /// [`find_shaded_flank`](super::ContourTracker::leave_shade).
+    /// [`find_shaded_flank`](super::ContourTracker::find_shaded_flank).
     shaded: Option<Part>,
 }
 

@@ -3,28 +3,31 @@
 //!
 //! The finger line is the least-squares line through the finger's medial line. A cylinder has the
 //! same line for every segment of its flanks and under every light. A real finger is bent by a
-//! fraction of a pixel, and its line turns with the segment that is measured. For a medial line y =
-//! κ x² / 2, the least-squares line over c ± h has the slope κ c and, at c, the offset κ (c² + h² /
-//! 3) / 2; shifting the segment of a hand's line by 3 px turns it by a quarter of a degree. The
-//! visible part of the flanks varies from frame to frame, and an initial template is not as long as
-//! a detected one. Therefore all lines of a hand are reported for one segment, the distal one that
-//! points ([`FRONT`]). They are measured on the whole finger, because the angle of a short segment
-//! is imprecise, and extrapolated to the front by the curvature measured from the pixels
+//! fraction of a pixel, and its line turns with the segment that is measured. For a medial line
+//! y = κ x² / 2, the least-squares line over c ± h has the slope κ c and, at c, the offset
+//! κ (c² + h² / 3) / 2; shifting the segment of a hand's line by 3 px turns it by a quarter of a
+//! degree. The visible part of the flanks varies from frame to frame, and an initial template is
+//! not as long as a detected one.
+//!
+//! Therefore all lines of a hand are reported for one segment, the distal one that points
+//! ([`FRONT`]). They are measured on the whole finger, because the angle of a short segment is
+//! imprecise, and extrapolated to the front by the curvature measured from the pixels
 //! ([`PhotometricReport::bend_px`]), weighted by the part of it that is the finger's own
-//! ([`HALF_OWN`]); at weight 0 the line stays that of the whole finger ([`WHOLE`]). At the knuckle
-//! a finger is no parabola: if its bend turns the line by more than the noise does, the pixels of
+//! ([`HALF_OWN`]); at weight 0 the line stays that of the whole finger ([`WHOLE`]). A finger is not
+//! a parabola at its knuckle: if its bend turns the line by more than the noise does, the pixels of
 //! the front are measured alone, and the difference of their line from that of the whole
-//! ([`FrontLine`]) replaces most of the curvature's correction. The far end of the front is given
-//! in half-widths, as a view does not foreshorten the width, times the foreshortening of the
-//! length. Each line carries the segment it is finally reported for ([`FingerLine::stretch`]),
-//! because lens distortion also bends the image of a straight finger: undistorted, it is straight
-//! where the line cuts it.
+//! ([`FrontLine`]) replaces most of the curvature's correction.
+//!
+//! The far end of the front is given in half-widths, because a view does not foreshorten the width,
+//! times the foreshortening of the length. Each line carries the segment it is finally reported for
+//! ([`FingerLine::stretch`]), because lens distortion also bends the image of a straight finger:
+//! undistorted, it is straight where the line cuts it.
 //!
 //! The remaining bias is not reduced by averaging frames: joints, nail and shading turn and shift
 //! the medial line as the bend does. Its size is derived from the bend and added to the covariance
-//! of each line; what the filter over frames averages away of it is restored. The same holds for
-//! the bias that shade and background cause on a flank of low contrast, whether or not it bends the
-//! line ([`FAINT`]).
+//! of each line; the part of it that the filter over frames averages away is restored. The bias
+//! that shade and background cause on a flank of low contrast is added likewise, whether or not the
+//! line is bent ([`FAINT`]).
 //!
 //! [`PhotometricReport::bend_px`]: crate::axis::PhotometricReport::bend_px
 

@@ -99,8 +99,8 @@ impl FingerLine {
         self.with_relative_bias(by_px / self.half_length_px)
     }
 
-    /// The same for a bias given as a part of the half-length h, as by a bend: adds (part · h)² to the
-    /// variance of the offset and 3 part² to that of the angle.
+    /// The same for a bias given as a part of the half-length h, as by a bend: adds (part · h)² to
+    /// the variance of the offset and 3 part² to that of the angle.
     pub(super) fn with_relative_bias(self, part: f64) -> Self {
         let added = Vector2::new(part * self.half_length_px, part * 3.0_f64.sqrt());
         let added = Matrix2::from_diagonal(&added.map(|s| s * s));
