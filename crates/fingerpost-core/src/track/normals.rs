@@ -322,6 +322,7 @@ pub struct SearchedLine<'a> {
     pub line: &'a SearchLine,
     /// The edge, or the reason why there is none.
     pub found: &'a EdgeMeasurement,
-    /// Whether the edge agrees with the fit, that is, counts among [`Diagnostics::inliers`].
+    /// Whether the edge agrees with the fit, that is, counts among
+    /// [`Diagnostics::inliers`](super::Diagnostics::inliers).
     pub agrees: bool,
 }
