@@ -275,8 +275,8 @@ impl AppearanceModel {
     }
 
     /// Forgets everything, and returns the separation of the pixels inside and outside of a
-    /// finger's contour in one frame, [`HistogramModel::separation`], 0–6; 0 for what is no whole
-    /// finger along its `shaft`.
+    /// finger's contour in one frame, [`HistogramModel::separation`], 0–6; 0 if the object is not a
+    /// whole finger along its `shaft`.
     pub fn finger_separation(
         &mut self,
         frame: &Frame<'_>,

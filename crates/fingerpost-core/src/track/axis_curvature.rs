@@ -288,10 +288,10 @@ impl AxisCurvature {
     }
 }
 
-/// Intersections x₁, x₂ of a line with the parabola y = κ x² / 2, as ((x₁ + x₂) / 2 \[px\], −x₁ x₂
-/// \[px²\]). The line's slope is κ times the first, its offset at x = 0 −κ x₁ x₂ / 2, half of κ
-/// times the second. Both are linear in these coordinates: the mean of two lines has the mean of
-/// both.
+/// Intersections x₁, x₂ of a line with the parabola y = κ x² / 2, as ((x₁ + x₂) / 2 \[px\],
+/// −x₁ x₂ \[px²\]). The slope of the line is κ times the first; its offset at x = 0 is
+/// −κ x₁ x₂ / 2, κ/2 times the second. Both are linear in these coordinates: the mean of two lines
+/// has the mean of both.
 #[derive(Debug, Clone, Copy)]
 struct Cuts(Vector2<f64>);
 

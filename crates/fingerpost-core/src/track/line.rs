@@ -140,10 +140,10 @@ impl FingerLine {
         weight.is_some_and(|weight| difference.dot(&(weight * difference)) > CHI2_2DOF_99)
     }
 
-    /// This line combined with another estimate of the same finger, at this one's anchor and over
-    /// its segment: the mean weighted by C₁⁻¹ and C₂⁻¹, with the covariance (1 + ρ) (C₁⁻¹ +
-    /// C₂⁻¹)⁻¹, where ρ is the correlation of their errors. If χ² of the difference exceeds its 90
-    /// % quantile, the covariance is scaled by the ratio.
+    /// This line combined with another estimate of the same finger, at the anchor and over the
+    /// segment of this one: the mean weighted by C₁⁻¹ and C₂⁻¹, with the covariance
+    /// (1 + ρ) (C₁⁻¹ + C₂⁻¹)⁻¹, where ρ is the correlation of their errors. If χ² of the difference
+    /// exceeds its 90 % quantile, the covariance is scaled by the ratio.
     pub(super) fn joined(self, other: &Self) -> Self {
         let covariance = self.covariance;
         let other = other.expressed_beside(&self);

@@ -76,7 +76,7 @@ struct LineState {
     covariance: Matrix2<f64>,
     /// The measurement at rest that it comes from, while the finger rests.
     rest: Option<RestingLine>,
-    /// Variance of unit weight, and the number of frames it was estimated from.
+    /// Variance of unit weight, and the number of frames it was estimated from, the prior included.
     variance_factor: f64,
     frames: f64,
     /// Last pose of the texture, and its time.

@@ -182,7 +182,8 @@ impl ContourTracker {
         Ok(())
     }
 
-    /// Fits the finger up to its shaded flank. False if the fit fails or the finger does not widen.
+    /// Fits the finger up to its shaded flank. False if the colours are not separated, a fit is
+    /// rejected or the finger does not widen.
     fn fit_shaded_flank(
         &mut self,
         frame: &Scene<'_>,

@@ -26,8 +26,8 @@ const MOVED_FRAMES: usize = 3;
 const TELLING_GREY: f32 = 12.0;
 /// Least number of such pixels; with fewer, all pixels are used.
 const TELLING_LEAST: usize = 60;
-/// Least gradient of the background at the pixels used to measure the displacement \[grey levels /
-/// px\].
+/// Least gradient of the background at the pixels used to measure the displacement
+/// \[grey levels / px\].
 const STEEP_GREY_PX: f64 = 4.0;
 /// Largest displacement that a residual may correspond to, apart from noise; larger residuals are
 /// outliers \[px\].
