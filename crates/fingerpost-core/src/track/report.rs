@@ -203,7 +203,7 @@ impl ContourTracker {
         })
     }
 
-    /// The finger, with the agreeing part of its flanks; of a covered hand, with all visible flanks.
+    /// The finger, with the agreeing part of its flanks; of a covered hand, all visible flanks.
     fn finger_of(&self, x: &RibbonVector, found: &FitResult) -> Result<Option<Finger>> {
         // An occluder may lie over the middle of a flank; its pixels are recognised otherwise.
         let flanks = if has_own_pixels(found) { Flanks::Agreeing } else { Flanks::Visible };
