@@ -1,26 +1,26 @@
-//! What a camera that keeps still sees when no hand is there.
+//! Background model of a static camera.
 //!
-//! Every pixel keeps the grey level that it shows most of the time, with a running mean and variance
-//! of what agrees with it, and a count of how often that was so. A visit that disagrees lowers the
-//! count; at zero the pixel starts anew with what it shows now (the majority vote of Boyer and
-//! Moore, as a running estimate). So the first frames give the level that most of them show, a hand
-//! that passes changes nothing, and what is put down and stays becomes background after a while. A
-//! hand that is being followed is kept out altogether.
+//! Every pixel keeps the grey level that it shows most of the time, with a running mean and
+//! variance of the observations that agree with it, and their count. An observation that disagrees
+//! decrements the count; at zero the pixel restarts with its present level (the majority algorithm
+//! of Boyer and Moore, as a running estimate). So the first frames give the level that most of them
+//! show, a passing hand changes nothing, and an object that is put down and stays becomes
+//! background after a while. The region of a tracked hand is excluded.
 //!
 //! The light may change: every frame is first explained as `gain · background + offset`, fitted
-//! robustly to a grid of pixels, and everything is compared and learned in the light of the
-//! background. What is left is the foreground, unless it is darker by a ratio that a shadow may have
-//! and, where there are colours, of unchanged hue. When most of the pixels that would show it have
-//! changed, the camera has moved: the background is void and is learned anew. A camera that has been
-//! bumped by a part of a pixel changes few of them by much; how far all have moved is told by the
-//! gradient of the background, and while they have, no edge in it is where it was
-//! ([`Background::is_exact`]).
+//! robustly to a grid of pixels, and all comparison and learning is done in the light of the
+//! background. The remaining differences are foreground, except where the pixel is darker by a
+//! ratio that a shadow may have and, if there are colours, of unchanged hue. If most of the pixels
+//! that would show a motion of the camera have changed, the camera has moved: the background is
+//! discarded and learned anew. A displacement of the camera by a fraction of a pixel changes few of
+//! them by much; it is measured from the gradient of the background, and while it lasts, the
+//! background's edges are displaced ([`Background::is_exact`]).
 //!
-//! A frame visits every fourth pair of rows in turn, every eighth once nothing has been new for long,
-//! and allocates nothing once it has seen its first frame.
+//! A frame updates every fourth pair of rows in turn, every eighth once nothing has been new for
+//! long, and allocates nothing after the first frame.
 //!
-//! Sources: Stauffer & Grimson 1999 for a background of levels that last; Horprasert, Harwood &
-//! Davis 1999 for shadows as a change of brightness without one of hue.
+//! Sources: Stauffer & Grimson 1999 for a background of persistent levels; Horprasert, Harwood &
+//! Davis 1999 for shadows as a change of brightness without a change of hue.
 
 mod light;
 pub mod options;
@@ -34,31 +34,31 @@ use nalgebra::Vector2;
 pub use visit::CELL_PX;
 use visit::{Learning, Visits};
 
-/// The grey level to expect at a place where nothing stands before the background.
+/// Expected grey level at a place where nothing is before the background.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ExpectedGrey {
     /// The level in the light of the last frame \[grey levels\].
     pub grey: f64,
-    /// How uncertain it is \[grey levels\]: the standard deviation of the mean, without the noise
-    /// of a frame that it is compared with.
+    /// Its standard deviation as an estimate of the mean, without the noise of a frame that it is
+    /// compared with \[grey levels\].
     pub sigma_grey: f64,
 }
 
-/// How like foreground the image is, on a grid of cells of `step` × `step` pixels.
+/// Foreground probability of the image, on a grid of cells of `step` × `step` pixels.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct ForegroundMap {
-    /// Cells in a row; cell (x, y) stands for the pixel (x · step, y · step).
+    /// Cells in a row; cell (x, y) represents the pixel (x · step, y · step).
     pub width: usize,
     /// Rows of cells.
     pub height: usize,
     /// Pixels from one cell to the next.
     pub step: usize,
-    /// Row by row: 0 for background, 255 for foreground; between them it is uncertain.
+    /// Row by row: 0 for background, 255 for foreground; uncertain between them.
     pub cells: Vec<u8>,
 }
 
 impl ForegroundMap {
-    /// The likelihood of foreground at a place \[0–1\]; that of the nearest cell outside the image.
+    /// Foreground probability of the cell nearest to a place, 0–1.
     #[must_use]
     pub fn at(&self, u: f64, v: f64) -> f64 {
         let cell = |x: f64, n: usize| {
@@ -91,27 +91,29 @@ pub struct Background {
     options: BackgroundOptions,
     size: Option<(usize, usize)>,
     grey: Plane,
-    /// Blue, green and red (or whatever order they come in), at every second pixel of every second
-    /// row; empty without colours.
+    /// Colours in the frame's order of channels, at every second pixel of every second row; empty
+    /// without colours.
     colour: Vec<[f32; 3]>,
     light: Light,
-    /// Standard deviation of the light fit's inliers \[grey levels\].
+    /// Standard deviation of the light fit's inliers beyond the noise \[grey levels\].
     light_sigma: f32,
-    /// Part of the telling pixels that have changed, and since how many frames that is too much.
+    /// Part of the textured pixels that have changed, and the number of consecutive frames in which
+    /// it exceeded the limit.
     changed_share: f64,
     moved_frames: usize,
-    /// How far the picture lies from the background, if its edges tell \[px\].
+    /// Displacement of the image from the background \[px\], if the background's edges determine
+    /// it.
     shift_px: Option<Vector2<f64>>,
     bumped_frames: usize,
     frames: usize,
-    /// Frames since it began, or since a part of it was forgotten.
+    /// Frames since the start, or since a region was last forgotten.
     settling_frames: usize,
     slopes: Vec<Slope>,
     pairs: Vec<(f32, f32)>,
     ratios: Vec<f32>,
 }
 
-/// How a pixel differs from its background.
+/// Difference of a pixel from its background.
 struct Change {
     /// In standard deviations.
     sigmas: f32,
@@ -119,7 +121,8 @@ struct Change {
     is_shadow: bool,
 }
 
-/// The background's gradient at a pixel, in the light of the frame, and what the frame shows besides.
+/// The background's gradient at a pixel, in the light of the frame, and the frame's difference from
+/// the background.
 #[derive(Debug, Clone, Copy)]
 struct Slope {
     by_px: Vector2<f64>,
@@ -128,7 +131,7 @@ struct Slope {
     per_most: f64,
 }
 
-/// Level, variance and number of agreeing visits of every pixel.
+/// Level, variance and number of agreeing observations of every pixel.
 #[derive(Debug, Clone, Default)]
 struct Plane {
     level: Vec<f32>,
@@ -136,35 +139,36 @@ struct Plane {
     seen: Vec<u8>,
 }
 
-/// A frame visits every fourth pair of rows, so that as many of them have colours in every frame,
+/// Number of frames in which all pairs of rows are updated: a frame updates every fourth pair, so
+/// that all frames update equally many rows with colours.
 const IN_TURN: usize = 4;
-/// and every eighth once the background has been there for as long as something new takes to become
-/// a part of it.
+/// The same once no region has been new for [`BackgroundOptions::absorb_frames`].
 const SETTLED_IN_TURN: usize = 8;
-/// Rows that are visited together: those of a cell.
+/// Rows that are updated together: those of a cell.
 const PAIR: usize = CELL_PX;
-/// The light and the share of changed pixels are estimated from about this many pixels.
+/// Approximate number of pixels from which the light and the part of changed pixels are estimated.
 const SAMPLES: usize = 3000;
-/// A background that has shifted by more than this is not exact \[px\],
+/// Displacement up to which the background counts as exact \[px\].
 const EXACT_PX: f64 = 0.15;
-/// A shadow changes no chromaticity (a share of the sum of the channels) by more than this, plus the
-/// noise.
+/// Largest change of chromaticity (a channel as a part of the sum of the channels) in a shadow,
+/// apart from noise.
 const SHADOW_HUE: f32 = 0.025;
-/// The noise of a channel, in parts of that of the grey level.
+/// Noise of a channel as a multiple of that of the grey level.
 const COLOUR_NOISE: f32 = 1.5;
-/// Without colours a hand may look like a shadow: only a light one is recognised.
+/// Least ratio of brightness of a shadow without colours, where a darker one might be a hand.
 const GREY_SHADOW_LIGHT: f32 = 0.8;
-/// What a shadow keeps of its likelihood of foreground: a hand in a dark glove looks like one.
+/// Factor on the foreground probability of a pixel that a shadow would explain: a hand in a dark
+/// glove looks like one.
 const SHADOW_VARIANCE: f32 = 0.6;
-/// The likelihood of foreground rises from 0 to 1 between these parts of
+/// Range over which the foreground probability rises from 0 to 1, in parts of
 /// [`BackgroundOptions::changed_sigmas`].
 const RAMP: (f32, f32) = (0.6, 1.4);
 
 impl Background {
-    /// A background that has seen nothing.
+    /// A background without observations.
     ///
     /// # Errors
-    /// When an option is outside its documented range.
+    /// If an option is outside its documented range.
     pub fn new(options: BackgroundOptions) -> Result<Self> {
         options.check()?;
         Ok(Self {
@@ -186,13 +190,13 @@ impl Background {
         })
     }
 
-    /// The options in force.
+    /// The options in use.
     #[must_use]
     pub fn options(&self) -> &BackgroundOptions {
         &self.options
     }
 
-    /// Forgets everything.
+    /// Discards all observations.
     pub fn clear(&mut self) {
         self.size = None;
         (self.frames, self.settling_frames) = (0, 0);
@@ -203,10 +207,10 @@ impl Background {
         self.changed_share = 0.0;
     }
 
-    /// Forgets a part of the image, such as a hand that has stood there from the start.
+    /// Discards the observations of a region, such as a hand that has been there from the start.
     ///
     /// # Errors
-    /// When the part is not finite or its radius not positive.
+    /// If the region is not finite or its radius not positive.
     pub fn forget(&mut self, part: &KeepOut) -> Result<()> {
         part.check()?;
         let Some((width, height)) = self.size else { return Ok(()) };
@@ -218,52 +222,52 @@ impl Background {
         Ok(())
     }
 
-    /// Whether it has lasted long enough to tell the foreground from it.
+    /// Whether it was observed long enough to separate the foreground.
     #[must_use]
     pub fn is_known(&self) -> bool {
         self.frames >= self.options.learn_frames && self.moved_frames == 0
     }
 
-    /// Whether it is known and its edges are where the last frame shows them: the camera has not been
-    /// bumped, by however little.
+    /// Whether it is known and its edges are where the last frame shows them: the camera has not
+    /// been displaced by more than 0.15 px.
     #[must_use]
     pub fn is_exact(&self) -> bool {
         self.is_known() && self.shift_px.is_none_or(|shift| shift.norm() <= EXACT_PX)
     }
 
-    /// How far the last frame shows the background from where it was learned \[px\], if edges in it
-    /// tell; beyond a pixel it is no more than a sign that it has moved. Where they all run one way,
-    /// they tell how far it has moved across them, and along them it is taken to be still.
+    /// Displacement of the last frame from the background \[px\], if edges determine it; beyond a
+    /// pixel it only indicates that the camera has moved. If all edges have one direction, only the
+    /// displacement across them is determined, and the component along them is 0.
     #[must_use]
     pub fn shift_px(&self) -> Option<Vector2<f64>> {
         self.shift_px
     }
 
-    /// How the light of the last frame differs from the background's.
+    /// Light of the last frame relative to the background's.
     #[must_use]
     pub fn light(&self) -> Light {
         self.light
     }
 
-    /// Part of the pixels that would show a motion of the camera and have changed, 0–1.
+    /// Part of the pixels that would show a motion of the camera that have changed, 0–1.
     #[must_use]
     pub fn changed_share(&self) -> f64 {
         self.changed_share
     }
 
-    /// Takes one frame: looks at it, then learns from what agrees with the background. Nothing
-    /// within `keep_out` is learned. A frame of another size, or with colours where there were none,
-    /// starts a new background.
+    /// Processes one frame: [`look`](Self::look), then [`learn`](Self::learn) from the pixels that
+    /// agree with the background. Nothing within `keep_out` is learned. A frame of another size, or
+    /// with colours where there were none, starts a new background.
     ///
     /// # Errors
-    /// When `keep_out` is not finite or its radius not positive.
+    /// If `keep_out` is not finite or its radius not positive.
     pub fn observe(&mut self, frame: &Frame<'_>, keep_out: Option<&KeepOut>) -> Result<()> {
         self.look(frame);
         self.learn(frame, keep_out)
     }
 
-    /// Looks at a frame without learning from it: estimates its light, and notices a camera that has
-    /// moved. From then on all that is told of the background holds for this frame.
+    /// Processes a frame without learning from it: estimates its light, and detects a motion of the
+    /// camera. From then on, all queries refer to this frame.
     pub fn look(&mut self, frame: &Frame<'_>) {
         self.fit_size(frame);
         self.estimate_light(frame);
@@ -272,10 +276,10 @@ impl Background {
         self.notice_bump();
     }
 
-    /// Learns from the frame that was looked at last; nothing within `keep_out` is learned.
+    /// Learns from the frame last looked at, except within `keep_out`.
     ///
     /// # Errors
-    /// When `keep_out` is not finite or its radius not positive.
+    /// If `keep_out` is not finite or its radius not positive.
     pub fn learn(&mut self, frame: &Frame<'_>, keep_out: Option<&KeepOut>) -> Result<()> {
         if let Some(keep_out) = keep_out {
             keep_out.check()?;
@@ -293,13 +297,14 @@ impl Background {
         Ok(())
     }
 
-    /// How many frames it takes to visit all rows.
+    /// Number of frames in which all rows are updated.
     fn in_turn(&self) -> usize {
         let settled = self.settling_frames >= self.options.absorb_frames;
         if settled { SETTLED_IN_TURN } else { IN_TURN }
     }
 
-    /// Starts anew with a frame that is not like the last ones.
+    /// Starts anew with a frame of another size, or with colours instead of none or none instead of
+    /// colours.
     fn fit_size(&mut self, frame: &Frame<'_>) {
         let size = (frame.image().width(), frame.image().height());
         let coloured = frame.colour().is_some();
@@ -308,8 +313,8 @@ impl Background {
         }
     }
 
-    /// The grey level to expect at a subpixel place in the light of the last frame; `None` where a
-    /// pixel around it is unknown or outside the image.
+    /// Expected grey level at a subpixel place in the light of the last frame; `None` where a pixel
+    /// around it is unknown or outside the image.
     #[must_use]
     pub fn expected(&self, u: f64, v: f64) -> Option<ExpectedGrey> {
         let (width, height) = self.size?;
@@ -339,8 +344,8 @@ impl Background {
         Some(ExpectedGrey { grey: gain * grey + offset_grey, sigma_grey: gain * variance.sqrt() })
     }
 
-    /// How likely the pixel nearest to a place shows something before the background, 0–1; `None`
-    /// outside the image and where the background is unknown.
+    /// Probability that the pixel nearest to a place shows an object before the background, 0–1;
+    /// `None` outside the image and where the background is unknown.
     #[must_use]
     pub fn foreground(&self, frame: &Frame<'_>, u: f64, v: f64) -> Option<f64> {
         let size = (frame.image().width(), frame.image().height());
@@ -352,7 +357,7 @@ impl Background {
         self.change(frame, x, y, size.0).map(|change| f64::from(self.likelihood(&change)))
     }
 
-    /// Fills `map` with how like foreground every cell of the frame is; all background while the
+    /// Fills `map` with the foreground probability of every cell of the frame; 0 while the
     /// background is unknown.
     pub fn foreground_map(&self, frame: &Frame<'_>, map: &mut ForegroundMap) {
         let (width, height) = (frame.image().width(), frame.image().height());
@@ -387,8 +392,8 @@ impl Background {
         }
     }
 
-    /// Agreeing visits from which a pixel is known, and at most counted: in turn, a visit stands for
-    /// as many frames as it takes to visit all rows.
+    /// Number of agreeing observations from which a pixel is known. The upper limit of the count
+    /// follows: one observation represents as many frames as an update of all rows takes.
     fn known_from(&self) -> usize {
         self.options.learn_frames.div_ceil(2)
     }
@@ -398,7 +403,8 @@ impl Background {
         visits.max(self.known_from() + 1).min(usize::from(u8::MAX)) as u8
     }
 
-    /// Variance of a pixel's level: of a mean over its visits, or of the running mean in the end.
+    /// Variance of a pixel's level: that of a mean over its observations, or of the running mean in
+    /// the long term.
     fn variance_of_mean(&self, i: usize) -> f64 {
         let rate = self.options.rate;
         let share = (1.0 / f64::from(self.grey.seen[i].max(1))).max(rate / (2.0 - rate));
@@ -409,14 +415,14 @@ impl Background {
         f64::from(self.grey.variance[i]).max(self.options.noise_grey * self.options.noise_grey)
     }
 
-    /// Likelihood of foreground by how a pixel differs, 0–1.
+    /// Foreground probability for the difference of a pixel, 0–1.
     fn likelihood(&self, change: &Change) -> f32 {
         let part = change.sigmas / self.options.changed_sigmas as f32;
         let likely = ((part - RAMP.0) / (RAMP.1 - RAMP.0)).clamp(0.0, 1.0);
         if change.is_shadow { SHADOW_VARIANCE * likely } else { likely }
     }
 
-    /// How a pixel inside the image differs from its background, if that is known.
+    /// Difference of a pixel inside the image from its background; `None` where that is unknown.
     fn change(&self, frame: &Frame<'_>, x: usize, y: usize, width: usize) -> Option<Change> {
         let i = y * width + x;
         if usize::from(self.grey.seen[i]) < self.known_from() {
@@ -448,7 +454,7 @@ impl Background {
         Some(Change { sigmas, is_shadow })
     }
 
-    /// The background's colours and the frame's at the cell of a pixel.
+    /// Colours of the background and of the frame at the cell of a pixel.
     fn colours(&self, frame: &Frame<'_>, x: usize, y: usize) -> Option<([f32; 3], [f32; 3])> {
         let (width, _) = self.size?;
         let (cx, cy) = (x / CELL_PX, y / CELL_PX);
@@ -456,7 +462,7 @@ impl Background {
         Some((*known, frame.colour()?.pixel(cx * CELL_PX, cy * CELL_PX)?.map(f32::from)))
     }
 
-    /// Pixels of an even grid of about [`SAMPLES`], as (x, y); the same for every frame.
+    /// Pixels (x, y) of a regular grid of about [`SAMPLES`] pixels; the same for every frame.
     fn grid((width, height): (usize, usize)) -> impl Iterator<Item = (usize, usize)> {
         let step = ((width * height / SAMPLES) as f64).sqrt().ceil().max(1.0) as usize;
         (step / 2..height)
@@ -464,8 +470,8 @@ impl Background {
             .flat_map(move |y| (step / 2..width).step_by(step).map(move |x| (x, y)))
     }
 
-    /// The levels about a pixel in the light of the last frame, row by row; `None` where one of them
-    /// is unknown or outside the image.
+    /// Levels of the 3 × 3 neighbourhood of a pixel in the light of the last frame, row by row;
+    /// `None` where one of them is unknown or outside the image.
     pub(crate) fn about(&self, x: usize, y: usize) -> Option<[[f32; 3]; 3]> {
         let (width, height) = self.size?;
         if x == 0 || y == 0 || x + 1 >= width || y + 1 >= height {
@@ -496,7 +502,7 @@ impl Background {
         (seen >= self.known_from()).then_some(gain * level + offset)
     }
 
-    /// Variance of the level to expect at a pixel inside the image, as [`ExpectedGrey::sigma_grey`].
+    /// Variance of the expected level at a pixel inside the image, as [`ExpectedGrey::sigma_grey`].
     pub(crate) fn variance(&self, x: usize, y: usize) -> f64 {
         let (width, _) = self.size.unwrap_or_default();
         self.light.gain.powi(2) * self.variance_of_mean(y * width + x)
@@ -507,7 +513,7 @@ impl Background {
         self.size.unwrap_or_default()
     }
 
-    /// One visit of every pixel of a row, but for those that are kept out.
+    /// Updates every pixel of a row, except those that are kept out.
     fn learn_row(&mut self, frame: &Frame<'_>, y: usize, keep_out: Option<&KeepOut>) {
         let (Some((width, _)), Some(row)) = (self.size, frame.image().row(y)) else { return };
         let skip = keep_out.map_or(0..0, |k| k.columns(y as f64, width));

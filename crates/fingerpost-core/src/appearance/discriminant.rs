@@ -1,15 +1,15 @@
-//! The grey image in which a hand stands out best.
+//! Fisher's linear discriminant: the mixture of channels in which hand and background differ most.
 //!
-//! A finger's shaded flank may be just as dark as the wood behind it and still be of another
-//! colour. Fisher's linear discriminant w = S⁻¹ (μ_hand − μ_background), S the scatter of colours
-//! within the two classes, is the mixture of the camera's channels that separates the hand from
-//! what is behind it by most of its own standard deviations. It is learned from either side of
-//! contours that were accepted; edges are then measured in its image instead of the grey one, where
-//! the hand is always the brighter side.
+//! A finger's shaded flank may be as dark as the wood behind it and still differ in colour.
+//! Fisher's linear discriminant w = S⁻¹ (μ_hand − μ_background), with S the mean covariance of
+//! colours within the two classes, is the mixture of the camera's channels that separates hand and
+//! background by the most standard deviations. It is learned from either side of accepted contours;
+//! edges are then measured in its image in place of the grey one. There the hand is always the
+//! brighter side.
 //!
-//! A finger that a lamp lights from one side is of one colour and of two brightnesses, and what lies
-//! behind it may have the darker one. Then colours tell it by their *chromaticity* alone, the parts of
-//! their channels in the sum of all three, which light of one colour does not change.
+//! A finger lit from one side has one colour and two brightnesses, and its background may have the
+//! darker one. Then only *chromaticity* separates them, the channels as parts of the sum of all
+//! three, which light of one colour does not change.
 //!
 //! Source: Fisher 1936, The use of multiple measurements in taxonomic problems.
 
@@ -18,30 +18,30 @@ use crate::image::frame::{CHROMATICITY_SUM, Frame, SidedPixel, chromaticity};
 use crate::image::gray::GrayView;
 use nalgebra::{Matrix3, Point2, Vector3};
 
-/// Variance that noise and rounding leave in every channel of any image \[grey levels²\].
+/// Variance added to every channel for noise and rounding \[grey levels²\].
 const LEAST_VARIANCE: f64 = 1.0;
-/// Standard deviation of either class in the discriminant's image, unless [`MOST_CONTRAST`] is
-/// less \[grey levels\]: enough for rounding to bytes to cost nothing.
+/// Standard deviation of either class in the discriminant's image, unless [`MOST_CONTRAST`] limits
+/// it \[grey levels\]: large enough for the error of rounding to bytes to be negligible.
 const CLASS_SIGMA: f64 = 3.0;
-/// Hand minus background in the discriminant's image at least \[grey levels\]: an edge that shows half
-/// of it has the least contrast that counts as one.
+/// Least difference hand minus background in the discriminant's image \[grey levels\]: an edge with
+/// half of it has the least contrast that counts.
 const LEAST_CONTRAST: f64 = 18.0;
-/// Hand minus background in the discriminant's image at most \[grey levels\]; more would leave the
-/// range of a byte.
+/// Largest difference hand minus background in the discriminant's image \[grey levels\]; more would
+/// exceed the range of a byte.
 const MOST_CONTRAST: f64 = 120.0;
-/// Squared separation in standard deviations, by which colour must beat grey: colour is recorded
-/// with less resolution, so it has to be worth it.
+/// Least ratio of the squared separation in colour to that in grey: colour is recorded at a lower
+/// resolution.
 const BETTER_THAN_GREY: f64 = 1.5;
-/// Means of hand and background that are nearer than this tell neither \[standard deviations\]. They
-/// are shown [`LEAST_CONTRAST`] apart, so noise would be magnified 288 times, and the weights of a
-/// mixture, which go as 1 / separation, outgrow their integers below 0.03.
+/// Least separation of the means of hand and background \[standard deviations\]. The means are
+/// shown at least [`LEAST_CONTRAST`] apart, so at this separation noise is magnified 288 times; the
+/// weights of a mixture, proportional to 1 / separation, overflow their integers below 0.03.
 const LEAST_SEPARATION: f64 = 1.0 / 16.0;
-/// The same of chromaticities: there is no brightness beside them that would tell more.
+/// The same for chromaticities, which are not compared with grey.
 const LEAST_CHROMATIC_SEPARATION: f64 = std::f64::consts::SQRT_2;
-/// Channels are mixed in fixed point with so many binary places.
+/// Binary places of the fixed-point weights.
 const PLACES: i32 = 12;
 
-/// What is known of the colours of one class.
+/// Sums over the observed colours of one class.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 struct Class {
     weight: f64,
@@ -51,7 +51,8 @@ struct Class {
     grey_squares: f64,
 }
 
-/// Sums over the pixels of one frame; of as many as fit in none of them overflows.
+/// Sums over the pixels of one frame; none of them can overflow for any number of pixels that fits
+/// in memory.
 #[derive(Debug, Clone, Copy, Default)]
 struct Counts {
     pixels: u64,
@@ -124,46 +125,46 @@ impl Class {
     }
 }
 
-/// The channels' mixture that shows the hand, once it was seen.
+/// Fisher's linear discriminant of hand and background, if both were observed.
 #[derive(Debug, Clone, Default)]
 pub struct Discriminant {
     hand: Class,
     anchor: Class,
     background: Class,
     mixture: Option<Mixture>,
-    /// Whether colours count by their chromaticity alone.
+    /// Whether colours are reduced to their chromaticity.
     is_chromatic: bool,
 }
 
-/// A grey level from a colour: a weighted sum.
+/// Weighted sum of a colour's channels, as a grey level.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Mixture {
     weights: [i32; 3],
     offset: i32,
-    /// Whether it is that of a colour's chromaticity.
+    /// Whether it applies to a colour's chromaticity.
     is_chromatic: bool,
 }
 
 impl Discriminant {
-    /// One by which colours count by their chromaticity alone, however bright they are.
+    /// A discriminant of chromaticities, which ignores brightness.
     #[must_use]
     pub fn of_chromaticity() -> Self {
         Self { is_chromatic: true, ..Self::default() }
     }
 
-    /// Forgets all.
+    /// Discards all observations.
     pub fn forget(&mut self) {
         *self = Self { is_chromatic: self.is_chromatic, ..Self::default() };
     }
 
-    /// Lets what was learned fade to a part `keep` of its weight, 0–1.
+    /// Scales the weight of the observations by `keep`, 0–1.
     pub fn fade(&mut self, keep: f64) {
         self.hand.fade(keep);
         self.background.fade(keep);
     }
 
-    /// Takes what was learned over into light that is `gain` times as bright, and works the mixture
-    /// out anew. Chromaticities stay what they are.
+    /// Adapts the observations to light that is `gain` times as bright, and computes the mixture.
+    /// Chromaticities do not change.
     pub fn relight(&mut self, gain: f64) {
         if self.is_chromatic {
             return;
@@ -174,17 +175,19 @@ impl Discriminant {
         self.learn();
     }
 
-    /// Keeps the hand as it is known now for good: it counts as much as all that is learned later.
+    /// Keeps the present model of the hand permanently: it counts as much as all later
+    /// observations.
     pub fn anchor(&mut self) {
         self.anchor = self.hand;
     }
 
-    /// Counts the pixel nearest to (u, v), if it lies in the frame and that has colours.
+    /// Adds the pixel nearest to (u, v), if it lies in the frame and the frame has colours.
     pub fn observe(&mut self, frame: &Frame<'_>, u: f64, v: f64, is_hand: bool) {
         self.observe_all(frame, SidedPixel::at(u, v, is_hand).as_slice(), 1.0);
     }
 
-    /// Counts pixels, all that lie in the frame, `times` times each, if it has colours.
+    /// Adds pixels, all of which lie in the frame, with the weight `times`, if the frame has
+    /// colours.
     pub(crate) fn observe_all(&mut self, frame: &Frame<'_>, pixels: &[SidedPixel], times: f64) {
         let Some(colours) = frame.colour() else { return };
         let mut counts = [Counts::default(); 2];
@@ -203,34 +206,35 @@ impl Discriminant {
         self.hand.add(&counts[1], times);
     }
 
-    /// Works the mixture out anew.
+    /// Computes the mixture.
     pub fn learn(&mut self) {
         self.mixture = self.fisher();
     }
 
-    /// The mixture in whose image the hand is the brighter side; none if nothing was seen, the
-    /// grey image shows the hand as well, or the means of hand and background are nearer than a
-    /// sixteenth of a standard deviation. That of chromaticities is compared with no grey image, and
-    /// none if the means are nearer than √2 standard deviations.
+    /// The mixture in whose image the hand is the brighter side; `None` without observations, if
+    /// grey separates the hand as well, or if the means of hand and background are closer than 1/16
+    /// standard deviation. A mixture of chromaticities is not compared with grey; it is `None` if
+    /// the means are closer than √2 standard deviations.
     #[must_use]
     pub fn mixture(&self) -> Option<&Mixture> {
         self.mixture.as_ref()
     }
 
-    /// How far apart the means of hand and background are, in standard deviations of either; 0 if
-    /// nothing was seen.
+    /// Distance between the means of hand and background, in standard deviations within the
+    /// classes; 0 without observations.
     #[must_use]
     pub fn separation(&self) -> f64 {
         self.direction().map_or(0.0, |(_, separation2)| separation2.max(0.0).sqrt())
     }
 
-    /// All of the hand that is known; none unless something was seen of it and of the background.
+    /// All observations of the hand; `None` unless hand and background were both observed.
     fn hand(&self) -> Option<Class> {
         let hand = self.hand.and(&self.anchor);
         (hand.weight >= 1.0 && self.background.weight >= 1.0).then_some(hand)
     }
 
-    /// Fisher's direction, and how far apart the classes are by it, which is their variance, too.
+    /// Fisher's direction w, and the squared separation wᵀ (μ_hand − μ_background), which is also
+    /// the variance of w · colour within the classes.
     fn direction(&self) -> Option<(Vector3<f64>, f64)> {
         let (hand, background) = (self.hand()?, &self.background);
         let scatter = 0.5 * (hand.covariance() + background.covariance())
@@ -240,7 +244,7 @@ impl Discriminant {
         Some((w, apart.dot(&w)))
     }
 
-    /// Whether colours whose classes are so far apart show the hand well enough, and better than grey.
+    /// Whether colours of this squared separation show the hand well enough, and better than grey.
     fn is_useful(&self, separation2: f64) -> bool {
         let Some(hand) = self.hand() else { return false };
         let background = &self.background;
@@ -265,10 +269,10 @@ impl Discriminant {
         let middle = 0.5 * (hand.mean() + background.mean());
         let unit = f64::from(1 << PLACES);
         let weights = w.map(|w| (w * gain * unit).round());
-        // Half a unit more: shifting rounds down.
+        // Half a unit is added because the shift rounds down.
         let half = f64::from(1 << (PLACES - 1));
         let offset = ((128.0 - gain * w.dot(&middle)) * unit).round() + half;
-        // Means taken over into other light may lie beyond a byte, and the sum beyond its integer.
+        // Means that were adapted to other light may exceed a byte, and the sum its integer.
         let most_channel = if self.is_chromatic { CHROMATICITY_SUM } else { f64::from(u8::MAX) };
         let most = most_channel * weights.abs().sum() + offset.abs();
         (most <= f64::from(i32::MAX)).then(|| Mixture {
@@ -279,31 +283,32 @@ impl Discriminant {
     }
 }
 
-/// An image of a discriminant, made where it is looked at.
+/// The image of a mixture, computed only where it is used.
 #[derive(Debug, Clone, Default)]
 pub struct DiscriminantImage {
     pixels: Vec<u8>,
-    /// What of the present frame is there, and by which mixture: columns and rows, from and to.
+    /// Mixture and region of the present frame that were computed: columns and rows, from and to.
     made: Option<(Mixture, [usize; 4])>,
 }
 
 impl DiscriminantImage {
-    /// A new frame: nothing of it is there yet. To be called before each; see [`of`](Self::of).
+    /// Begins a new frame: nothing of it is computed. To be called before each; see
+    /// [`of`](Self::of).
     pub fn clear(&mut self) {
         self.made = None;
     }
 
-    /// Makes room for a frame, so that none has to be made once a hand is known.
+    /// Reserves space for a frame, so that nothing is allocated once a hand is known.
     pub(crate) fn reserve(&mut self, frame: &Frame<'_>) {
         let pixels = frame.image().width() * frame.image().height();
         self.pixels.reserve(pixels.saturating_sub(self.pixels.len()));
     }
 
-    /// The frame as a mixture shows it, in a region at least, or as it is where there is none; see
-    /// [`of`](Self::of).
+    /// The frame as a mixture shows it, at least in a region, or the frame itself without a
+    /// mixture; see [`of`](Self::of).
     ///
     /// # Errors
-    /// As those of [`of`](Self::of).
+    /// Those of [`of`](Self::of).
     pub(crate) fn shown<'a>(
         &'a mut self,
         frame: &Frame<'a>,
@@ -313,15 +318,15 @@ impl DiscriminantImage {
         mixture.map_or(Ok(*frame), |mixture| self.of(frame, mixture, region()))
     }
 
-    /// The frame with the discriminant in place of its grey image, in a region at least: columns
-    /// and rows \[px\], from and to. Outside it, pixels are of any value.
+    /// The frame with the discriminant in place of its grey image, at least in a region: columns
+    /// and rows \[px\], from and to. Pixels outside of it have any value.
     ///
-    /// What was made since the last [`clear`](Self::clear) is not made again, so between two of them
-    /// all calls must be given one and the same frame: of another one, the pixels of the first may be
-    /// shown. Call [`clear`](Self::clear) before the first call of each frame.
+    /// A region computed since the last [`clear`](Self::clear) is not computed again. All calls
+    /// between two calls of it must therefore pass the same frame: for another one, the pixels of
+    /// the first may be shown. Call [`clear`](Self::clear) before the first call of each frame.
     ///
     /// # Errors
-    /// Never for a frame that was made; a frame without colours is returned as it is.
+    /// None for a frame that was constructed; a frame without colours is returned unchanged.
     pub fn of<'a>(
         &'a mut self,
         frame: &Frame<'a>,
@@ -353,7 +358,7 @@ impl DiscriminantImage {
     }
 }
 
-/// Columns and rows, from and to, of all that lies within reach of some points \[px\].
+/// Bounds of the neighbourhoods of some points \[px\]: columns and rows, from and to.
 pub(crate) fn region_about(points: impl Iterator<Item = (Point2<f64>, f64)>) -> [f64; 4] {
     let nothing = [f64::INFINITY, f64::NEG_INFINITY, f64::INFINITY, f64::NEG_INFINITY];
     points.fold(nothing, |[left, right, top, bottom], (p, reach)| {
@@ -379,7 +384,7 @@ impl Mixture {
     pub(crate) fn of(&self, colour: [u8; 3]) -> u8 {
         let sum = if self.is_chromatic {
             let weights = Vector3::from(self.weights.map(f64::from));
-            // The cast goes towards zero, and shifting rounds down; below zero both end at black.
+            // The cast truncates and the shift rounds down; below zero both end at black.
             weights.dot(&chromaticity(colour)) as i32
         } else {
             let [a, b, c] = self.weights;

@@ -1,10 +1,10 @@
-//! What the hand looks like, and what does not: two histograms of colour (or of grey levels) and
-//! the logarithm of their ratio.
+//! Colour (or grey-level) histograms of the hand and of its background, and their log-likelihood
+//! ratio.
 //!
-//! An edge alone does not say whose edge it is. A pixel whose colour is frequent on the hand and
-//! rare behind it speaks for the hand with log(p_hand / p_background); the contour runs where
-//! these votes change from one side to the other. The histograms are learned from either side of
-//! contours that were accepted, and forget slowly, so that they follow the light.
+//! An edge alone does not show whose edge it is. A pixel of a colour that is frequent on the hand
+//! and rare behind it has a positive log-likelihood ratio log(p_hand / p_background); the contour
+//! runs where the sign changes. The histograms are learned from either side of accepted contours,
+//! with exponential forgetting, so that they follow the light.
 //!
 //! Source: Ronfard 1994 and Bibby & Reid 2008 for region statistics along a contour.
 
@@ -24,39 +24,39 @@ use std::array::from_fn;
 const COLOUR_BINS: usize = 16;
 /// Bins of a grey histogram: 4 grey levels wide.
 const GRAY_BINS: usize = 64;
-/// A vote counts for no more than this: a colour never seen on one side proves little.
+/// Limit of a pixel's log-likelihood ratio: a colour never seen on one side is weak evidence.
 const MAX_LOG_RATIO: f32 = 3.0;
-/// Every bin starts with this part of an even distribution.
+/// Prior of every bin, as a part of a uniform distribution.
 const PRIOR_WEIGHT: f32 = 0.5;
-/// What is inside of an edge is the hand if its pixels in these places \[px\] vote for that by this
-/// much on average, and what is outside of it is behind the hand if its pixels vote for that by this
-/// much: motion smears the hand farther than light does.
+/// Distances from an edge at which its inside and its outside are sampled \[px\], and the least
+/// mean log-likelihood ratio for the hand inside, and for the background outside. The outside is
+/// sampled further away because motion blurs the hand more than the lens does.
 pub(crate) const INSIDE_PX: [f64; 3] = [2.0, 3.0, 4.0];
 const OUTSIDE_PX: [f64; 3] = [4.0, 6.0, 8.0];
 const OWN_LOG_RATIO: f64 = 0.5;
 const BEHIND_LOG_RATIO: f64 = 0.25;
 
-/// A vote's unit is one over this.
+/// Log-likelihood ratios are stored in units of one over this.
 pub(crate) const LOG_RATIO_UNIT: f32 = 1024.0;
 
-/// The vote of every bin; of a grey histogram, the first 64.
+/// Log-likelihood ratio of every bin; of a grey histogram, the first 64.
 pub(crate) type LogRatio = [i16; COLOUR_BINS.pow(3)];
 
-/// Learned colours of the hand and of what is behind it.
+/// Learned colours of the hand and of its background.
 #[derive(Debug, Clone, PartialEq)]
 pub struct HistogramModel {
     coloured: bool,
     hand: Histogram,
-    /// The hand as it was when it was acquired; see [`HistogramModel::anchor`].
+    /// Histogram of the hand at acquisition; see [`HistogramModel::anchor`].
     anchor: Histogram,
     background: Histogram,
-    /// Every bin's vote, in units of 1/1024.
+    /// Log-likelihood ratio of every bin, in units of 1/1024.
     log_ratios: Box<LogRatio>,
     /// The smoothed histograms of hand and background.
     smooth: [Vec<f32>; 2],
 }
 
-/// How often every bin was seen.
+/// Weight of the observations in every bin.
 #[derive(Debug, PartialEq)]
 struct Histogram {
     bins: Vec<f32>,
@@ -86,7 +86,8 @@ impl Histogram {
         self.total *= f64::from(keep);
     }
 
-    /// Moves what was seen to levels `gain` times as high: what lies between two bins is shared out.
+    /// Moves the observations to levels `gain` times as high, with linear interpolation between
+    /// bins.
     fn relight(&mut self, gain: f32, before: &mut [f32]) {
         let (axes, side) =
             if self.bins.len() == GRAY_BINS { (1, GRAY_BINS) } else { (3, COLOUR_BINS) };
@@ -98,7 +99,7 @@ impl Histogram {
         before.copy_from_slice(&self.bins);
         self.bins.fill(0.0);
         for (bin, &seen) in before.iter().enumerate().filter(|(_, seen)| **seen > 0.0) {
-            // Along every axis it goes to the lower or to the upper one of two bins.
+            // Along every axis, a share goes to the lower and to the upper one of two bins.
             for corner in 0..1_usize << axes {
                 let (mut place, mut share, mut stride, mut rest) = (0, seen, 1, bin);
                 for axis in 0..axes {
@@ -115,7 +116,7 @@ impl Histogram {
 }
 
 impl HistogramModel {
-    /// An appearance that has seen nothing: every pixel votes for neither side.
+    /// A model without observations: every log-likelihood ratio is 0.
     #[must_use]
     pub fn new(coloured: bool) -> Self {
         let bins = if coloured { COLOUR_BINS.pow(3) } else { GRAY_BINS };
@@ -129,19 +130,19 @@ impl HistogramModel {
         }
     }
 
-    /// Whether it was made for colours.
+    /// Whether it is a model of colours.
     #[must_use]
     pub fn is_coloured(&self) -> bool {
         self.coloured
     }
 
-    /// Lets what was learned fade to a part `keep` of its weight, 0–1.
+    /// Scales the weight of the observations by `keep`, 0–1.
     pub fn fade(&mut self, keep: f32) {
         self.hand.fade(keep);
         self.background.fade(keep);
     }
 
-    /// Takes what was learned over into light that is `gain` times as bright.
+    /// Adapts the model to light that is `gain` times as bright.
     pub fn relight(&mut self, gain: f32) {
         for histogram in [&mut self.hand, &mut self.anchor, &mut self.background] {
             histogram.relight(gain, &mut self.smooth[0]);
@@ -149,18 +150,18 @@ impl HistogramModel {
         self.learn();
     }
 
-    /// Keeps the hand as it is known now for good: it counts as much as all that is learned later,
-    /// so that a contour that has drifted cannot talk the hand's colours away.
+    /// Keeps the present model of the hand permanently: it counts as much as all later
+    /// observations, so that a contour that has drifted cannot replace the hand's colours.
     pub fn anchor(&mut self) {
         self.anchor.clone_from(&self.hand);
     }
 
-    /// Counts the pixel at (x, y), if it lies in the frame, as the hand or as what is behind it.
+    /// Adds the pixel at (x, y), if it lies in the frame, to the hand or to the background.
     pub fn observe(&mut self, frame: &Frame<'_>, x: f64, y: f64, is_hand: bool) {
         self.observe_all(frame, SidedPixel::at(x, y, is_hand).as_slice(), 1.0);
     }
 
-    /// Counts pixels, all that lie in the frame, `times` times each.
+    /// Adds pixels, all of which lie in the frame, with the weight `times`.
     pub(crate) fn observe_all(&mut self, frame: &Frame<'_>, pixels: &[SidedPixel], times: f64) {
         if !self.coloured {
             return self.observe_grey(frame.image(), pixels, times);
@@ -180,7 +181,7 @@ impl HistogramModel {
         self.hand.total += times * f64::from(counts[1]);
     }
 
-    /// The same of grey levels, whose bins are so few that they are counted apart first.
+    /// The same for grey levels; their bins are few, so they are counted separately first.
     fn observe_grey(&mut self, image: &GrayView<'_>, pixels: &[SidedPixel], times: f64) {
         let mut counts = [[0_u32; GRAY_BINS]; 2];
         for &SidedPixel { x, y, is_hand } in pixels {
@@ -196,7 +197,8 @@ impl HistogramModel {
         }
     }
 
-    /// Works the votes out anew from the histograms, each smoothed by (1 2 1)/4 along every axis.
+    /// Computes the log-likelihood ratios from the histograms, each smoothed by (1 2 1)/4 along
+    /// every axis.
     pub fn learn(&mut self) {
         let totals = [self.hand.total + self.anchor.total, self.background.total];
         if totals.iter().any(|&t| t <= 0.0) {
@@ -217,15 +219,14 @@ impl HistogramModel {
         });
     }
 
-    /// The same before all that another appearance of the same kind has seen behind the hand, in place
-    /// of what this one has.
+    /// The same with the background of another model of the same kind in place of its own.
     pub(crate) fn learn_before(&mut self, other: &Self) {
         self.background.clone_from(&other.background);
         self.learn();
     }
 
-    /// Mean vote of what was seen of the hand minus that of what was seen behind it, 0–6: how well
-    /// the votes tell the two apart.
+    /// Separation: mean log-likelihood ratio of the hand's observations minus that of the
+    /// background's, 0–6.
     #[must_use]
     pub fn separation(&self) -> f64 {
         let mean = |flank_levels: &[&Histogram]| {
@@ -238,14 +239,14 @@ impl HistogramModel {
         apart / f64::from(LOG_RATIO_UNIT)
     }
 
-    /// The vote of the pixel nearest to (u, v): positive for the hand, negative for what is behind
-    /// it, in ±3; zero outside the frame. Votes are rounded to 1/1024.
+    /// Log-likelihood ratio of the pixel nearest to (u, v): positive for the hand, negative for the
+    /// background, within ±3, in steps of 1/1024; 0 outside the frame.
     #[must_use]
     pub fn log_ratio(&self, frame: &Frame<'_>, u: f64, v: f64) -> f32 {
         self.bin(frame, u, v).map_or(0.0, |bin| f32::from(self.log_ratios[bin]) / LOG_RATIO_UNIT)
     }
 
-    /// How places vote on average.
+    /// Mean log-likelihood ratio of some places.
     pub(crate) fn mean_log_ratio(
         &self,
         frame: &Frame<'_>,
@@ -259,9 +260,8 @@ impl HistogramModel {
         sum / count
     }
 
-    /// Whether what is inside of an edge looks like the hand, and what is outside of it, in the
-    /// direction of the unit vector `normal`, like what has been seen behind that: what covers a hand
-    /// in part has an edge as well.
+    /// Whether the inside of an edge is like the hand, and its outside, in the direction of the
+    /// unit vector `normal`, like the background: an occluder of the hand has edges as well.
     pub(crate) fn is_own_edge(
         &self,
         frame: &Frame<'_>,
@@ -274,8 +274,8 @@ impl HistogramModel {
         mean(INSIDE_PX.map(|px| -px)) >= OWN_LOG_RATIO && mean(OUTSIDE_PX) <= -BEHIND_LOG_RATIO
     }
 
-    /// Whether most of what is inside of an edge are levels or colours that the hand has shown, more
-    /// often than the even distribution that every bin starts with.
+    /// Whether most of the sampled pixels inside of an edge have levels or colours that the hand
+    /// has shown, with more weight than the uniform prior of a bin.
     pub(crate) fn has_shown(
         &self,
         frame: &Frame<'_>,
@@ -291,7 +291,7 @@ impl HistogramModel {
         2 * INSIDE_PX.iter().filter(was_shown).count() > INSIDE_PX.len()
     }
 
-    /// The pixels of `frame` that vote, and how.
+    /// The pixels of `frame` with their log-likelihood ratios.
     pub(crate) fn log_ratio_image<'a>(&'a self, frame: &Frame<'a>) -> LogRatioImage<'a> {
         let image = frame.image();
         let pixels = match (self.coloured, frame.colour()) {
@@ -322,26 +322,26 @@ fn grey_bin(grey: u8) -> usize {
     usize::from(grey) >> 2
 }
 
-/// The pixels that vote, and how.
+/// An image's pixels, and the log-likelihood ratios of their bins.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct LogRatioImage<'a> {
     pub pixels: BinnedPixels<'a>,
-    /// The vote of every bin.
+    /// Log-likelihood ratio of every bin.
     pub log_ratios: &'a LogRatio,
 }
 
-/// Where a pixel's bin is read.
+/// Source of a pixel's bin.
 #[derive(Debug, Clone, Copy)]
 pub(crate) enum BinnedPixels<'a> {
     /// Grey levels and the bytes from one row to the next: 64 bins.
     Gray(&'a [u8], usize),
     /// Three channels and the bytes from one row to the next: 16 bins each.
     Colour(&'a [u8], usize),
-    /// A coloured appearance and a frame without colours: nobody votes.
+    /// A model of colours and a frame without them: no log-likelihood ratios.
     Nobody,
 }
 
-/// From two histograms to votes.
+/// Computation of log-likelihood ratios from two histograms.
 struct Learning<'a> {
     coloured: bool,
     /// One over the weight of either histogram.
@@ -364,14 +364,14 @@ impl Work for Learning<'_> {
                 smooth_rows::<GRAY_BINS>(bins);
             }
         }
-        // How much a bin would hold of an even distribution keeps empty bins from shouting.
+        // The uniform prior limits the ratios of bins with few observations.
         let even = PRIOR_WEIGHT / self.smooth[0].len() as f32;
         let [hand, background] = &*self.smooth;
         let [per_hand, per_background] = self.parts;
         for ((stored, hand), background) in self.log_ratios.iter_mut().zip(hand).zip(background) {
             let log_ratio = ln(hand * per_hand + even) - ln(background * per_background + even);
             let steps = LOG_RATIO_UNIT * log_ratio.clamp(-MAX_LOG_RATIO, MAX_LOG_RATIO);
-            // Away from zero by half, then cut off: rounded, and the same for either side.
+            // Rounded half away from zero, so that the ratio is symmetric in both classes.
             *stored = (steps + 0.5_f32.copysign(steps)) as i32 as i16;
         }
     }
@@ -415,7 +415,8 @@ mod tests {
 
     #[test]
     fn what_the_hand_has_shown_is_judged_inside_of_the_edge() -> Result<()> {
-        // The hand from 150 to 165 before a dark table; 158 is between levels seen, 250 is a cover's.
+        // The hand from 150 to 165 before a dark table; 158 lies between levels seen, 250 is an
+        // occluder's.
         let learned = [&[150_u8, 151, 152, 153, 161, 162, 163, 164][..], &[40; 8]].concat();
         let frame = Frame::gray(GrayView::new(&learned, learned.len(), 1, learned.len())?);
         let mut levels = HistogramModel::new(false);

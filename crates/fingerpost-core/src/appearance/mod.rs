@@ -1,4 +1,4 @@
-//! Models of what the hand and its background look like, and the images in which they differ most.
+//! Appearance models of the hand and its background, and the images in which they differ most.
 
 pub mod background;
 pub mod discriminant;

@@ -1,4 +1,5 @@
-//! A closer look at one band: its place, and how its inside differs from what is around it.
+//! Refinement of one band candidate: its pose, and the contrast of its inside with its
+//! surroundings.
 
 use crate::appearance::background::ForegroundMap;
 use crate::geometry::template::Thumb;
@@ -11,28 +12,29 @@ use nalgebra::Vector3;
 use std::f64::consts::PI;
 use std::f64::consts::TAU;
 
-/// The inside is looked at over so much of the half-width to either side of the axis; a half of it begins
-/// this far from there, in parts of that.
+/// Half-width of the sampled inside, as a part of the band's; its whole extent, in parts of that;
+/// and the distance from the axis at which one half begins, likewise.
 pub(super) const ACROSS: f64 = 0.55;
 pub(super) const WHOLE: (f64, f64) = (-1.0, 1.0);
 pub(super) const HALF_FROM: f64 = 0.2;
-/// Two candidates are one within this distance \[half-widths\] and angle \[rad\].
+/// Distance \[half-widths\] and angle \[rad\] within which two candidates are the same.
 pub(super) const SAME_PLACE: f64 = 1.5;
 pub(super) const SAME_ANGLE_RAD: f64 = 0.5;
 
-/// A thumb's angle to its finger \[rad\], its root behind the fingertip \[finger half-widths\] and its
-/// width in parts of the finger's.
+/// Ranges of a thumb's angle to its finger \[rad\], of the distance from the fingertip back to the
+/// intersection of the axes, of the distance from there to the thumb's tip \[both in finger
+/// half-widths\], and of its width as a part of the finger's.
 pub(super) const THUMB_ANGLES_RAD: (f64, f64) = (0.5, 1.95);
 pub(super) const THUMB_ROOTS: (f64, f64) = (5.0, 20.0);
 pub(super) const THUMB_TIPS: (f64, f64) = (2.5, 16.0);
 pub(super) const THUMB_WIDTHS: (f64, f64) = (0.6, 1.7);
 
-/// A place where a pointing hand may be.
+/// A possible pointing hand.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Candidate {
     /// The finger's tip \[px\].
     pub tip_px: Point2<f64>,
-    /// Direction of pointing \[rad\], from +u (right) towards +v (down).
+    /// Pointing direction \[rad\], from +u (right) towards +v (down).
     pub angle_rad: f64,
     /// Visible length of the finger \[px\].
     pub length_px: f64,
@@ -40,15 +42,16 @@ pub struct Candidate {
     pub half_width_px: f64,
     /// Side of a second band that may be its thumb.
     pub thumb: Thumb,
-    /// Mean colour of its inside, in the order of the frame's channels; a grey level three times.
+    /// Mean colour of its inside, in the order of the frame's channels; a grey level repeated three
+    /// times.
     pub colour: [f64; 3],
-    /// How like foreground its inside is, 0–1; 0 while no background is known.
+    /// Mean foreground probability of its inside, 0–1; 0 while no background is known.
     pub foreground: f64,
-    /// How like a finger it is by its shape and colours alone, 0–1.
+    /// Likeness to a finger by shape and colours alone, 0–1.
     pub score: f64,
 }
 
-/// A coarse find.
+/// A band of the coarse search.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Band {
     pub(super) tip: Point2<f64>,
@@ -57,7 +60,7 @@ pub(super) struct Band {
     pub(super) score: f64,
 }
 
-/// A band that was looked at closely.
+/// A refined band.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct RefinedCandidate {
     band: Band,
@@ -68,7 +71,7 @@ pub(super) struct RefinedCandidate {
 }
 
 impl RefinedCandidate {
-    /// The candidate that it is, with a thumb that makes good a part of the missing score.
+    /// The candidate, with its score raised by the part `bonus` of what it lacks to 1, for a thumb.
     pub(super) fn candidate(&self, thumb: Thumb, bonus: f64) -> Candidate {
         Candidate {
             tip_px: self.band.tip,
@@ -89,7 +92,7 @@ impl RefinedCandidate {
             && apart.abs() < SAME_ANGLE_RAD
     }
 
-    /// The side on which another band could be this finger's thumb, and how good a band it is.
+    /// Side on which another band could be this finger's thumb, and that band's score.
     pub(super) fn thumb(&self, other: &Self) -> Option<(Thumb, f64)> {
         let (a, b) = (&self.band, &other.band);
         let w = a.half_width_px;
@@ -101,7 +104,7 @@ impl RefinedCandidate {
         let (sin, cos) = b.angle_rad.sin_cos();
         let direction = Vector2::new(cos, sin);
         let side = across.signum();
-        // Both directions lead away from where the axes meet.
+        // Both directions point away from the intersection of the axes.
         let turned = (side * direction.dot(&n)).atan2(direction.dot(&e));
         if !within(turned, THUMB_ANGLES_RAD) || !within(b.half_width_px / w, THUMB_WIDTHS) {
             return None;
@@ -114,35 +117,37 @@ impl RefinedCandidate {
     }
 }
 
-/// A coarse angle is off by up to about that much \[rad\].
+/// Rotations tried about the coarse angle \[rad\], and the rotation at which the weight of a trial
+/// falls to 0.
 const TURNS_RAD: [f64; 7] = [0.0, -0.1, 0.1, -0.2, 0.2, -0.3, 0.3];
 const TURN_REACH_RAD: f64 = 0.5;
-/// Squared distances from the inside's colours, in standard deviations, from which a pixel is
-/// another colour: three channels and one.
+/// Thresholds of the squared Mahalanobis distance from the inside's colours above which a pixel has
+/// another colour: for three channels and for one.
 const UNLIKE_COLOUR: f64 = 6.0;
 const UNLIKE_GREY: f64 = 4.0;
-/// Standard deviation of the inside's colours that is always granted \[grey levels\].
+/// Standard deviation added to the inside's colours \[grey levels\].
 const COLOUR_FLOOR: f64 = 4.0;
-/// A finger is half-lit if one half of it is darker than this part of the other.
+/// Largest ratio of brightness between the halves of a finger that is lit from one side.
 const HALF_LIT: f64 = 0.75;
-/// A visible finger is this long, in half-widths.
+/// Range of the length of a visible finger \[half-widths\].
 const LENGTHS: (f64, f64) = (4.6, 12.0);
-/// Flanks that are seen over less than this tell nothing of the length, which is this then.
+/// Length \[half-widths\] below which visible flanks do not determine the finger's length, and the
+/// length that is then assumed.
 const SEEN_LENGTH: f64 = 3.0;
 const UNSEEN_LENGTH: f64 = 7.0;
-/// What a candidate loses without a hand behind it, and the part of the places there that look like
-/// the finger from which nothing is missing.
+/// Loss of score of a candidate without a hand behind it, and the part of the places there that
+/// must be like the finger for no loss.
 const HAND_WEIGHT: f64 = 0.3;
 const HAND_PART: f64 = 0.5;
 
-/// A frame as seen from a band: along its axis and across it, in px from its tip.
+/// A frame in the coordinates of a band: along its axis and across it, in px from its tip.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct BandFrame<'a> {
     frame: &'a Frame<'a>,
     tip: Point2<f64>,
     e: Vector2<f64>,
     n: Vector2<f64>,
-    /// Whether it sees chromaticities alone.
+    /// Whether its pixels are chromaticities.
     is_chromatic: bool,
 }
 
@@ -152,7 +157,7 @@ impl<'a> BandFrame<'a> {
         Self { frame, tip, e, n: Vector2::new(-e.y, e.x), is_chromatic: false }
     }
 
-    /// The same for chromaticities; none without colours.
+    /// The same for chromaticities; `None` without colours.
     fn of_chromaticity(&self) -> Option<Self> {
         self.frame.colour().map(|_| Self { is_chromatic: true, ..*self })
     }
@@ -161,7 +166,8 @@ impl<'a> BandFrame<'a> {
         self.tip + self.e * along_px + self.n * across_px
     }
 
-    /// The colours of the pixel nearest to a place; a grey level three times without colours.
+    /// Colour of the pixel nearest to a place; without colours, the grey level repeated three
+    /// times.
     fn pixel(&self, along_px: f64, across_px: f64) -> Option<Vector3<f64>> {
         let at = self.place(along_px, across_px);
         let image: &GrayView<'_> = self.frame.image();
@@ -177,8 +183,8 @@ impl<'a> BandFrame<'a> {
         }
     }
 
-    /// The offset of the strongest change of the mean colour, in `from ..= to` px, and how strong it
-    /// is \[grey levels\]. `at(offset, k)` are the places of sample k of the mean at an offset.
+    /// Offset of the strongest change of the mean colour in `from ..= to` px, and its strength
+    /// \[grey levels\]. `at(offset, k)` is the place of sample k of the mean at an offset.
     fn strongest_change(
         &self,
         (from, to): (f64, f64),
@@ -210,7 +216,7 @@ impl<'a> BandFrame<'a> {
     }
 }
 
-/// How a pixel's colours differ from those inside a finger.
+/// Colour distribution of the inside of a finger.
 pub(super) struct Inside {
     mean: Vector3<f64>,
     information: Matrix3<f64>,
@@ -218,8 +224,8 @@ pub(super) struct Inside {
 }
 
 impl Inside {
-    /// The colours of a band's core, from so far across it to so far, in parts of the core's half-width;
-    /// None if too little of it lies in the image.
+    /// Colours of a band's core between two distances across it, in parts of the core's half-width;
+    /// `None` if too little of it lies in the image.
     pub(super) fn of(
         band_frame: &BandFrame<'_>,
         half_width_px: f64,
@@ -264,7 +270,7 @@ impl Inside {
         d.dot(&(self.information * d)) > self.unlike
     }
 
-    /// Part of some places that look different; None if most lie outside the image.
+    /// Part of some places with another colour; `None` if most lie outside the image.
     fn unlike_part(
         &self,
         band_frame: &BandFrame<'_>,
@@ -282,7 +288,7 @@ impl Inside {
     }
 }
 
-/// Puts a band in its place, and tells how its inside differs from what is around it.
+/// Refines the pose of a band, and measures the contrast of its inside with its surroundings.
 pub(super) fn refine_candidate(
     frame: &Frame<'_>,
     map: &ForegroundMap,
@@ -292,7 +298,7 @@ pub(super) fn refine_candidate(
     const ACROSS: usize = 5;
     let w = band.half_width_px;
     let middle = band.tip - direction(band.angle_rad) * w;
-    // The flanks first, at the angle at which they show best; then the end between them.
+    // First the flanks, at the angle of their greatest strength; then the end between them.
     let back = |k: usize| -w * (0.8 + 2.6 * k as f64 / (ALONG - 1) as f64);
     let mut best: Option<(f64, f64, BandFrame<'_>, [f64; 2])> = None;
     for turn_rad in TURNS_RAD {
@@ -324,8 +330,8 @@ pub(super) fn refine_candidate(
     Some(RefinedCandidate { band, length_px, colour: inside.mean, foreground, score })
 }
 
-/// How far the inside of a band differs from what is beside it and ahead, and not from what is
-/// behind, 0–1.
+/// Contrast of a band's inside with its sides and the region ahead of it, and its likeness to the
+/// region behind, 0–1.
 pub(super) fn stands_out(band_frame: &BandFrame<'_>, inside: &Inside, w: f64) -> Option<f64> {
     let unlike = [
         inside.unlike_part(band_frame, beside(w, -1.0))?,
@@ -335,9 +341,9 @@ pub(super) fn stands_out(band_frame: &BandFrame<'_>, inside: &Inside, w: f64) ->
     Some(finger_before_hand(band_frame, inside, w, unlike))
 }
 
-/// The same of a band that is lit from one side: what is beside it is compared with the half that is next to
-/// it, by colours or by chromaticity, whichever tells more, and what is behind by chromaticity. None if it is
-/// no such band.
+/// The same for a band that is lit from one side: each side is compared with the adjacent half by
+/// colour or by chromaticity, whichever has the greater contrast, and the region behind by
+/// chromaticity. `None` if the band is not lit from one side.
 pub(super) fn half_lit_stands_out(
     band_frame: &BandFrame<'_>,
     inside: &Inside,
@@ -380,8 +386,8 @@ pub(super) fn ahead(w: f64) -> impl Iterator<Item = (f64, f64)> {
     })
 }
 
-/// How like a finger a band is of which such parts of what is on its left, on its right and ahead are
-/// unlike it, 0–1: behind a finger is a hand.
+/// Likeness of a band to a finger, 0–1: `unlike` are the parts with another colour on its left, on
+/// its right and ahead. Behind a finger is a hand.
 pub(super) fn finger_before_hand(
     band_frame: &BandFrame<'_>,
     inside: &Inside,
@@ -395,7 +401,7 @@ pub(super) fn finger_before_hand(
     (0.3 + 0.4 * least + 0.3 * mean) * hand
 }
 
-/// Places where a hand is, behind its finger.
+/// Places of the hand behind its finger.
 pub(super) fn hand_places(w: f64) -> impl Iterator<Item = (f64, f64)> {
     (0..8).flat_map(move |i| {
         let along = -w * (5.0 + 5.0 * f64::from(i) / 7.0);
@@ -403,8 +409,8 @@ pub(super) fn hand_places(w: f64) -> impl Iterator<Item = (f64, f64)> {
     })
 }
 
-/// How far back both flanks show, in the range of what a finger has; where the colours do not tell
-/// even beside the tip, a middle length.
+/// Length over which both flanks have contrast, limited to the range of a finger's length; a middle
+/// length if the colours have no contrast even beside the tip.
 pub(super) fn visible_length(band_frame: &BandFrame<'_>, inside: &Inside, w: f64) -> f64 {
     let differs = |along: f64, side: f64| {
         (0..3).any(|j| {
@@ -424,7 +430,7 @@ pub(super) fn visible_length(band_frame: &BandFrame<'_>, inside: &Inside, w: f64
     w * if seen < SEEN_LENGTH { UNSEEN_LENGTH } else { seen.clamp(LENGTHS.0, LENGTHS.1) }
 }
 
-/// Mean foreground along the axis of a band.
+/// Mean foreground probability along the axis of a band.
 pub(super) fn inside_foreground(map: &ForegroundMap, band: &Band) -> f64 {
     const SAMPLES: usize = 6;
     if map.cells.is_empty() {

@@ -1,16 +1,16 @@
-//! Where in an image a pointing hand may be.
+//! Detection of candidates for pointing hands in an image.
 //!
-//! A finger is a band with a round end. Such bands are looked for at every place, angle and size at
-//! once, coarsely: in a pyramid in which a finger of each size is five cells wide, the orientation of
-//! the strongest gradient of any channel (colours, and the foreground where a background is known)
-//! is quantised, spread over its neighbours, and a template of round end and flanks is scored by how
-//! many of its normals meet an edge of their orientation, whichever side is brighter. The best
-//! places are then looked at closely: where exactly the band ends, whether its inside differs from
-//! what lies to its left, to its right and ahead, how far back that holds, whether it is foreground,
-//! and whether a second band nearby could be its thumb.
+//! A finger is a band with a round end. Such bands are first searched coarsely at every place,
+//! angle and size. In a pyramid whose levels show a finger of one size each with a width of five
+//! cells, the orientation of the strongest gradient of any channel (colours, and the foreground if
+//! a background is known) is quantised and spread over its neighbours. The score of a template of
+//! round end and flanks is the number of its normals that meet an edge of their orientation, of
+//! either polarity. The best candidates are then refined: the position of the band's end, the
+//! contrast of its inside with its left, its right and the region ahead, the length over which that
+//! holds, its foreground probability, and a second band nearby that could be its thumb.
 //!
-//! What comes out are *candidates*, ranked; many of them are pens, cables and other fingers. Only a
-//! fit, and the other views, can tell.
+//! The result is a ranked list of *candidates*; many of them are pens, cables and other fingers.
+//! Only a fit and the other views distinguish them.
 //!
 //! Sources: Hinterstoisser et al. 2012 (LINEMOD) for spread orientations and their fast sums.
 
@@ -29,17 +29,17 @@ use crate::{Error, Result};
 use nalgebra::Point2;
 use std::f64::consts::TAU;
 
-/// What is looked for.
+/// Options of the detection.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FinderOptions {
-    /// Half-width of the slimmest finger, in parts of the image's longer side, 0.003–0.1.
+    /// Half-width of the slimmest finger, as a part of the image's longer side, 0.003–0.1.
     pub min_half_width: f64,
-    /// Half-width of the stoutest finger, in the same parts, above the least and up to 0.2.
+    /// Half-width of the widest finger, as the same part, above the least and up to 0.2.
     pub max_half_width: f64,
-    /// The least change of brightness from one cell to the next that is an edge \[grey levels\],
-    /// 1–100; a sharp step is spread over two cells.
+    /// Least change of brightness from one cell to the next that counts as an edge \[grey levels\],
+    /// 1–100; a sharp step extends over two cells.
     pub min_gradient_grey: f64,
-    /// The most candidates that are given, 1–100.
+    /// Largest number of candidates returned, 1–100.
     pub candidates: usize,
 }
 
@@ -54,14 +54,13 @@ impl Default for FinderOptions {
     }
 }
 
-/// Bands that are looked at closely, per level.
+/// Number of bands refined per level.
 const REFINED_CANDIDATES: usize = 48;
-/// How much of the foreground's edge strength counts, so that it outweighs the texture of what is
-/// before and behind it.
+/// Weight of the foreground's edges, such that they outweigh the texture of hand and background.
 const FOREGROUND_GAIN: f64 = 0.6;
 
-/// Finds candidates, frame by frame. Its buffers grow with the first frame of a size and are used
-/// again.
+/// Detects candidates, frame by frame. Its buffers grow with the first frame of a size and are
+/// reused.
 ///
 /// ```
 /// use fingerpost_core::detect::candidates::{FinderOptions, HandFinder};
@@ -89,7 +88,7 @@ pub struct HandFinder {
     templates: Vec<BandTemplate>,
     size: (usize, usize),
     channels: usize,
-    /// The frame's channels, plane after plane, and the same halved again and again.
+    /// The frame's channels, one plane each, at full resolution and halved repeatedly.
     octaves: Vec<Octave>,
     foreground: ForegroundMap,
     level: Level,
@@ -102,7 +101,7 @@ impl HandFinder {
     /// A finder with the given options.
     ///
     /// # Errors
-    /// When an option is outside its documented range.
+    /// If an option is outside its documented range.
     pub fn new(options: FinderOptions) -> Result<Self> {
         let FinderOptions { min_half_width, max_half_width, min_gradient_grey, candidates } =
             options;
@@ -133,14 +132,14 @@ impl HandFinder {
         })
     }
 
-    /// The options in force.
+    /// The options in use.
     #[must_use]
     pub fn options(&self) -> &FinderOptions {
         &self.options
     }
 
-    /// The candidates in a frame, the likeliest first. A `background` that is known and of the
-    /// frame's size tells what has come into view; without one the frame alone has to do.
+    /// Candidates in a frame, the most likely first. A `background` that is known and of the
+    /// frame's size contributes the foreground; without one, the frame alone is used.
     pub fn find(&mut self, frame: &Frame<'_>, background: Option<&Background>) -> &[Candidate] {
         let background = background.filter(|b| b.is_known());
         match background {
@@ -160,12 +159,13 @@ impl HandFinder {
         &self.found
     }
 
-    /// How like a finger the inside of a band is by how it differs from what is about it, 0–1; its
-    /// edges, a fit has found. None if too little of that lies in the image. Each half of one that is lit
-    /// from one side may differ by its colours, or by their chromaticity alone.
+    /// Likeness of a band to a finger by the contrast of its inside with its surroundings, 0–1; its
+    /// edges were found by a fit. `None` if too little of the surroundings lies in the image. Each
+    /// half of a band that is lit from one side may have contrast in colour, or in chromaticity
+    /// alone.
     ///
     /// # Errors
-    /// A place or direction that is not finite, a half-width that is not above 0.
+    /// A position or direction that is not finite, a half-width not above 0.
     pub fn likeness(
         frame: &Frame<'_>,
         tip: Point2<f64>,
@@ -184,7 +184,7 @@ impl HandFinder {
         }))
     }
 
-    /// Takes the frame apart into channels, and halves them until the coarsest level has one.
+    /// Splits the frame into channels, and halves them down to the octave of the coarsest level.
     fn split(&mut self, frame: &Frame<'_>, with_foreground: bool) {
         let image = frame.image();
         self.size = (image.width(), image.height());
@@ -232,7 +232,7 @@ impl HandFinder {
         }
     }
 
-    /// Looks for bands of about one half-width.
+    /// Searches bands of about one half-width.
     fn search(&mut self, half_width_px: f64) {
         let cell_px = half_width_px / HALF_WIDTH_CELLS;
         let octave = cell_px.log2().floor().clamp(0.0, (self.octaves.len() - 1) as f64) as usize;
@@ -253,14 +253,14 @@ impl HandFinder {
             });
         }
         let level_bands = &mut self.bands[first..];
-        // Of equal scores the one in the foreground goes first.
+        // Among equal scores, the one in the foreground goes first.
         let map = &self.foreground;
         let weight = |band: &Band| band.score + FOREGROUND_WEIGHT * inside_foreground(map, band);
         level_bands.sort_by(|a, b| weight(b).total_cmp(&weight(a)));
         self.bands.truncate(first + REFINED_CANDIDATES);
     }
 
-    /// Looks at every band closely.
+    /// Refines every band.
     fn refine(&mut self, frame: &Frame<'_>) {
         self.refined.clear();
         for band in &self.bands {
@@ -271,7 +271,7 @@ impl HandFinder {
         self.refined.sort_by(|a, b| b.score.total_cmp(&a.score));
     }
 
-    /// Keeps the best of those that are one, and pairs fingers with thumbs.
+    /// Keeps the best of candidates that are the same, and pairs fingers with thumbs.
     fn rank(&mut self) {
         self.found.clear();
         let mut kept = 0;
@@ -292,7 +292,7 @@ impl HandFinder {
                 thumb.map_or((Thumb::None, 0.0), |(side, score)| (side, THUMB_WEIGHT * score));
             self.found.push(looked.candidate(side, bonus));
         }
-        // Something that was there before may be the hand, but one that has come is likelier.
+        // An object that was there before may be the hand, but a new one is more likely.
         let knows = !self.foreground.cells.is_empty();
         let least = if knows { BACKGROUND_WEIGHT } else { 1.0 };
         let weight = |c: &Candidate| c.score * (least + (1.0 - least) * c.foreground);
@@ -301,9 +301,9 @@ impl HandFinder {
     }
 }
 
-/// What being foreground adds to the score of a coarse band.
+/// Weight of the foreground probability added to the score of a coarse band.
 const FOREGROUND_WEIGHT: f64 = 0.5;
-/// What a candidate in the background is worth beside one in the foreground.
+/// Weight of a candidate in the background relative to one in the foreground.
 const BACKGROUND_WEIGHT: f64 = 0.5;
-/// What part of the missing score a perfect thumb makes good.
+/// Part of what a score lacks to 1 that a perfect thumb adds.
 const THUMB_WEIGHT: f64 = 0.3;

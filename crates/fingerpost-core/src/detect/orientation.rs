@@ -1,18 +1,19 @@
-//! Bands with a round end, found by the orientations of gradients at every place, angle and size.
+//! Search for bands with a round end by the orientations of gradients, at every place, angle and
+//! size.
 
 use nalgebra::Vector2;
 use std::f64::consts::PI;
 
-/// Where the template's samples lie from its tip, in cells.
+/// Template samples relative to its tip, in cells.
 #[derive(Debug, Clone)]
 pub(super) struct BandTemplate {
     pub(super) angle_rad: f64,
     /// Round end: the cell and the orientation of its normal.
     cap: [((isize, isize), usize); CAP_SAMPLES],
-    /// First sample of either flank, whose normals have one orientation.
+    /// First sample of either flank; the flanks' normals have one orientation.
     flanks: [(isize, isize); 2],
     flank_bin: usize,
-    /// From the first sample to the second, from the first two to the next two, and so on.
+    /// Offset from the first sample to the second, from the first two to the next two, and so on.
     doublings: [(isize, isize); FLANK_SAMPLES.ilog2() as usize],
 }
 
@@ -24,12 +25,12 @@ pub(super) struct Octave {
     pub(super) planes: Vec<u8>,
 }
 
-/// One level of the pyramid; every level uses the same buffers in turn.
+/// One level of the pyramid; all levels use the same buffers in turn.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Level {
     width: usize,
     height: usize,
-    /// Cells in a row of the planes below, which have a margin all around.
+    /// Cells in a row of the planes below, which include a margin on all sides.
     stride: usize,
     image: Vec<u8>,
     orientations: Vec<u8>,
@@ -66,7 +67,7 @@ impl BandTemplate {
 }
 
 impl Octave {
-    /// Means of 2 × 2 pixels of another one.
+    /// Means of 2 × 2 pixels of another octave.
     pub(super) fn halve(&mut self, from: &Self, channels: usize) {
         (self.width, self.height) = ((from.width / 2).max(1), (from.height / 2).max(1));
         self.planes.clear();
@@ -121,8 +122,8 @@ impl Level {
         }
     }
 
-    /// The orientation of the strongest gradient of any channel, cell by cell, spread over the
-    /// neighbours, and from it how well an edge of each orientation is met.
+    /// Orientation of the strongest gradient of any channel in each cell, spread over its
+    /// neighbours, and the response of each orientation to it.
     pub(super) fn orient(&mut self, channels: usize, min_gradient_grey: f64) {
         let (width, height, stride) = (self.width, self.height, self.stride);
         let cells = stride * (height + 2 * MARGIN);
@@ -176,7 +177,7 @@ impl Level {
         let stride = self.stride as isize;
         let cells = self.best.len();
         let shift = |(dx, dy): (isize, isize)| dy * stride + dx;
-        // As far as any sample reaches from any cell of the image.
+        // Within the reach of any sample from any cell of the image.
         let first = MARGIN * self.stride;
         let inner = first..cells - first;
         let from = |plane: &[u8], by: isize| -> std::ops::Range<usize> {
@@ -191,7 +192,7 @@ impl Level {
         sum.copy_from_slice(plane(template.flank_bin));
         for &step in &template.doublings {
             let by = shift(step);
-            // Both ends of the line lie in the padded plane; the rest is nobody's.
+            // Only where both ends of the line lie in the padded plane.
             let (lo, hi) = ((-by).max(0) as usize, cells - by.max(0) as usize);
             let behind = &sum[(lo as isize + by) as usize..(hi as isize + by) as usize];
             for ((out, a), b) in next[lo..hi].iter_mut().zip(&sum[lo..hi]).zip(behind) {
@@ -220,7 +221,7 @@ impl Level {
         }
     }
 
-    /// Cells that no neighbour within a half-width outdoes: place, score and angle.
+    /// Cells with the maximum score within a half-width: place, score and angle.
     pub(super) fn peaks(&self) -> impl Iterator<Item = (usize, usize, u8, u8)> {
         const REACH: usize = 2;
         let at = move |x: usize, y: usize| (y + MARGIN) * self.stride + x + MARGIN;
@@ -232,7 +233,7 @@ impl Level {
                     && (0..=2 * REACH).all(|dy| {
                         let row = at(x, y) + dy * self.stride - REACH * self.stride - REACH;
                         self.best[row..=row + 2 * REACH].iter().enumerate().all(|(dx, &other)| {
-                            // Of equals the first one stays.
+                            // Of equal scores the first one is kept.
                             let before = (dy, dx) < (REACH, REACH);
                             other < here || (other == here && !before)
                         })
@@ -242,7 +243,7 @@ impl Level {
     }
 }
 
-/// The orientation of a gradient, in bins of half a turn.
+/// Orientation of a gradient, in bins over half a turn.
 pub(super) fn bin_of(gx: i32, gy: i32) -> usize {
     // Tangents of 11.25°, 33.75°, 56.25° and 78.75°, in 1/1024.
     const TANGENTS: [i32; 4] = [204, 684, 1532, 5148];
@@ -251,7 +252,7 @@ pub(super) fn bin_of(gx: i32, gy: i32) -> usize {
     if gx >= 0 { steps } else { (BINS - steps) % BINS }
 }
 
-/// What a sample of one orientation counts, by the set of orientations near it.
+/// Response of a sample of one orientation to each set of orientations nearby.
 pub(super) fn response_table(bin: usize) -> [u8; 256] {
     std::array::from_fn(|set| {
         let has = |b: usize| set >> (b % BINS) & 1 == 1;
@@ -265,34 +266,35 @@ pub(super) fn response_table(bin: usize) -> [u8; 256] {
     })
 }
 
-/// Half a finger's width in cells of the level that looks for it.
+/// Half a finger's width in cells of the level that searches it.
 pub(super) const HALF_WIDTH_CELLS: f64 = 2.5;
 
-/// Half-widths from one level to the next.
+/// Ratio of the half-widths of successive levels.
 pub(super) const LEVEL_RATIO: f64 = 1.35;
 
-/// Angles that are tried.
+/// Number of angles searched.
 pub(super) const ANGLES: usize = 24;
 
-/// Orientations that are told apart, over half a turn.
+/// Number of orientation bins, over half a turn.
 pub(super) const BINS: usize = 8;
 
-/// Samples of the round end, and of either flank; a power of two for the flank's sums by doubling.
+/// Number of samples of the round end, and of either flank; a power of two for the flank's sums by
+/// doubling.
 pub(super) const CAP_SAMPLES: usize = 8;
 pub(super) const FLANK_SAMPLES: usize = 8;
 
-/// The round end's samples lie this far to either side of the axis at most \[rad\], the flank's this
-/// far behind the round end's middle \[half-widths\].
+/// Largest angle of the round end's samples to the axis \[rad\], and range of the flank's samples
+/// behind the centre of the round end \[half-widths\].
 pub(super) const CAP_REACH_RAD: f64 = 1.37;
 pub(super) const FLANK_HALF_WIDTHS: (f64, f64) = (0.3, 3.0);
 
-/// What a sample counts that meets an edge of its orientation, or of the next one; a sum of eight
-/// fits a byte.
+/// Response of a sample to an edge of its orientation, and to one of the next orientation; a sum of
+/// eight fits a byte.
 pub(super) const MEETS: u8 = 31;
 pub(super) const NEARLY_MEETS: u8 = 19;
 
-/// Cells around a level that the template may reach into.
+/// Margin of a level, within the reach of the template \[cells\].
 pub(super) const MARGIN: usize = 12;
 
-/// A band scores at least this part of what it could.
+/// Least score of a band; the greatest is 8 · 31 = 248.
 pub(super) const LEAST_SCORE: u8 = 144;

@@ -1,4 +1,4 @@
-//! What a hand looks like: all that is learned from either side of its contour.
+//! Appearance model of a hand: all that is learned from the pixels on either side of its contour.
 
 use super::flank_levels::FlankLevels;
 use super::silhouette::{AHEAD, EDGE_PX, LIKE_HAND, Shaft, Silhouette};
@@ -12,65 +12,66 @@ use crate::measure::edge::Polarity;
 use crate::measure::edge_search::Cue;
 
 const REACH_PX: f64 = 14.0;
-/// Ahead of the tip they are learned so many half-widths further, but no further than that \[px\].
+/// Additional depth ahead of the tip from which outside pixels are learned \[half-widths\], and the
+/// limit of the total \[px\].
 const AHEAD_WIDTHS: f64 = 5.0;
 const MOST_REACH_PX: f64 = 120.0;
 
-/// A stretch of it that counts: so many steps.
+/// Length of the segment of a finger that must be like the hand, in steps of [`Shaft::steps`].
 const STRETCH: usize = 3;
-/// That is a part of it, as of a pattern's band, if it votes for the hand by more than this part of what
-/// the finger does, or without colours by anything. A finger whose shadow lies ahead of it, before a brown
-/// table, was taken for a band by 0.27.
+/// Threshold of the mean log-likelihood ratio ahead of the tip, as a part of the finger's, above
+/// which the finger is a band of a pattern that goes on; without colours it is 0. A finger with its
+/// shadow ahead of it, before a brown table, was taken for a band at 0.27.
 const GOES_ON: f64 = 0.3;
-/// Where there is no edge, the hand is told from what is behind it by mean colours so far from the edge
-/// \[px\]; if these differ by so much, in all channels together, something else is behind it than looks
-/// know of \[grey levels\].
+/// Distances from an edge of the mean colours compared where the hand ends without one, outside and
+/// inside \[px\]. If they differ by at least the value below, in the norm over all channels, the
+/// background there is unknown to the model \[grey levels\].
 const BEHIND_PX: [f64; 2] = [2.0 * EDGE_PX, 10.0];
 const INSIDE_PX: [f64; 2] = [EDGE_PX, 6.0];
 const OTHER_COLOUR: f64 = 20.0;
 
-/// What leads the contour.
+/// Cue of the contour's search lines.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum EdgeCue {
-    /// The pixels' votes.
+    /// Log-likelihood ratios of the pixels.
     LogRatio,
-    /// Edges whose sides vote differently.
+    /// Edges whose two sides differ in log-likelihood ratio.
     HandEdges,
-    /// The same of the grey image, whatever mixture of colours shows the hand best.
+    /// The same in the grey image, whatever mixture of colours shows the hand best.
     GreyEdges,
     /// The strongest edge.
     AnyEdge,
 }
 
-/// How a search line sees the hand, by what is known of it.
+/// Model by which search lines measure the hand.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct SearchModel<'a> {
-    /// What it was asked for.
+    /// The requested cue.
     pub edge_cue: EdgeCue,
     pub cue: Cue<'a>,
-    /// The mixture to search in place of the grey image.
+    /// Mixture of colours to be searched in place of the grey image.
     pub mixture: Option<&'a Mixture>,
     pub polarity: Polarity,
-    /// How the grey image is searched beside the mixture, if it is.
+    /// How the grey image is searched in addition to the mixture, if it is.
     pub in_grey: Option<GreyCue<'a>>,
-    /// The grey levels of a hand whose looks are colours.
+    /// Grey levels of a hand with an appearance of colours.
     pub shades: Option<&'a HistogramModel>,
-    /// The flanks of a hand whose looks are grey levels, if edges are to look like it.
+    /// Flanks of a hand with an appearance of grey levels, if edges must look like the hand.
     pub flank_levels: Option<&'a FlankLevels>,
 }
 
-/// How a search line sees in grey a hand whose looks are colours.
+/// How search lines measure, in the grey image, a hand with an appearance of colours.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct GreyCue<'a> {
     pub polarity: Polarity,
     pub colours: &'a HistogramModel,
-    /// The flank that grey does not show, if there is one. The other one is lit: grey shows it
-    /// sharply, where its colours bleed.
+    /// The flank that is invisible in grey, if there is one. The other one is lit: grey shows it
+    /// sharply, while its colours bleed.
     pub shaded: Option<Part>,
 }
 
 impl SearchModel<'_> {
-    /// Any edge of this polarity: all that can be looked for before a hand was seen.
+    /// Any edge of this polarity: the only cue before a hand was seen.
     pub fn unknown(polarity: Polarity) -> Self {
         let (edge_cue, cue) = (EdgeCue::AnyEdge, Cue::Edges);
         Self {
@@ -84,15 +85,15 @@ impl SearchModel<'_> {
         }
     }
 
-    /// What lines of a part of the outline look for.
+    /// Cue of the lines of a part of the outline.
     pub fn cue_of(&self, part: Part) -> Cue<'_> {
         self.flank_levels
             .and_then(|flank_levels| flank_levels.of(part))
             .map_or(self.cue, Cue::HandEdges)
     }
 
-    /// Whether an edge of a part of the outline is the hand's own in a frame that is `shown` as this
-    /// sight shows it; any is where looks tell nothing.
+    /// Whether an edge of a part of the outline is the hand's own, in a frame `shown` as this
+    /// search model shows it. Without an appearance every edge is.
     pub fn is_own_of(
         &self,
         part: Part,
@@ -103,14 +104,14 @@ impl SearchModel<'_> {
         SearchModel { cue: self.cue_of(part), ..*self }.is_own(frame, shown, edge)
     }
 
-    /// The same of an edge wherever it is on the outline.
+    /// The same for an edge on any part of the outline.
     pub fn is_own(&self, frame: &Frame<'_>, shown: &Frame<'_>, edge: &PlacedSample) -> bool {
         self.cue.appearance().is_none_or(|appearance| {
             appearance.is_own_edge(shown, edge.position, edge.normal) && self.has_shade(frame, edge)
         })
     }
 
-    /// The same of an edge of the grey image, by the colours on its two sides.
+    /// The same for an edge of the grey image, by the colours on its two sides.
     pub fn is_own_in_grey(
         &self,
         in_grey: &GreyCue<'_>,
@@ -121,41 +122,41 @@ impl SearchModel<'_> {
             && self.has_shade(frame, edge)
     }
 
-    /// Whether what is inside of an edge is as bright as the hand somewhere is. Bins of colour are so
-    /// wide that what covers a hand may share them.
+    /// Whether the inside of an edge has a grey level that the hand has shown. Bins of colour are
+    /// so wide that an occluder may share them.
     fn has_shade(&self, frame: &Frame<'_>, edge: &PlacedSample) -> bool {
         self.shades.is_none_or(|shades| shades.has_shown(frame, edge.position, edge.normal))
     }
 }
 
-/// A contour as far as it teaches looks.
+/// The parts of a contour that the appearance is learned from.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Contour<'a> {
-    /// Where its edges are.
+    /// Positions of its edges.
     pub edges: &'a [PlacedSample],
-    /// Where the hand is known to end, without an edge: what is behind it there is perhaps not known yet.
+    /// Where the hand is known to end without an edge: the background there may be unknown.
     pub unseen: &'a [PlacedSample],
 }
 
-/// The looks of one hand.
+/// The appearance model of one hand.
 #[derive(Debug, Clone)]
 pub(super) struct AppearanceModel {
-    /// Of colours, or of grey levels where there are none.
+    /// Of colours, or of grey levels in a grey image.
     plain: HistogramModel,
     discriminant: Discriminant,
-    /// Of grey levels in the discriminant's image: what its fine shades tell is lost among the
-    /// coarse bins of three channels.
+    /// Of grey levels in the discriminant's image: it keeps the fine shades that the coarse bins of
+    /// three channels lose.
     mixed: HistogramModel,
-    /// Whether that tells hand and background apart better than `plain`.
+    /// Whether `mixed` separates hand and background better than `plain`.
     finer: bool,
-    /// Of grey levels, beside colours.
+    /// Of grey levels, in addition to colours.
     shades: Option<HistogramModel>,
-    /// Of either flank, if it is to be known for itself.
+    /// Of each flank separately, if requested.
     flank_levels: Option<FlankLevels>,
     /// The pixels of one frame.
     pixels: Vec<SidedPixel>,
-    /// The flank that is as dark as what is behind it, if there is one; see
-    /// [`find_shaded_flank`](super::ContourTracker::leave_shade).
+    /// The flank that is as dark as the background, if there is one; see
+    /// [`find_shaded_flank`](super::ContourTracker::find_shaded_flank).
     shaded: Option<Part>,
 }
 
@@ -173,8 +174,8 @@ impl AppearanceModel {
         }
     }
 
-    /// The same of a finger that is lit from one side, if it is: of chromaticities, which do not show
-    /// where it turns from the light.
+    /// The same for a finger that is lit from one side, if it is: of chromaticities, which do not
+    /// change where the surface turns from the light.
     pub fn with_shaded(self, shaded: Option<Part>) -> Self {
         match shaded {
             Some(_) => Self { discriminant: Discriminant::of_chromaticity(), shaded, ..self },
@@ -182,20 +183,20 @@ impl AppearanceModel {
         }
     }
 
-    /// The same, of each flank for itself as well where there are no colours.
+    /// The same, and of each flank separately if there are no colours.
     pub fn with_flank_levels(self) -> Self {
         let flank_levels = (!self.is_coloured()).then(FlankLevels::new);
         Self { flank_levels, ..self }
     }
 
-    /// Makes room for what a contour of so many samples shows.
+    /// Reserves space for the pixels of a contour of this number of samples.
     pub fn reserve(&mut self, samples: usize) {
         let pixels = samples * (REACH_PX + MOST_REACH_PX) as usize;
         self.pixels.reserve(pixels);
         self.flank_levels.iter_mut().for_each(|flank_levels| flank_levels.reserve(pixels));
     }
 
-    /// Forgets all.
+    /// Forgets everything.
     pub fn forget(&mut self) {
         self.plain.fade(0.0);
         self.discriminant.forget();
@@ -205,12 +206,12 @@ impl AppearanceModel {
         self.flank_levels.iter_mut().for_each(FlankLevels::forget);
     }
 
-    /// Whether they were learned from colours.
+    /// Whether it was learned from colours.
     pub fn is_coloured(&self) -> bool {
         self.plain.is_coloured()
     }
 
-    /// Keeps the hand as it is known now for good.
+    /// Keeps the present model of the hand permanently.
     pub fn anchor(&mut self) {
         self.plain.anchor();
         self.discriminant.anchor();
@@ -219,8 +220,8 @@ impl AppearanceModel {
         self.flank_levels.iter_mut().for_each(FlankLevels::anchor);
     }
 
-    /// Takes all over into light that is `gain` times as bright. The discriminant's image stays as
-    /// it is but for its noise, and so do the levels in it.
+    /// Adapts the model to light that is `gain` times as bright. The discriminant's image is
+    /// invariant except for its noise, and so are the levels in it.
     pub fn relight(&mut self, gain: f64) {
         self.plain.relight(gain as f32);
         self.discriminant.relight(gain);
@@ -228,8 +229,8 @@ impl AppearanceModel {
         self.flank_levels.iter_mut().for_each(|flank_levels| flank_levels.relight(gain as f32));
     }
 
-    /// Takes over what a frame shows on either side of a finger's contour, `times` times; what was
-    /// known keeps a part `keep` of its weight.
+    /// Learns from the pixels of a frame on either side of a finger's contour, `times` times;
+    /// earlier observations keep the part `keep` of their weight.
     pub fn learn(
         &mut self,
         frame: &Frame<'_>,
@@ -256,7 +257,7 @@ impl AppearanceModel {
             shades.observe_all(frame, &self.pixels, times);
             shades.learn();
         }
-        // The image that the frame was searched in is there already.
+        // The discriminant image that the frame was searched in already exists.
         let searched = self.discriminant.mixture().copied();
         self.discriminant.learn();
         if let Some(mixture) = searched.as_ref().or(self.discriminant.mixture()) {
@@ -273,9 +274,9 @@ impl AppearanceModel {
         Ok(())
     }
 
-    /// Forgets all, and tells how well what one frame shows inside of a finger's contour differs from
-    /// what it shows outside of it: [`HistogramModel::separation`], 0–6, and nothing of what is no finger
-    /// along its `shaft`.
+    /// Forgets everything, and returns the separation of the pixels inside and outside of a
+    /// finger's contour in one frame, [`HistogramModel::separation`], 0–6; 0 if the object is not a
+    /// whole finger along its `shaft`.
     pub fn finger_separation(
         &mut self,
         frame: &Frame<'_>,
@@ -293,10 +294,10 @@ impl AppearanceModel {
         self.plain.separation()
     }
 
-    /// Whether every stretch of a finger looks rather like its inside than like what is beside it, and
-    /// what lies ahead of its tip does not: a band of a pattern is crossed by others, and goes on
-    /// behind them. A finger may be shorter than its template: it is looked at as far back as its
-    /// contour is seen.
+    /// Whether every segment of a finger is more like its inside than like its sides, and the
+    /// region ahead of its tip is not: a band of a pattern is crossed by other bands, and goes on
+    /// behind them. A finger may be shorter than its template: it is tested up to the end of its
+    /// visible contour.
     fn is_whole(&self, frame: &Frame<'_>, contour: &[PlacedSample], shaft: &Shaft) -> bool {
         let Shaft { axis, half_width_px, length_px } = *shaft;
         let log_ratio = |ahead_px: f64| shaft.log_ratio(frame, &self.plain, ahead_px);
@@ -311,7 +312,7 @@ impl AppearanceModel {
             if steps >= STRETCH && stretch.iter().sum::<f64>() < 0.0 {
                 return false;
             }
-            // The mean of all so far.
+            // Running mean.
             inside += (likely - inside) / steps as f64;
         }
         let most = if self.is_coloured() { GOES_ON * inside } else { 0.0 };
@@ -324,7 +325,7 @@ impl AppearanceModel {
         self.discriminant.mixture().is_some()
     }
 
-    /// How to look for the hand in a frame; none if it shows no colours and only these are known.
+    /// Search model for a frame; `None` if the frame has no colours and only those are known.
     pub fn search_model(
         &self,
         frame: &Frame<'_>,
@@ -360,9 +361,9 @@ impl AppearanceModel {
         })
     }
 
-    /// Adds pixels of what is behind a hand that ends where there is no edge: the mixture that tells the
-    /// hand from what was behind it elsewhere may not tell it from this. It is no more of the hand if it
-    /// is of another colour than the inside, which must look like the hand: what covers that does not.
+    /// Adds background pixels where a hand ends without an edge: the mixture learned elsewhere may
+    /// not separate the hand from this background. They count as background if their mean colour
+    /// differs from that inside, and the inside is like the hand, which excludes an occluder.
     fn gather_behind(&mut self, frame: &Frame<'_>, unseen: &[PlacedSample]) {
         let Some(colours) = frame.colour() else { return };
         for PlacedSample { position, normal } in unseen {
@@ -379,12 +380,13 @@ impl AppearanceModel {
         }
     }
 
-    /// Pixels on either side of a contour, and so many half-widths more ahead of the tip.
+    /// Collects the pixels on either side of a contour, and `ahead_widths` half-widths more ahead
+    /// of the tip.
     fn gather(&mut self, contour: &[PlacedSample], finger: &Silhouette, ahead_widths: f64) {
         let depth_px = (2.0 * finger.half_width_px - EDGE_PX).clamp(3.0, REACH_PX);
         self.pixels.clear();
         for PlacedSample { position, normal } in contour {
-            // Ahead of a fingertip there is nothing of the hand, and it may go there next.
+            // No part of the hand lies ahead of a fingertip, and the hand may move there next.
             let ahead_px = normal.dot(&finger.ahead).max(0.0) * ahead_widths * finger.half_width_px;
             let outer_px = (REACH_PX + ahead_px).min(MOST_REACH_PX);
             let inside = SidedPixel::along(*position, -normal, EDGE_PX, depth_px, true);

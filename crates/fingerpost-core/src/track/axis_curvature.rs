@@ -1,27 +1,33 @@
-//! How bent a finger is: the stretch that its line stands for, and how much of it stays open.
+//! Curvature of the finger's axis: the segment a finger line is reported for, and the bias that the
+//! curvature leaves.
 //!
-//! The line of a finger is the straight one closest to its medial line. A cylinder has one, wherever
-//! its flanks are looked at and however it is lit. A finger is bent by a part of a pixel, and its line
-//! turns with the stretch that is looked at. Through a medial line of curvature κ, the line of least
-//! squares over c ± h has the slope κ c and, at c, the offset κ (c² + h² / 3) / 2; so a stretch that
-//! lies 3 px further on turns the line of a hand in a picture by a quarter of a degree. Frame by frame
-//! other parts of the flanks are seen, and a template that was held up is not as long as one that was
-//! found. Therefore all lines of a hand are told for one stretch: for the front of the finger
-//! ([`FRONT`]), which points. They are measured on all of it, for a short stretch tells an angle badly,
-//! and taken to the front by the curvature that the pixels show ([`PhotometricReport::bend_px`]), as far
-//! as that can be believed to be the finger's own ([`HALF_OWN`]); what cannot leaves them the lines of
-//! the whole ([`WHOLE`]). A finger is no parabola where its knuckle begins: if its bend turns the line by
-//! more than noise does, the pixels of the front are looked at alone, and how its line lies to that of
-//! the whole ([`FrontLine`]) takes the place of most of the bend. How far back the front goes is known by the
-//! width, which a view shows as it is, and by how much it shows the length shorter. Each line says for
-//! which stretch it is told at last ([`FingerLine::stretch`]), for a known lens bends the image of a
-//! straight finger as well: it is straight again where the line cuts it.
+//! The finger line is the least-squares line through the finger's medial line. A cylinder has the
+//! same line for every segment of its flanks and under every light. A real finger is bent by a
+//! fraction of a pixel, and its line turns with the segment that is measured. For a medial line
+//! y = κ x² / 2, the least-squares line over c ± h has the slope κ c and, at c, the offset
+//! κ (c² + h² / 3) / 2; shifting the segment of a hand's line by 3 px turns it by a quarter of a
+//! degree. The visible part of the flanks varies from frame to frame, and an initial template is
+//! not as long as a detected one.
 //!
-//! What is left, no average over frames removes: joints, nail and shading turn and shift a medial line
-//! as the bend does. How far another look at the same finger may differ is told from the bend, and
-//! added to the covariance of each line; what the frames before average away of it is put back. So is
-//! what shade and background may do to a flank that hardly shows, whether it bends the line or not
-//! ([`FAINT`]).
+//! Therefore all lines of a hand are reported for one segment, the distal one that points
+//! ([`FRONT`]). They are measured on the whole finger, because the angle of a short segment is
+//! imprecise, and extrapolated to the front by the curvature measured from the pixels
+//! ([`PhotometricReport::bend_px`]), weighted by the part of it that is the finger's own
+//! ([`HALF_OWN`]); at weight 0 the line stays that of the whole finger ([`WHOLE`]). A finger is not
+//! a parabola at its knuckle: if its bend turns the line by more than the noise does, the pixels of
+//! the front are measured alone, and the difference of their line from that of the whole
+//! ([`FrontLine`]) replaces most of the curvature's correction.
+//!
+//! The far end of the front is given in half-widths, because a view does not foreshorten the width,
+//! times the foreshortening of the length. Each line carries the segment it is finally reported for
+//! ([`FingerLine::stretch`]), because lens distortion also bends the image of a straight finger:
+//! undistorted, it is straight where the line cuts it.
+//!
+//! The remaining bias is not reduced by averaging frames: joints, nail and shading turn and shift
+//! the medial line as the bend does. Its size is derived from the bend and added to the covariance
+//! of each line; the part of it that the filter over frames averages away is restored. The bias
+//! that shade and background cause on a flank of low contrast is added likewise, whether or not the
+//! line is bent ([`FAINT`]).
 //!
 //! [`PhotometricReport::bend_px`]: crate::axis::PhotometricReport::bend_px
 
@@ -30,98 +36,103 @@ use crate::axis::{PhotometricReport, Refined, Source, Stretch};
 use crate::geometry::shape_space::Axis;
 use nalgebra::{Matrix2, Vector2};
 
-/// A stretch that lines may be told for.
+/// A segment that lines may be reported for.
 struct AxisSegment {
-    /// It begins so far behind the tip, and ends so far of a finger that is seen from its side, or where
-    /// the hand's flanks usually end if that is nearer \[half-widths\].
+    /// Distance behind the tip at which it begins, and at which it ends for a finger seen from its
+    /// side \[half-widths\]. If the hand's flanks usually end nearer to the tip, it ends there.
     near: f64,
     far: f64,
-    /// The middle of what was looked at is moved by no more than this part of its half-length to get
-    /// there: what is seen less of is not told from a parabola.
+    /// Upper limit of the shift of the measured segment's middle, as a part of the measured
+    /// half-length: beyond it the parabola is not extrapolated.
     farthest: f64,
 }
 
 impl AxisSegment {
-    /// Where it ends behind the tip, as a view shows it \[px\].
+    /// Distance of its end behind the tip in this view \[px\].
     fn far_px(&self, seen: &FingerScale) -> f64 {
         self.far * seen.foreshortening * seen.half_width_px
     }
 }
 
-/// What points: index fingers are 9 to 10 half-widths long, and these are 92 and 40 % of the way from
-/// knuckle to tip. On 27 films of rendered hands a line over 10 to 97 % is turned against that one by
-/// 0.5 to 0.9° in one view and by 0 to 0.5° in the other, and a parabola tells it to within 0.1°. A view
-/// that looks along the finger shows it shorter, down to 0.8 on 14 others, and not slimmer: with fronts
-/// of one length in half-widths its lines were turned by 0.15 to 0.3° more. In views from the side, the
-/// knuckles of 16 hands lie 9.0 to 9.5 half-widths behind their tips: 60 % of that is 5.4 to 5.7.
+/// The pointing segment. Index fingers are 9 to 10 half-widths long; it covers 92 to 40 % of the
+/// way from knuckle to tip. On 27 films of rendered hands, a line over 10 to 97 % is turned against
+/// that one by 0.5 to 0.9° in one view and by 0 to 0.5° in the other; a parabola predicts the turn
+/// to within 0.1°. A view along the finger foreshortens its length, down to 0.8 on 14 other films,
+/// but not its width: with fronts of a fixed length in half-widths their lines were turned by 0.15
+/// to 0.3° more. In views from the side, the knuckles of 16 hands lie 9.0 to 9.5 half-widths behind
+/// their tips: 60 % of that is 5.4 to 5.7.
 const FRONT: AxisSegment = AxisSegment { near: 0.76, far: 5.6, farthest: 0.4 };
-/// All of a finger, but for its round end.
+/// The whole finger except its round end.
 const WHOLE: AxisSegment = AxisSegment { near: 0.3, far: 8.8, farthest: 0.15 };
-/// Of a flank that hardly shows, shading moves the edge; it bends a finger as well as a joint does, and
-/// no number of frames averages that away. So much of the bend that is seen is the finger's own, and
-/// takes its line from the whole to the front: half of it where the contrast of its fainter flank is so
-/// many times what its pixels scatter, nearly all of it where it is twice as much, hardly any where it is
-/// half. Without colours a shade looks like an edge, and none of it is.
+/// Contrast-to-scatter ratio of the fainter flank at which half of the measured bend is the
+/// finger's own. On a flank of low contrast, shading displaces the edge; it bends the medial line
+/// as a joint does, and averaging frames does not reduce it. The part of the bend by which the line
+/// is moved from the whole to the front is 1 / (1 + (this / ratio)⁴): nearly 1 at twice this ratio,
+/// hardly more than 0 at half of it. Without colours a shade looks like an edge, and the part is 0.
 const HALF_OWN: f64 = 14.0;
-/// A parabola is a poor likeness of a finger with a knuckle at its end: of two rendered hands, half and a
-/// fifth of the true bend were told, so it may be off by so many times what it turns a line by. Where
-/// that is more than the noise of so short a stretch, the pixels of the front are looked at alone: of a
-/// finger that turns its line by more than this \[rad\], if so much of what they show is its own.
+/// Error of the parabola's turn of the line, as a multiple of that turn. A parabola models a finger
+/// with a knuckle at its end badly: on two rendered hands, half and a fifth of the true bend were
+/// measured. If this error exceeds the noise of the front segment alone, the front is measured
+/// separately, provided that the turn exceeds [`LEAST_TURN_RAD`] \[rad\] and the finger's own part
+/// of the bend exceeds [`LEAST_OWN`].
 const OFF_BY: f64 = 2.0;
 const LEAST_TURN_RAD: f64 = 0.0035;
 const LEAST_OWN: f64 = 0.4;
-/// Either end of a line may be misled by this part of the bend. Turned into an angle that is the spread of
-/// lines through stretches whose middles scatter by 0.18 half-lengths. On 38 films of rendered hands the
-/// 95 % ellipses then hold 91 % of the points by the exact medial lines, 87 % if the frames before may
-/// average a bend away.
+/// Standard deviation of the bias at either end of a line, as a part of the bend. As an angle it is
+/// the spread of lines through segments whose middles scatter by 0.18 half-lengths. On 38 films of
+/// rendered hands the 95 % ellipses then hold 91 % of the points by the exact medial lines; 87 % if
+/// the filter over frames may average the bias away.
 const BEND_BIAS: f64 = 0.32;
-/// Where a flank hardly shows, what is behind it and the shade on it move the edge all along: a line is
-/// off that looks as straight as any. On 38 films of rendered hands, lines were turned by 0.7 to 0.8°
-/// more than noise and bend allow where the contrast of the fainter flank is less than so many times
-/// what its pixels scatter beyond the image's noise, and by no more where it is greater. So much of its
-/// half-length is what either end may be misled by: half of it at that contrast, 4 % at one and a half
-/// times and all but 4 % at two thirds of it. Noise turns lines as well, but is in their covariance. The
-/// 95 % ellipses then hold 96 % of the points of hands whose start was told and 95 % of those that were
-/// found; 93 and 87 % without.
+/// Standard deviation of the bias at either end of a line due to a flank of low contrast, as a part
+/// of the half-length. Background and shade displace such an edge along its whole length, so the
+/// line is biased without appearing bent. On 38 films of rendered hands, lines were turned by 0.7
+/// to 0.8° more than noise and bend allow where the contrast of the fainter flank is less than
+/// [`FAINT`] times the scatter of its pixels beyond the image's noise, and by no more where it is
+/// greater. The bias is weighted by 1 − 1 / (1 + (`FAINT` / ratio)⁸): half at that ratio, 4 % at
+/// 1.5 times it, all but 4 % at two thirds of it. Image noise turns lines as well, but is part of
+/// their covariance. The 95 % ellipses then hold 96 % of the points of hands whose initial pose was
+/// given and 95 % of those that were detected; 93 and 87 % without.
 const FAINT_FLANK_BIAS: f64 = 0.007;
 const FAINT: f64 = 23.0;
-/// The variance of the noise is told to within so much, from as few pixels as a finger has: half of the
-/// lines of clean cylinders of 24 grey levels under noise of 4 were doubted where it was believed as told.
+/// Upper confidence factor of the noise variance, which is estimated from the few pixels of a
+/// finger. With a factor of 1, half of the lines of clean cylinders of 24 grey levels under noise
+/// of 4 were counted as faint.
 const NOISE_AT_MOST: f64 = 1.2;
-/// What rounding to whole grey levels makes the pixels scatter, squared: no picture is seen to have less
-/// texture.
+/// Variance due to rounding to whole grey levels, the lower limit of the variance of texture
+/// \[grey²\].
 const ROUNDING_GREY2: f64 = 1.0 / 12.0;
-/// Part of a frame's bend that is learned once some are known: a finger stays as bent as it is, and one
-/// frame shows half a bend more or less. And the same of its size, which changes as it moves.
+/// Lower limit of the learning rate of the bend: a finger's bend is constant, and one frame
+/// measures it with an error of half its size. The second is that of its size in the image, which
+/// changes as it moves.
 const BEND_RATE: f64 = 0.03;
 const SIZE_RATE: f64 = 0.1;
 
-/// How a view shows a finger in a frame.
+/// Scale of a finger in one frame of a view.
 pub(super) struct FingerScale {
     pub half_width_px: f64,
     /// See [`ContourTracker::foreshortening`](super::ContourTracker::foreshortening).
     pub foreshortening: f64,
 }
 
-/// How the line of a finger's front lies to that of the whole in one frame, by the pixels of either.
+/// Difference of the line of the finger's front from that of the whole in one frame, each measured
+/// from its own pixels.
 pub(super) struct FrontLine {
-    /// How far aside \[px\], beside the anchor of the whole's line, and by how much it is turned
-    /// \[rad\].
+    /// Offset \[px\] at the anchor of the whole's line, and angle \[rad\].
     difference: Vector2<f64>,
-    /// How unsure that is, where the front knows nothing of what the whole errs by.
+    /// The covariance it adds to a moved line: that of the front, counted as independent.
     covariance: Matrix2<f64>,
     cuts: Cuts,
 }
 
 impl FrontLine {
-    /// By the lines of both.
+    /// From both lines.
     pub fn beside(front: &FingerLine, whole: &FingerLine) -> Self {
         let front = front.expressed_beside(whole);
         let (difference, covariance) = (whole.difference(&front.axis), front.covariance);
         Self { difference, covariance, cuts: Cuts::of(&front.stretch) }
     }
 
-    /// A line of the whole, taken so much of the way to the front, 0–1.
+    /// A line of the whole, moved by the given part of the way to the front, 0–1.
     fn moved_to_front(&self, line: FingerLine, part: f64) -> FingerLine {
         let stretch = Cuts::of(&line.stretch).towards(self.cuts, part).stretch();
         let covariance = line.covariance + self.covariance * (part * part);
@@ -132,16 +143,16 @@ impl FrontLine {
 /// The bend of a hand's finger, learned frame by frame.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct AxisCurvature {
-    /// The bend and the variance of one look at it, in parts of the half-length that was looked at,
-    /// and that \[px\].
+    /// The bend and the variance of one measurement of it, in parts of the measured half-length,
+    /// and that half-length \[px\].
     bend: RunningMean,
     variance: RunningMean,
     half_length_px: RunningMean,
-    /// The part of the bend that is its own.
+    /// The part of the bend that is the finger's own, 0–1.
     own_part: RunningMean,
-    /// How much of what a faint flank may do it does, 0–1.
+    /// Weight of the bias of a faint flank, 0–1.
     faintness: RunningMean,
-    /// How far behind the tip the stretches end, and the half-width \[px\].
+    /// Distance behind the tip of the end of the measured segments, and the half-width \[px\].
     far_px: RunningMean,
     half_width_px: RunningMean,
 }
@@ -161,8 +172,8 @@ impl RunningMean {
 }
 
 impl AxisCurvature {
-    /// Takes over what the pixels of a frame tell, which has colours or has none, if they agree with a
-    /// finger.
+    /// Learns from the pixels of a frame, if they agree with the model of a finger; `is_coloured`
+    /// says whether the frame has colours.
     pub fn learn(&mut self, refined: &Refined, is_coloured: bool) {
         let Some(report) = refined.photometric.filter(|_| refined.source != Source::Bisector)
         else {
@@ -174,7 +185,7 @@ impl AxisCurvature {
         self.variance.learn((report.bend_sigma_px / half_length_px).powi(2), BEND_RATE);
         let [right, left] = report.contrast_grey.map(f64::abs);
         let contrast_grey = right.min(left);
-        // Rounding alone makes pixels scatter: this is no division by zero.
+        // No division by zero: rounding alone makes pixels scatter.
         let shows = contrast_grey / report.residual_grey;
         let own_part = if is_coloured { beyond(HALF_OWN, shows, 4) } else { 0.0 };
         self.own_part.learn(own_part, BEND_RATE);
@@ -182,8 +193,8 @@ impl AxisCurvature {
         self.faintness.learn(1.0 - beyond(FAINT, stands_out, 8), BEND_RATE);
     }
 
-    /// How far behind the tip \[px\] the flanks are to be looked at again for the line of the front alone;
-    /// `None` where the whole and its bend tell that as well.
+    /// Distance behind the tip \[px\] of the flanks' end for a separate measurement of the front;
+    /// `None` where the line of the whole and its curvature are at least as precise.
     pub fn front_to_measure(&self, whole: &Refined, seen: &FingerScale) -> Option<f64> {
         let far_px = FRONT.far_px(seen);
         let length_px = whole.stretch.length_px();
@@ -193,9 +204,9 @@ impl AxisCurvature {
         (is_bent && (OFF_BY * turn_rad).powi(2) > noise_rad2).then_some(far_px)
     }
 
-    /// The line of a finger, told for the stretch that all are told for: between the whole and the front,
-    /// by how much of the bend is its own. Where the front was looked at alone, that tells most of the
-    /// way, and the bend the rest.
+    /// The line of a finger, moved from the segment of the whole towards the front by the part of
+    /// the bend that is the finger's own. With a separate measurement of the front, that supplies
+    /// most of the motion, and the curvature the rest.
     pub fn at_front(
         &mut self,
         line: FingerLine,
@@ -215,8 +226,8 @@ impl AxisCurvature {
         FingerLine { stretch: cuts.stretch(), ..line.moved(&step) }
     }
 
-    /// Where a line whose tip lies so far ahead \[px\] is to cut the medial line, and not where it was
-    /// measured.
+    /// Target intersections with the medial line, for a line with its tip `ahead_px` in front of
+    /// its anchor.
     fn target_cuts(
         &self,
         line: &FingerLine,
@@ -235,7 +246,8 @@ impl AxisCurvature {
         whole.towards(front, self.own_part.value)
     }
 
-    /// Where an extent begins and ends behind the tip, as far as the hand's flanks usually go \[px\].
+    /// Distances behind the tip at which a segment begins and ends \[px\], limited to the usual
+    /// extent of the hand's flanks.
     fn ends_px(&self, segment: &AxisSegment, foreshortening: f64) -> [f64; 2] {
         let half_width_px = self.half_width_px.value;
         let far_px =
@@ -243,47 +255,48 @@ impl AxisCurvature {
         [segment.near * half_width_px, far_px]
     }
 
-    /// By how much either end of a line may be misled, in parts of its half-length: nothing by a bend
-    /// that is noise.
+    /// Standard deviation of the bias at either end of a line due to the bend, in parts of the
+    /// half-length; 0 for a bend within the noise.
     pub fn bend_bias(&self) -> f64 {
         BEND_BIAS * self.bend_squared().sqrt()
     }
 
-    /// The same for a flank that hardly shows: by as much in every frame, however straight the finger.
+    /// The same for a flank of low contrast, which does not depend on the bend.
     pub fn faint_flank_bias(&self) -> f64 {
         FAINT_FLANK_BIAS * self.faintness.value
     }
 
-    /// The square of the bend, in parts of the half-length, without what noise adds to it.
+    /// Square of the bend, in parts of the half-length, minus the variance of its noise.
     fn bend_squared(&self) -> f64 {
         (self.bend.value * self.bend.value - self.variance.value).max(0.0)
     }
 
-    /// The part of the bend that is none of what noise makes of it, 0–1.
+    /// The part of the measured bend that exceeds its noise, 0–1.
     fn own_bend(&self) -> f64 {
         let squared = self.bend.value * self.bend.value;
         if squared > 0.0 { self.bend_squared() / squared } else { 0.0 }
     }
 
-    /// As much of the curvature as noise does not make.
+    /// The curvature times that part \[1/px\].
     fn own_curvature(&self) -> f64 {
         self.curvature() * self.own_bend()
     }
 
-    /// The curvature of the medial line \[1/px\]; 0 where nothing has told of it.
+    /// Curvature of the medial line \[1/px\]; 0 without a measurement.
     fn curvature(&self) -> f64 {
         if self.bend.frames > 0.0 { 3.0 * self.bend.value / self.half_length_px.value } else { 0.0 }
     }
 }
 
-/// Where a line cuts a parabola y = κ x² / 2: the middle of both places \[px\], and less the product of
-/// them \[px²\]. It is turned by the one times κ against the tangent at x = 0, and lies half the other
-/// times κ aside of that; so the mean of two lines has the mean of both.
+/// Intersections x₁, x₂ of a line with the parabola y = κ x² / 2, as ((x₁ + x₂) / 2 \[px\],
+/// −x₁ x₂ \[px²\]). The slope of the line is κ times the first; its offset at x = 0 is
+/// −κ x₁ x₂ / 2, κ/2 times the second. Both are linear in these coordinates: the mean of two lines
+/// has the mean of both.
 #[derive(Debug, Clone, Copy)]
 struct Cuts(Vector2<f64>);
 
 impl Cuts {
-    /// Of the line of least squares over a stretch.
+    /// Those of the least-squares line over a segment.
     fn of(stretch: &Stretch) -> Self {
         let middle_px = stretch.middle_px();
         Self(Vector2::new(middle_px, stretch.length_px().powi(2) / 12.0 - middle_px * middle_px))
@@ -293,26 +306,25 @@ impl Cuts {
         self.0.x
     }
 
-    /// Of the line so much of the way to another one, 0–1.
+    /// Those of the line at the given part of the way to another one, 0–1.
     fn towards(self, other: Self, part: f64) -> Self {
         Self(self.0.lerp(&other.0, part))
     }
 
-    /// The stretch whose line of least squares it is.
+    /// The segment whose least-squares line it is.
     fn stretch(&self) -> Stretch {
         let [middle_px, product_px2] = self.0.into();
         Stretch::cut(middle_px, middle_px * middle_px + product_px2)
     }
 }
 
-/// What pixels scatter about their finger beyond the noise of the image.
+/// Scatter of the pixels about the finger's model beyond the noise of the image \[grey levels\].
 fn texture_grey(report: &PhotometricReport, noise_grey: f64) -> f64 {
     let noise_grey2 = NOISE_AT_MOST * noise_grey.powi(2);
     (report.residual_grey.powi(2) - noise_grey2).max(ROUNDING_GREY2).sqrt()
 }
 
-/// How far a contrast lies beyond another one, 0–1: a half there, the steeper about it the higher the
-/// power.
+/// Sigmoid 1 / (1 + (half / contrast)^power) of a contrast, 0–1: ½ at `half`.
 fn beyond(half: f64, contrast: f64, power: i32) -> f64 {
     1.0 / (1.0 + (half / contrast).powi(power))
 }

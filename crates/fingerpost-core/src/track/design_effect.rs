@@ -1,37 +1,37 @@
-//! How much neighbours along a contour tell the same.
+//! Design effect of a contour's residuals: the loss of information by their autocorrelation.
 //!
-//! A finger is not quite its template: a knuckle, a nail, a shaded stretch of flank move the edges
-//! of many samples in a row to one side. Where residual offsets keep their sign so, the samples are
-//! no independent witnesses, and a covariance that takes them for such promises far too much. The
-//! variance of a mean of n residuals with autocorrelation ρ_k is 1 + 2 Σ (1 − k / n) ρ_k times that
-//! of n independent ones; with a triangular window in place of 1 − k / n, what few residuals tell
-//! of distant neighbours has no say, and the factor cannot become negative.
+//! A finger deviates from its template: a knuckle, a nail, a shaded segment of a flank displace the
+//! edges of many neighbouring samples to one side. Such samples are not independent, and a
+//! covariance that assumes so is far too small. The variance of a mean of n residuals with
+//! autocorrelation ρ_k is 1 + 2 Σ (1 − k / n) ρ_k times that of n independent ones. With a
+//! triangular window of fixed width in place of 1 − k / n, the poorly estimated correlations of
+//! distant neighbours have no effect, and the factor cannot become negative.
 //!
 //! Source: Newey & West 1987, A simple, positive semi-definite, heteroskedasticity and
 //! autocorrelation consistent covariance matrix.
 
 use crate::geometry::template::Part;
 
-/// Neighbours up to this part of the contour away are compared: farther ones are few, and what is
-/// alike over half a flank the fit has taken for a finger.
+/// Width of the window as a part of the contour: pairs at larger distances are few, and a deviation
+/// common to half a flank is absorbed by the fit.
 const WITHIN: f64 = 0.1;
 
-/// As how many independent residual offsets those of a contour count once, at least 1: given in their
-/// order \[px\], with the part of the outline that each belongs to.
+/// Number of residuals that carry the information of one independent residual, at least 1, for the
+/// residuals of a contour in their order \[px\], each with its part of the outline.
 pub(super) fn design_effect(residuals: &[(Part, f64)]) -> f64 {
     let square: f64 = residuals.iter().map(|(_, r)| r * r).sum();
     if square <= 0.0 {
         return 1.0;
     }
     let window = (WITHIN * residuals.len() as f64).round() as usize + 1;
-    // Two residuals are together in the more of the windows, the nearer they are: the triangle.
+    // Two residuals share more windows, the nearer they are: the triangular weight.
     let parts = residuals.chunk_by(|(part, _), (next, _)| part == next);
     let together: f64 = parts.map(|part| squared_sums(part, window)).sum();
     (together / (window as f64 * square)).max(1.0)
 }
 
-/// Squares of the sums of so many neighbours, over all places that such a window may have; what it
-/// covers beyond the ends is nothing.
+/// Squares of the sums over `window` neighbours, added over all positions of the window that
+/// overlap the part; beyond its ends the residuals are 0.
 fn squared_sums(part: &[(Part, f64)], window: usize) -> f64 {
     let mut sum = 0.0;
     let mut squares = 0.0;
@@ -54,7 +54,8 @@ mod tests {
     const COUNT: usize = 60;
     const DRAWS: usize = 400;
 
-    /// Noise whose neighbours are alike by `rho`, along two flanks; the same for the same seed.
+    /// Noise with the correlation `rho` of neighbours, along two flanks; the same for the same
+    /// seed.
     fn flanks(rho: f64, seed: usize) -> Vec<(Part, f64)> {
         let mut state = 0x9E37_79B9_7F4A_7C15_u64.wrapping_mul(seed as u64 + 1);
         let mut uniform = || {
@@ -74,7 +75,7 @@ mod tests {
         (0..COUNT).map(|i| (part(i), draw(i))).collect()
     }
 
-    /// Variance of the mean of the residuals, in units of what independent ones would have.
+    /// Variance of the mean of the residuals, in units of that of independent ones.
     fn observed(rho: f64) -> f64 {
         let means = (0..DRAWS).map(|seed| {
             let sum: f64 = flanks(rho, seed).iter().map(|(_, r)| r).sum();

@@ -1,24 +1,24 @@
-//! How the light of the frames changes: a lamp, a cloud, a camera that sets its exposure anew.
+//! Detection of changes of light: a lamp, a cloud, a camera's exposure control.
 //!
-//! What is known of a hand's colours is known in one light. Colours that are learned slowly follow a
-//! slow change only as long as the contour is seen on both sides; when it drops faster than they
-//! follow, skin looks like the wood of before, its edges count no more, and nothing is learned that
-//! could tell. So the light is judged by the whole picture: by the median of how many times as
-//! bright its pixels are as they were, which half of them may contradict.
+//! The colours of a hand are learned in one light. A slow adaptation follows a slow change only
+//! while the contour is visible on both sides. If the light drops faster, skin looks like the wood
+//! of before, its edges are rejected, and nothing is learned that could correct this. Therefore the
+//! change of light is estimated from the whole image: the median ratio of its pixels' brightness to
+//! that of before, which tolerates outliers in half of them.
 
 use crate::image::gray::GrayView;
 
-/// Pixels that are compared: columns and rows of a grid.
+/// Columns and rows of the grid of compared pixels.
 const GRID: [usize; 2] = [24, 18];
-/// A change of the brightness by this factor is one of the light: colours are told apart by more, and
-/// neither noise nor a camera that moves makes the median change so much.
+/// Least ratio, or inverse ratio, of brightness that counts as a change of light. Colours differ by
+/// more, and neither noise nor a moving camera changes the median by this factor.
 const BRIGHTER: f32 = 1.0618;
-/// Levels beyond these are clipped, or noise for the most part.
+/// Range of usable levels: beyond it they are clipped, or mostly noise.
 const LEVELS: std::ops::RangeInclusive<u8> = 12..=243;
-/// Fewer pixels than this part of the grid tell nothing.
+/// Least part of the grid's pixels with usable levels.
 const ENOUGH: f64 = 0.25;
 
-/// The light in which colours were learned.
+/// The image brightness to which the learned colours belong.
 #[derive(Debug, Clone)]
 pub(super) struct Exposure {
     size: (usize, usize),
@@ -38,8 +38,8 @@ impl Exposure {
         }
     }
 
-    /// How many times as bright a frame is as the one by which the light was last told; none if
-    /// that is no other light.
+    /// Ratio of a frame's brightness to that of the last reference, if it counts as a change of
+    /// light; the frame then becomes the reference.
     pub fn changed(&mut self, image: &GrayView<'_>) -> Option<f64> {
         let size = (image.width(), image.height());
         let [columns, rows] = GRID;
@@ -60,7 +60,7 @@ impl Exposure {
             let pairs = self.grid.iter().zip(&self.now);
             pairs.filter(|&(then, now)| LEVELS.contains(then) && LEVELS.contains(now))
         };
-        // Whether the median tells a change is counted; only then is it looked for.
+        // Counting decides whether the median shows a change; only then it is computed.
         let (mut count, mut brighter, mut darker) = (0, 0, 0);
         for (&then, &now) in self.grid.iter().zip(&self.now) {
             let reports = LEVELS.contains(&then) & LEVELS.contains(&now);
@@ -69,7 +69,7 @@ impl Exposure {
             brighter += u32::from(reports) * u32::from(now >= BRIGHTER * then);
             darker += u32::from(reports) * u32::from(now <= then / BRIGHTER);
         }
-        // Of an even number the upper one of the two in the middle is meant.
+        // For an even number, the upper of the two middle values.
         let is_changed = 2 * brighter >= count || 2 * darker > count;
         if !is_changed || f64::from(count) < ENOUGH * (columns * rows) as f64 {
             return None;
@@ -107,7 +107,7 @@ mod tests {
         let gain = changed(&mut exposure, |i| 0.7 * texture(i)).unwrap();
         assert!((gain - 0.7).abs() < 0.01, "{gain}");
         assert_eq!(changed(&mut exposure, |i| 0.71 * texture(i)), None);
-        // Slowly it adds up.
+        // A slow change adds up.
         let usable_pairs: Vec<f64> = (1..=20)
             .filter_map(|k| changed(&mut exposure, |i| (0.7 + 0.02 * f64::from(k)) * texture(i)))
             .collect();

@@ -1,10 +1,10 @@
-//! The grey levels of a finger's flanks, each for itself.
+//! Grey levels of a finger's two flanks, learned separately.
 //!
-//! A lamp lights one side of a finger and leaves the other in the shade: the levels of one flank are
-//! those of the table, of paper or of the finger's shadow beside the other. Where there are no colours,
-//! an edge of a flank is told by the levels that this flank has shown.
+//! A lamp lights one side of a finger and leaves the other in the shade: the levels of one flank
+//! are those of the table, of paper or of the finger's shadow beside the other. Without colours, an
+//! edge of a flank is recognised by the levels that this flank has shown.
 //!
-//! Source: Cootes & Taylor 1993 for grey levels that each stretch of a contour has for itself.
+//! Source: Cootes & Taylor 1993, for grey levels modelled separately at each part of a contour.
 
 use super::silhouette::Silhouette;
 use crate::appearance::histogram::HistogramModel;
@@ -12,15 +12,15 @@ use crate::geometry::shape_space::PlacedSample;
 use crate::geometry::template::Part;
 use crate::image::frame::{Frame, SidedPixel};
 
-/// A flank's levels are learned as deep inside of it as the fine kernel reaches \[px\], or this part of
-/// the half-width.
+/// Depth inside of a flank up to which its levels are learned: the reach of the fine kernel \[px\],
+/// or this part of the half-width if that is more.
 const DEPTH_PX: f64 = 5.0;
 const DEPTH_WIDTHS: f64 = 0.6;
-/// A flank is known once its levels differ from what is behind the finger by this much
+/// Separation of a flank's levels from the background's above which it is used
 /// ([`HistogramModel::separation`]).
 const KNOWN: f64 = 1.0;
 
-/// What the left and the right flank of a finger look like.
+/// Grey levels of the left and the right flank of a finger.
 #[derive(Debug, Clone)]
 pub(super) struct FlankLevels {
     flanks: [Flank; 2],
@@ -40,12 +40,12 @@ impl FlankLevels {
         Self { flanks: [flank.clone(), flank], pixels: Vec::new() }
     }
 
-    /// Makes room for so many pixels.
+    /// Reserves space for this number of pixels.
     pub fn reserve(&mut self, pixels: usize) {
         self.pixels.reserve(pixels);
     }
 
-    /// Forgets all.
+    /// Forgets everything.
     pub fn forget(&mut self) {
         for flank in &mut self.flanks {
             flank.levels.fade(0.0);
@@ -53,19 +53,19 @@ impl FlankLevels {
         }
     }
 
-    /// Keeps the flanks as they are known now for good.
+    /// Keeps the present model of the flanks permanently.
     pub fn anchor(&mut self) {
         self.flanks.iter_mut().for_each(|flank| flank.levels.anchor());
     }
 
-    /// Takes all over into light that is `gain` times as bright.
+    /// Adapts the model to light that is `gain` times as bright.
     pub fn relight(&mut self, gain: f32) {
         self.flanks.iter_mut().for_each(|flank| flank.levels.relight(gain));
     }
 
-    /// Takes over what a frame shows inside of the edges of either flank, `times` times, and all that is
-    /// known of what is behind the `finger` as a whole; what was known of the flanks keeps a part `keep`
-    /// of its weight.
+    /// Learns from the pixels inside of the edges of either flank in a frame, `times` times,
+    /// against the background of the `whole` finger's model; earlier observations keep the part
+    /// `keep` of their weight.
     pub fn learn(
         &mut self,
         frame: &Frame<'_>,
@@ -87,7 +87,8 @@ impl FlankLevels {
         }
     }
 
-    /// The levels of a part of the outline, if they are known for themselves.
+    /// Levels of a part of the outline; `None` if they are not separated from the background, and
+    /// for tip and thumb.
     pub fn of(&self, part: Part) -> Option<&HistogramModel> {
         let [left, right] = &self.flanks;
         let flank = match part {
@@ -99,7 +100,7 @@ impl FlankLevels {
     }
 }
 
-// What is known of a flank is private to the tracker.
+// The model of a flank is private to the tracker.
 #[cfg(test)]
 #[expect(clippy::unwrap_used, reason = "a test may panic")]
 mod tests {
@@ -108,13 +109,13 @@ mod tests {
     use nalgebra::{Point2, Vector2};
 
     const SIDE: usize = 60;
-    /// The flanks of a finger that points up, and the table: a lamp on the left lights the finger from
+    /// Flanks of a finger that points up, and the table: a lamp on the left lights the finger from
     /// 170 down to 110, and the table is as bright as its middle.
     const FLANKS: [usize; 2] = [20, 40];
     const TABLE: u8 = 140;
 
     fn pictured(level: impl Fn(usize) -> u8) -> Vec<u8> {
-        // Noise of one level, so that a flank has more than one.
+        // Noise of one level, so that a flank has several levels.
         let pixel = |i: usize| level(i % SIDE) + (7 * i / SIDE + 3 * i) as u8 % 3;
         (0..SIDE * SIDE).map(pixel).collect()
     }

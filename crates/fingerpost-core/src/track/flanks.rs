@@ -1,10 +1,11 @@
-//! How much of either flank is the finger's: what agrees from the tip backwards.
+//! Extent of either flank that is the finger's: the part that agrees with the fit from the tip
+//! backwards.
 //!
-//! A thumb that lies along the finger hides the part of a flank that is next to the knuckle, and has an
-//! edge of its own there, as straight and as strong: a finger that is fitted to it is turned by some
-//! degrees. What is next to the tip is hidden by nothing but a cover. So a flank counts from the tip on,
-//! for as long as more of its edges agree than not; and a fit that leaves much of one flank unexplained,
-//! or fits it far less exactly than the other, is tried once more from the front.
+//! A thumb along the finger hides the part of a flank next to the knuckle and has an edge of its
+//! own there, as straight and as strong: a finger fitted to it is turned by some degrees. The part
+//! next to the tip is hidden only by an occluder. So a flank counts from the tip backwards, as long
+//! as more of its edges agree than not. A fit that leaves much of one flank unexplained, or fits it
+//! much less precisely than the other, is repeated from the front.
 
 use super::convergence::Convergence;
 use super::options::MIN_HALF_LENGTH_PX;
@@ -18,32 +19,34 @@ use crate::solve::fit::Prior;
 use nalgebra::{SMatrix, SVector};
 
 const FLANK_PARTS: [Part; 2] = [Part::LeftFlank, Part::RightFlank];
-/// A flank of whose edges a smaller part agrees from the tip on may be another limb's. Of plain fingers
-/// nearly all do, and of one with a thumb along it that is fitted to both hardly half.
+/// Least part of a flank's edges that agree from the tip on; below it the flank may be another
+/// limb's. Of plain fingers nearly all edges agree; of one with a thumb along it, fitted to both,
+/// hardly half.
 const MOST: f64 = 0.75;
-/// A flank whose edges are so many times as far from the fit as the other's, and at least so far \[px\],
-/// may be another limb's in part: a fit that leans on both halves agrees with neither exactly.
+/// Ratio of the RMS residuals of the two flanks above which one may be another limb's in part, and
+/// the least RMS for that \[px\]: a fit to a finger and a thumb agrees precisely with neither.
 const LEANS: f64 = 2.0;
 const LEANS_PX: f64 = 0.3;
-/// The finger alone, with its width and taper: a shape that only moves and turns cannot lean on a thumb.
+/// Dimension of the finger alone with width and taper: a shape that only moves and turns cannot fit
+/// a thumb as well.
 const FINGER_DOF: usize = 5;
 
-/// What the edges of a flank tell.
+/// Extent of a flank by its edges.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct FlankExtent {
-    /// From where along the finger it is visible, and from where on it agrees with the fit, in units of
-    /// the template.
+    /// Positions along the finger from which it is visible, and from which it agrees with the fit,
+    /// in units of the template.
     pub visible_from: f64,
     pub agrees_from: f64,
-    /// By how many more edges agree from there to the tip than do not.
+    /// Number of edges that agree minus those that do not, from there to the tip.
     agreeing: i32,
-    /// Its edges.
+    /// Number of its edges.
     edges: i32,
 }
 
 impl FlankExtent {
-    /// Of a flank's samples from the tip on: where each is, and how far its edge is from the fit, if it
-    /// has one. Edges agree that are nearer than `within_px`.
+    /// From a flank's samples from the tip on: the position of each, and the residual of its edge,
+    /// if it has one. Edges with a residual below `within_px` agree; `None` without samples.
     fn of(from_tip: impl Iterator<Item = (f64, Option<f64>)>, within_px: f64) -> Option<Self> {
         let mut extent = None::<Self>;
         let mut sum = 0;
@@ -60,14 +63,14 @@ impl FlankExtent {
         extent
     }
 
-    /// Whether much of it does not agree.
+    /// Whether less than the part [`MOST`] of it agrees.
     fn strays(&self) -> bool {
         f64::from(self.agreeing) < MOST * f64::from(self.edges)
     }
 }
 
 impl Convergence {
-    /// How much of a flank agrees with the last fit to within so much.
+    /// Extent of a flank whose residuals of the last fit are below `within_px`.
     pub fn extent(
         &self,
         samples: &[TemplateSample],
@@ -84,9 +87,9 @@ impl Convergence {
         }
     }
 
-    /// [`run`](Self::run) for the bands of a hand. A finger alone one of whose flanks may be another
-    /// limb's in part is fitted by its front half, and then by what agrees with that; this counts if more
-    /// of the finger agrees with it from the tip on, or more exactly.
+    /// [`run`](Self::run) for the bands of a hand. If one flank of a finger alone may be another
+    /// limb's in part, the finger is fitted by its front half, and then by the samples that agree
+    /// with that. This fit is used if more edges agree with it from the tip on, or more precisely.
     pub fn run_bands<S: ShapeSpace<D>, const D: usize>(
         &mut self,
         frame: &Scene<'_>,
@@ -106,19 +109,19 @@ impl Convergence {
         let within_px = if strays { f64::INFINITY } else { exact_px };
         let agreeing = self.agreeing_from_tip(samples, within_px);
         let from_front = self.run_from_front(frame, space, x, stage, believed)?;
-        // Where both flanks turn, the finger is bent.
+        // If both flanks turn, the finger is bent.
         if from_front.fit.is_some()
             && (strays || self.straying(samples, within_px) <= 1)
             && self.agreeing_from_tip(samples, within_px) > agreeing
         {
             return Ok(from_front);
         }
-        // Once more, so that the last search is that of the best.
+        // Repeated, so that the last search belongs to the fit that is returned.
         self.run(frame, space, x, stage, believed)
     }
 
-    /// A finger by its front half, then by as much of its flanks as agrees with that; its support is that
-    /// of all of it.
+    /// The finger fitted by its front half, then by the part of its flanks that agrees with that;
+    /// its support is that of the whole finger.
     fn run_from_front<S: ShapeSpace<D>, const D: usize>(
         &mut self,
         frame: &Scene<'_>,
@@ -143,18 +146,18 @@ impl Convergence {
         Ok(Converged { fit, iterations, ..own })
     }
 
-    /// How many flanks leave much unexplained to within so much.
+    /// Number of flanks that leave much unexplained within `within_px`.
     fn straying(&self, samples: &[TemplateSample], within_px: f64) -> usize {
         self.extents(samples, within_px).filter(FlankExtent::strays).count()
     }
 
-    /// Whether one flank is fitted far less exactly than the other.
+    /// Whether one flank is fitted much less precisely than the other.
     fn leans(&self, samples: &[TemplateSample]) -> bool {
         let [left, right] = FLANK_PARTS.map(|flank| self.rms_px(samples, flank));
         left.max(right) > (LEANS * left.min(right)).max(LEANS_PX)
     }
 
-    /// Root mean square of how far the agreeing edges of a part of the outline are from the fit \[px\].
+    /// RMS residual of the agreeing edges of a part of the outline \[px\].
     fn rms_px(&self, samples: &[TemplateSample], part: Part) -> f64 {
         let edges = self.edges_along(samples, part).filter_map(|(_, px)| px);
         let (square, count) = edges
@@ -163,14 +166,15 @@ impl Convergence {
         (square / f64::from(count.max(1))).sqrt()
     }
 
-    /// By how many more edges agree than do not, of the tip and of either flank as far as it agrees.
+    /// Number of edges that agree minus those that do not, of the tip and of the agreeing extent of
+    /// either flank.
     fn agreeing_from_tip(&self, samples: &[TemplateSample], within_px: f64) -> i32 {
         let tip = self.edges_along(samples, Part::Tip).filter_map(|(_, px)| px);
         let flanks = self.extents(samples, within_px).map(|extent| extent.agreeing);
         flanks.sum::<i32>() + tip.map(|px| balance(px, within_px)).sum::<i32>()
     }
 
-    /// The finger's samples without those behind where a flank agrees.
+    /// The finger's samples without those behind the agreeing extent of a flank.
     fn agreeing_samples<'a>(&self, samples: &'a [TemplateSample]) -> &'a [TemplateSample] {
         let from = FLANK_PARTS.map(|flank| {
             let extent = self.extent(samples, flank, f64::INFINITY);
@@ -192,18 +196,18 @@ impl Convergence {
     }
 }
 
-/// What an edge so far from the fit adds to how many agree to within so much more than do not.
+/// Contribution of an edge to the number that agree minus those that do not.
 fn balance(left_px: f64, within_px: f64) -> i32 {
     if left_px < within_px { 1 } else { -1 }
 }
 
-/// A shape vector that stays what it is.
+/// Prior that fixes a shape vector.
 fn pinned<const D: usize>(x: &SVector<f64, D>) -> Prior<D> {
     let information = SMatrix::from_diagonal_element(PINNED_SIGMA.powi(-2));
     Prior { mean: *x, information }
 }
 
-/// The finger's samples that are nearer to its tip than to where its flanks begin.
+/// The finger's samples that are nearer to its tip than to the beginning of its flanks.
 fn front(samples: &[TemplateSample]) -> &[TemplateSample] {
     let ends = samples.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(from, to), s| {
         (from.min(s.along), to.max(s.along))
@@ -212,7 +216,7 @@ fn front(samples: &[TemplateSample]) -> &[TemplateSample] {
     between(samples, |s| s.along >= middle)
 }
 
-/// The samples from the first to the last that count.
+/// The samples from the first to the last for which `counts` holds.
 fn between(
     samples: &[TemplateSample],
     counts: impl Fn(&TemplateSample) -> bool,

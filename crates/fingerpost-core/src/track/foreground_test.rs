@@ -1,32 +1,32 @@
-//! Whether what was found stands free of a table that is known.
+//! Foreground test of a contour against a known background.
 
 use super::scene::Behind;
 use crate::geometry::shape_space::PlacedSample;
 
-/// What stands free of the table is foreground this far inside its outline, in parts of its
-/// half-width and at least \[px\]: to this part at least, and by so much more than as far outside,
-/// where the shadow that it throws may be taken for foreground too.
+/// Distance inside and outside of the outline at which the foreground is sampled, as a part of the
+/// half-width and at least \[px\]; least mean foreground probability inside; and least difference
+/// from that outside, where a shadow may be taken for foreground too.
 const INSIDE_PART: f64 = 0.4;
 const INSIDE_PX: f64 = 3.0;
 const FREE_SHARE: f64 = 0.5;
 const FREE_CONTRAST: f64 = 0.2;
 
-/// How like foreground the inside and the outside of an outline are.
+/// Foreground probabilities inside and outside of an outline.
 pub(super) struct ForegroundTest<'a> {
     behind: Behind<'a>,
     away_px: f64,
-    /// Sums and numbers of what is known, inside and outside.
+    /// Sums and numbers of the known samples, inside and outside.
     flank_levels: [(f64, f64); 2],
 }
 
 impl<'a> ForegroundTest<'a> {
-    /// Of an outline of which nothing has been seen yet, about a finger of such a half-width.
+    /// Without samples yet, for a finger of this half-width.
     pub fn before(behind: Behind<'a>, half_width_px: f64) -> Self {
         let away_px = (INSIDE_PART * half_width_px).max(INSIDE_PX);
         Self { behind, away_px, flank_levels: [(0.0, 0.0); 2] }
     }
 
-    /// Takes one more place of the outline into account.
+    /// Adds one place of the outline.
     pub fn add(&mut self, placed: &PlacedSample) {
         for ((sum, count), px) in self.flank_levels.iter_mut().zip([-self.away_px, self.away_px]) {
             let at = placed.position + placed.normal * px;
@@ -37,7 +37,8 @@ impl<'a> ForegroundTest<'a> {
         }
     }
 
-    /// Whether it is the outline of what stands free; `None` where its inside is not known.
+    /// Whether the outline is that of an object before the background; `None` if its inside is
+    /// unknown.
     pub fn is_free(&self) -> Option<bool> {
         let [inside, outside] =
             self.flank_levels.map(|(sum, count)| (count > 0.0).then(|| sum / count));

@@ -1,12 +1,13 @@
-//! How long the finger is that a waiting template has settled on: no template reaches beyond it.
+//! Length of the finger on which an initial template has settled: the template is shortened to it.
 //!
-//! A template waits with the length that somebody thought the finger would have. One that is too long
-//! reaches beyond the knuckle: there it takes the edges of the fist, of the thumb's root or of what is
-//! behind the hand for flanks, and the line with them, or the thumb for a part of a bent finger. So what
-//! has settled becomes as short as its finger, as far as that shows in two ways: in its own colours,
-//! hand between the flanks and none beside them, and by edges that go on along both flanks, straight
-//! and with their taper. One that is too short stays so: whether a finger is bent is told by its halves,
-//! and a template that grows beyond the knuckle would part it elsewhere than at its joint.
+//! The length of an initial template is an assumption. A template that is too long reaches beyond
+//! the knuckle: there it takes the edges of the fist, of the thumb's root or of the background for
+//! flanks, which biases the line, or takes the thumb for a part of a bent finger. Therefore the
+//! settled template is shortened to its finger, which is measured in two ways: by the hand's
+//! colours, present between the flanks and absent beside them, and by edges that continue along
+//! both flanks, straight and with their taper. A template that is too short is kept: the bend of a
+//! finger is measured by its halves, and a template that grows beyond the knuckle would be divided
+//! elsewhere than at the finger's joint.
 
 use super::acquire::with_thumb_of;
 use super::appearance::EdgeCue;
@@ -24,38 +25,39 @@ use crate::geometry::template::{HALF_LENGTH, Limb, Proportions, TemplateSample};
 use crate::measure::edge::MAX_HALF_LENGTH_PX;
 use nalgebra::{Point2, Vector2};
 
-/// No template is made shorter than this \[half-widths\]: it would tell no direction. The shortest
-/// device on footage is 6.3 long.
+/// Least length of a template \[half-widths\]: a shorter one has no direction. The shortest device
+/// on footage is 6.3 long.
 const SHORTEST: f64 = 4.0;
-/// One that is not longer or shorter by this factor than the finger is as long: of 30 views of a device
-/// with templates of the right length, 25 are as long by their edges alone and all by both signs.
+/// Ratio of template to finger, or of finger to template, up to which the lengths count as equal.
+/// Of 30 views of a device with templates of the right length, 25 are within it by their edges
+/// alone, and all by colours and edges.
 const AS_LONG: f64 = 1.1;
-/// A finger stays as wide when its template is shortened, to within this factor: on footage it becomes
-/// 0.84 to 1.10 times as wide. What becomes another finger altogether is none.
+/// Largest ratio of the widths before and after the template is shortened, either way. On footage
+/// the width changes by a factor of 0.84 to 1.10. A larger change is another object.
 const SAME_WIDTH: f64 = 1.3;
-/// The length is taken anew with the width and the looks of a template as long as it was before, at
-/// most so often.
+/// Largest number of measurements of the length; each uses the width and appearance of the template
+/// of the previous length.
 const ROUNDS: usize = 3;
-/// A finger is looked at so far back from its tip \[half-widths\].
+/// Distance back from the tip up to which a finger is measured \[half-widths\].
 const BACK: f64 = 12.0;
-/// So many places of either flank are looked at, this far apart \[half-widths\] and at least \[px\].
+/// Number of places on either flank, and their spacing \[half-widths\], at least \[px\].
 const STATIONS: usize = 40;
 const STATION_WIDTHS: f64 = 0.25;
 const STATION_PX: f64 = 1.0;
-/// A flank goes on where an edge is as near to it as this part of the half-width, or \[px\], or so many
-/// times as far as those that were fitted are on average. On footage these are 0.1 px (device) and 1 px
-/// (desk) off; beyond the knuckle most are off by more, or missing.
+/// Largest distance of an edge by which a flank continues: as a part of the half-width, \[px\], or
+/// as a multiple of the RMS residual of the fit, whichever is largest. On footage the edges are 0.1
+/// px (device) and 1 px (desk) off; beyond the knuckle most are off by more, or missing.
 const ALONG: f64 = 0.15;
 const ALONG_PX: f64 = 1.0;
 const ALONG_SCATTER: f64 = 3.0;
-/// The edges of a template of another length are this near \[half-widths\].
+/// Search distance for the edges of a template of another length \[half-widths\].
 const NEAR: f64 = 0.5;
-/// It may take on another width and taper so many times as freely as while it is tracked.
+/// Factor by which the prior of its width and taper is wider than in tracking.
 const SLACK: f64 = 4.0;
 
 impl ContourTracker {
-    /// Shortens the settled template to its finger; tip and thumb stay where they are. False if it
-    /// becomes another finger by that: then it has settled on none.
+    /// Shortens the settled template to its finger; tip and thumb keep their places. False if the
+    /// width changes by more than [`SAME_WIDTH`]: then it has not settled on a finger.
     pub(super) fn take_length(&mut self, frame: &Scene<'_>, settled: &FitResult) -> Result<bool> {
         let Some(proportions) = self.template.proportions().copied() else { return Ok(true) };
         let Some(mut fit) = settled.fit else { return Ok(true) };
@@ -83,9 +85,10 @@ impl ContourTracker {
         Ok(true)
     }
 
-    /// How long the template should be \[px\]; none if it is as long as its finger, for all that shows.
-    /// Colours or edges alone may be misled: what looks like the hand behind it, and what has edges in
-    /// its place. It becomes no shorter than both have it, and no longer again than either.
+    /// Length that the template should have \[px\]; `None` if that is its own, as far as measured.
+    /// Colours alone may be biased by objects like the hand behind it, edges alone by other edges
+    /// in its place. The template becomes no shorter than the longer of the two, and no longer
+    /// again than the shorter.
     fn other_length(
         &mut self,
         frame: &Scene<'_>,
@@ -108,8 +111,8 @@ impl ContourTracker {
         })
     }
 
-    /// How far back from its tip the finger shows in its own colours, on either side \[px\]; none where
-    /// those are not to be seen.
+    /// Length from its tip back over which the finger shows its own colours, the shorter of both
+    /// sides \[px\]; `None` without an appearance.
     fn shown_px(&mut self, frame: &Scene<'_>, x: &RibbonVector) -> Result<Option<f64>> {
         let axis = self.ribbon::<RIBBON_DOF>(x)?.pose(x).axis();
         let shaft = Shaft { axis, half_width_px: x[3], length_px: BACK * x[3] };
@@ -121,8 +124,8 @@ impl ContourTracker {
         Ok(Some(right.min(left)))
     }
 
-    /// How far back from its round end, which is there along the template, both flanks of the finger
-    /// have edges \[px\]. What a thumb hides of them tells nothing.
+    /// Length back from the middle of its round end, at `round_end` along the template, over which
+    /// both flanks have edges \[px\]. Places that a thumb hides do not count.
     fn flanks_px(
         &mut self,
         frame: &Scene<'_>,
@@ -151,7 +154,7 @@ impl ContourTracker {
         Ok(ends_px[0].min(ends_px[1]))
     }
 
-    /// The finger by a template of another measure about the same tip.
+    /// The finger fitted by a template of another length about the same tip.
     fn resized(
         &mut self,
         frame: &Scene<'_>,
@@ -168,20 +171,20 @@ impl ContourTracker {
     }
 }
 
-/// A place on the right flank or the left one, so far along the template.
+/// A place on the right flank or the left one, at `along` on the template.
 fn station(along: f64, is_right: bool) -> TemplateSample {
     let normal = Vector2::new(0.0, if is_right { 1.0 } else { -1.0 });
     let (position, limb) = (Point2::new(along, 0.0), Limb::Finger);
     TemplateSample { position, normal, limb, along, radial: normal }
 }
 
-/// How far the edges of a template of another length are looked for \[px\]: so far at least, and no
-/// farther than the longest search line.
+/// Search distance for the edges of a template of another length \[px\]: at least `least_px`, at
+/// most the longest search line.
 fn near_px(x: &RibbonVector, least_px: f64) -> f64 {
     (NEAR * x[3]).max(least_px).clamp(MIN_HALF_LENGTH_PX, MAX_HALF_LENGTH_PX as f64)
 }
 
-/// A hand by a template of another measure: the middle of its round end stays where it is.
+/// Shape vector of a template of another length: the centre of its round end keeps its place.
 fn supported_by(x: &RibbonVector, from: &BandMeasure, to: &BandMeasure) -> RibbonVector {
     let ahead_px = from.round_end_px - to.round_end_px;
     let mut moved = *x;
@@ -207,7 +210,7 @@ mod tests {
         assert!((near_px(&hand(1.0), 0.0) - MIN_HALF_LENGTH_PX).abs() < 1e-12);
         assert!((near_px(&hand(40.0), 3.0) - NEAR * 40.0).abs() < 1e-12);
         assert!((near_px(&hand(40.0), 90.0) - 90.0).abs() < 1e-12);
-        // A hand that fills the picture, and edges that scatter as far as the options allow.
+        // A hand that fills the image, and edges that scatter as far as the options allow.
         for far in [near_px(&hand(1e3), 0.0), near_px(&hand(10.0), 3e4)] {
             assert!((far - longest_px).abs() < 1e-12, "{far}");
         }

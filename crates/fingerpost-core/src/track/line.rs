@@ -1,4 +1,5 @@
-//! The line that a finger points along, and how several looks at it are told together.
+//! The image line along which a finger points, with its covariance, and the combination of several
+//! estimates of it.
 
 use crate::axis::{Refined, Stretch};
 use crate::geometry::shape_space::Axis;
@@ -8,31 +9,31 @@ use std::f64::consts::TAU;
 /// The image line that the finger points along.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FingerLine {
-    /// The axis: the middle of what it was measured on, its tip and its direction.
+    /// The axis: its anchor is the midpoint of the segment it was measured on.
     pub axis: Axis,
-    /// Half the length of what it was measured on \[px\].
+    /// Half the length of the segment it was measured on \[px\].
     pub half_length_px: f64,
-    /// The stretch that it is told for, along the line from the anchor. It cuts a slightly bent finger
-    /// where the line of least squares through a parabola over that stretch does: in front of its middle
-    /// and behind it, by 1 / √3 of half its length.
+    /// The segment the line is reported for, along the line from the anchor. A slightly bent finger
+    /// is approximated by a parabola; the line cuts it where the least-squares line through the
+    /// parabola over this segment does: at the segment's middle ± 1 / √3 of half its length.
     pub stretch: Stretch,
     /// Covariance of (offset \[px\] along the line's normal at the anchor, angle \[rad\]).
     pub covariance: Matrix2<f64>,
-    /// What it was measured on.
+    /// The measurements it was estimated from.
     pub source: LineSource,
 }
 
-/// Correlation of the errors of two looks at one finger, contour and pixels: they share its edges. It
-/// is 0.1–0.5 on footage of hands.
+/// ρ, correlation of the errors of the contour's and the pixels' estimate of one line, which share
+/// the finger's edges. Measured on footage of hands: 0.1–0.5.
 const COMMON: f64 = 0.5;
-/// Two honest looks differ by more than this, in the square of the differences' covariance, in one
-/// case of ten: χ² of offset and angle.
+/// 90 % quantile of χ² with 2 degrees of freedom (offset and angle): two consistent estimates have
+/// a squared Mahalanobis distance above this in one case of ten.
 const CHI2_2DOF_90: f64 = 4.605;
-/// And by more than this in one case of a hundred: then one of them is of something else.
+/// 99 % quantile of the same: beyond it, one of the two estimates is taken to be of another object.
 pub(super) const CHI2_2DOF_99: f64 = 9.21;
 
 impl FingerLine {
-    /// The axis of a fitted template, which is told at its middle.
+    /// The axis of a fitted template, expressed at its anchor.
     pub(super) fn of_contour(axis: &Axis, covariance: &Matrix2<f64>) -> Self {
         let half_length_px = (axis.tip - axis.anchor).norm();
         let stretch = Stretch::about(0.0, half_length_px);
@@ -40,36 +41,39 @@ impl FingerLine {
         Self { axis: *axis, half_length_px, stretch, covariance, source: LineSource::Contour }
     }
 
-    /// Variance of the line over its stretch \[px²\].
+    /// Variance of the line at the end of the segment it was measured on, σ_offset² + h² σ_angle²,
+    /// h the half-length \[px²\].
     pub(super) fn spread(&self) -> f64 {
         self.covariance[(0, 0)] + self.half_length_px.powi(2) * self.covariance[(1, 1)]
     }
 
-    /// How far another axis is from this one, in offset and angle.
+    /// (offset \[px\], angle \[rad\]) of another axis relative to this one; the angle is wrapped to
+    /// ±π.
     pub(super) fn difference(&self, other: &Axis) -> Vector2<f64> {
         let turn = other.angle_rad - self.axis.angle_rad;
         let turn = turn - (turn / TAU).round() * TAU;
         Vector2::new(self.axis.normal().dot(&(other.anchor - self.axis.anchor)), turn)
     }
 
-    /// The same line, told so much farther along.
+    /// The same line, with its anchor moved by `by_px` along it.
     fn expressed_along(self, by_px: f64) -> Self {
         let anchor = self.axis.anchor + self.axis.direction() * by_px;
-        // Offset there: that here + by_px · angle.
+        // Offset at the new anchor: offset + by_px · angle.
         let there = Matrix2::new(1.0, by_px, 0.0, 1.0);
         let covariance = there * self.covariance * there.transpose();
         let stretch = self.stretch.beside(by_px);
         Self { axis: Axis { anchor, ..self.axis }, stretch, covariance, ..self }
     }
 
-    /// The same line, told beside a point and towards a tip.
+    /// The same line, with its anchor at the foot of the perpendicular from another axis' anchor,
+    /// and with that axis' tip.
     pub(super) fn expressed_at(self, axis: &Axis) -> Self {
         let expressed =
             self.expressed_along((axis.anchor - self.axis.anchor).dot(&self.axis.direction()));
         Self { axis: Axis { tip: axis.tip, ..expressed.axis }, ..expressed }
     }
 
-    /// The line that lies so much aside \[px\] and is turned by so much \[rad\].
+    /// The line shifted by `by.x` along its normal \[px\] and turned by `by.y` \[rad\].
     pub(super) fn moved(self, by: &Vector2<f64>) -> Self {
         let Axis { anchor, angle_rad, tip } = self.axis;
         let tip_px = (tip - anchor).dot(&self.axis.direction());
@@ -77,36 +81,37 @@ impl FingerLine {
         Self { axis: Axis::of_finger(anchor, angle_rad + by.y, tip_px), ..self }
     }
 
-    /// The same line, told beside the anchor of another.
+    /// The same line, with its anchor at the foot of the perpendicular from the anchor of another.
     pub(super) fn expressed_beside(self, other: &Self) -> Self {
         self.expressed_along((other.axis.anchor - self.axis.anchor).dot(&self.axis.direction()))
     }
 
-    /// The same line, when another look at the finger has its axis elsewhere: which of them is wrong
-    /// is not known, and it may be wrong by as much as they differ.
+    /// The same line, when another estimate has its axis elsewhere. Which of the two is wrong is
+    /// unknown, so the difference d is added to the covariance as d dᵀ.
     pub(super) fn with_disagreement(self, other: &Axis) -> Self {
         let difference = self.difference(other);
         Self { covariance: self.covariance + difference * difference.transpose(), ..self }
     }
 
-    /// The same line, when what covers the finger in part may have led it astray by so much at either
-    /// end: of what is no noise nothing averages out.
+    /// The same line, when an occluder of part of the finger may have biased it by `by_px` at
+    /// either end. Such a bias is systematic: averaging over frames does not reduce it.
     pub(super) fn with_bias(self, by_px: f64) -> Self {
         self.with_relative_bias(by_px / self.half_length_px)
     }
 
-    /// The same by a part of the half-length, which a bend may do.
+    /// The same for a bias given as a part of the half-length h, as by a bend: adds (part · h)² to
+    /// the variance of the offset and 3 part² to that of the angle.
     pub(super) fn with_relative_bias(self, part: f64) -> Self {
         let added = Vector2::new(part * self.half_length_px, part * 3.0_f64.sqrt());
         let added = Matrix2::from_diagonal(&added.map(|s| s * s));
         Self { covariance: self.covariance + added, ..self }
     }
 
-    /// The same line, of a finger that looks so much wider and more tapered than it is known to be
-    /// (px, 1), where these differences have such a covariance. Axis and width are the mean and the
-    /// difference of the same two flanks: a flank that is wrong as a whole, which scatters nowhere,
-    /// moves and turns the axis by as much as it changes the half-width and the taper. What they differ
-    /// by chance is no doubt.
+    /// The same line, with a covariance that allows for a mismatch of the measured shape: `unlike`
+    /// is (half-width \[px\], taper \[1\]) measured minus known, `expected` its covariance. Axis
+    /// and width are mean and half-difference of the same two flanks. A flank displaced as a whole
+    /// leaves no scatter of residuals; it moves and turns the axis by as much as it changes
+    /// half-width and taper. Differences within the 90 % quantile of χ² add nothing.
     pub(super) fn with_shape_mismatch(
         self,
         unlike: &Vector2<f64>,
@@ -118,15 +123,16 @@ impl FingerLine {
         Self { covariance: self.covariance + Matrix2::from_diagonal(&added), ..self }
     }
 
-    /// How far another look at the same finger is from this line, and the covariance of that: (1 − ρ)
-    /// (C₁ + C₂), where ρ is the correlation of their errors.
+    /// Difference of another estimate from this line, and its covariance (1 − ρ) (C₁ + C₂), where ρ
+    /// is the correlation of their errors.
     pub(super) fn difference_from(&self, other: &Self) -> (Vector2<f64>, Matrix2<f64>) {
         let other = other.expressed_beside(self);
         let expected = (1.0 - COMMON) * (self.covariance + other.covariance);
         (self.difference(&other.axis), expected)
     }
 
-    /// Whether another look at the same finger differs by more than both may.
+    /// Whether another estimate differs from this one by more than the 99 % quantile that their
+    /// covariances allow.
     pub(super) fn contradicts(&self, other: &Self) -> bool {
         let other = other.expressed_beside(self);
         let difference = self.difference(&other.axis);
@@ -134,10 +140,10 @@ impl FingerLine {
         weight.is_some_and(|weight| difference.dot(&(weight * difference)) > CHI2_2DOF_99)
     }
 
-    /// This line and another look at the same finger, at the anchor of this one and as long: the mean
-    /// by what each is worth, with the covariance (1 + ρ) (C₁⁻¹ + C₂⁻¹)⁻¹, where ρ is the correlation
-    /// of their errors. Where they differ by more than they do by chance, both are worth less by as
-    /// much.
+    /// This line combined with another estimate of the same finger, at the anchor and over the
+    /// segment of this one: the mean weighted by C₁⁻¹ and C₂⁻¹, with the covariance
+    /// (1 + ρ) (C₁⁻¹ + C₂⁻¹)⁻¹, where ρ is the correlation of their errors. If χ² of the difference
+    /// exceeds its 90 % quantile, the covariance is scaled by the ratio.
     pub(super) fn joined(self, other: &Self) -> Self {
         let covariance = self.covariance;
         let other = other.expressed_beside(&self);
@@ -150,7 +156,7 @@ impl FingerLine {
         Self { covariance, source: LineSource::Both, ..self.moved(&step) }
     }
 
-    /// A refined line, told at the middle of the stretch that it stands for.
+    /// A refined line, expressed at the middle of the segment it is reported for.
     pub(super) fn of_pixels(refined: &Refined) -> Self {
         let Refined { axis, stretch, covariance, .. } = *refined;
         let half_length_px = 0.5 * stretch.length_px();
@@ -159,24 +165,25 @@ impl FingerLine {
     }
 }
 
-/// What a finger line was measured on.
+/// The measurements a finger line was estimated from.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum LineSource {
     /// The contour: the axis of the fitted template.
     Contour,
     /// The pixels about both flanks ([`Source::Photometric`](crate::axis::Source::Photometric)).
     Pixels,
-    /// Both, where the pixels are not believed alone ([`Source::Unsure`](crate::axis::Source::Unsure)).
+    /// Both, where the pixels alone are not trusted
+    /// ([`Source::Unsure`](crate::axis::Source::Unsure)).
     Both,
 }
 
-// The lines are private, and what they must agree with is arithmetic.
+// The combination of lines is private; its truth is arithmetic.
 #[cfg(test)]
 mod tests {
     use super::*;
     use nalgebra::Point2;
 
-    /// An axis, and one 2 px beside it that is turned by 0.1 rad across the angle's jump.
+    /// An axis, and one 2 px beside it that is turned by 0.1 rad across the wrap of the angle.
     fn axes() -> [Axis; 2] {
         let axis = Axis::of_finger(Point2::new(10.0, 20.0), 3.1, 30.0);
         let lateral = axis.anchor + axis.normal() * 2.0 + axis.direction() * 5.0;
@@ -228,7 +235,7 @@ mod tests {
         let line = |axis: &Axis, sigma: f64| {
             FingerLine::of_contour(axis, &(Matrix2::new(4.0, 0.0, 0.0, 0.01) * (sigma * sigma)))
         };
-        // 2 px and 0.1 rad apart: one standard deviation each of a look with `sigma` 1.
+        // 2 px and 0.1 rad apart: one standard deviation each for an estimate with `sigma` 1.
         assert!(!line(&axis, 1.0).contradicts(&line(&other, 1.0)));
         assert!(line(&axis, 0.2).contradicts(&line(&other, 0.2)));
         assert!(!line(&axis, 0.2).contradicts(&line(&other, 1.0)));
@@ -251,7 +258,7 @@ mod tests {
     fn a_flank_that_is_wrong_as_a_whole_shows_in_the_width() {
         let [axis, _] = axes();
         let line = FingerLine::of_contour(&axis, &Matrix2::new(0.04, 1e-4, 1e-4, 1e-4));
-        // Flanks lie at ±(w + τ p) about the axis. One of them is moved out by 0.8 px and turned by 0.06.
+        // Flanks lie at ±(w + τ p) about the axis. One of them is displaced by 0.8 px and 0.06 rad.
         let [right, left] = [[0.8, 0.06], [0.0, 0.0]];
         let axis_off = [0, 1].map(|k| 0.5 * (right[k] - left[k]));
         let unlike = Vector2::from([0, 1].map(|k| 0.5 * (right[k] + left[k])));
@@ -271,7 +278,7 @@ mod tests {
         for sigmas in [0.0, 1.0, 2.1] {
             assert_eq!(line.with_shape_mismatch(&unlike(sigmas), &expected), line);
         }
-        // From there on it grows steadily: 3² − 4.6 parts of the variance.
+        // Beyond the quantile the added variance grows linearly: 3² − 4.6 times the variance.
         let added = line.with_shape_mismatch(&unlike(3.0), &expected).covariance - line.covariance;
         assert!((added[(0, 0)] / 0.04 - (9.0 - CHI2_2DOF_90)).abs() < 1e-9, "{added}");
     }
@@ -282,10 +289,10 @@ mod tests {
         let covariance = Matrix2::new(0.04, 1e-4, 1e-4, 1e-4);
         let (difference, variance) =
             pixels(&axis, covariance).difference_from(&pixels(&other, covariance));
-        // The other's axis runs 2 px aside, 5 px further on.
+        // The other axis is offset by 2 px, 5 px further on.
         let expected = Vector2::new(2.0 - 5.0 * 0.1_f64.tan(), 0.1);
         assert!((difference - expected).norm() < 0.03, "{difference}");
-        // Its offset is told 5 px back; half of the errors is in common.
+        // Its offset is expressed 5 px back; half of the errors is common.
         let back = Matrix2::new(1.0, -5.0 * 0.1_f64.cos(), 0.0, 1.0);
         let there = back * covariance * back.transpose();
         assert!((variance - 0.5 * (covariance + there)).norm() < 1e-4, "{variance}");
@@ -295,7 +302,7 @@ mod tests {
         Matrix2::new(m.m22, -m.m12, -m.m21, m.m11) / m.determinant()
     }
 
-    /// A line with the given covariance and the middle of what it was measured on.
+    /// A line with the given covariance and the middle of the segment it was measured on.
     fn pixels(axis: &Axis, covariance: Matrix2<f64>) -> FingerLine {
         let stretch = Stretch::about(0.0, 20.0);
         let source = LineSource::Pixels;
@@ -310,8 +317,8 @@ mod tests {
             [Matrix2::new(0.04, 1e-4, 1e-4, 1e-4), Matrix2::new(0.01, -2e-4, -2e-4, 3e-4)];
         let joined = pixels(&axis, covariances[0]).joined(&pixels(&other, covariances[1]));
 
-        // Generalised least squares of (offset, angle) at the first anchor, from the measurements: the
-        // first's own are 0, the second's offset is told 8 px further on.
+        // Generalised least squares of (offset, angle) at the first anchor: the first line measures
+        // 0, the second an offset 8 px further on.
         let design = [Matrix2::identity(), Matrix2::new(1.0, 8.0, 0.0, 1.0)];
         let seen = [Vector2::zeros(), Vector2::new(0.0, 0.001)];
         let (mut information, mut right) = (Matrix2::zeros(), Vector2::zeros());
@@ -327,7 +334,7 @@ mod tests {
         assert!(axis.direction().dot(&beside).abs() < 1e-9);
         assert!((joined.axis.angle_rad - axis.angle_rad - expressed.y).abs() < 1e-9);
         assert!(((joined.axis.tip - joined.axis.anchor).norm() - 30.0).abs() < 1e-9);
-        // They agree; half of their errors is in common.
+        // They agree; half of their errors is common.
         assert!((joined.covariance / 1.5 - covariance).norm() < 1e-6 * covariance.norm());
         assert_eq!(joined.source, LineSource::Both);
     }
@@ -339,7 +346,7 @@ mod tests {
         let agreed = pixels(&axis, covariance).joined(&pixels(&axis, covariance));
         assert!((agreed.axis.angle_rad - axis.angle_rad).abs() < 1e-12);
         let torn = pixels(&axis, covariance).joined(&pixels(&other, covariance));
-        // Across the jump of the angle, in the middle of both.
+        // Midway between both, across the wrap of the angle.
         let turn = (torn.axis.angle_rad - 3.15).sin();
         assert!(turn.abs() < 1e-2, "{turn}");
         let spread = (torn.covariance - agreed.covariance).symmetric_eigenvalues();

@@ -1,27 +1,28 @@
-//! A finger line that frame after frame has a say in.
+//! Kalman filter of the finger line over frames, in the coordinates of the hand's texture.
 //!
-//! Before wood, the line of one frame is off by half a degree: here and there an edge is the grain's.
-//! The next frame is off by as much, but otherwise, for the hand has moved on. Its skin ([`TextureRegistration`])
-//! tells how the finger moved and turned in between, so that the lines of all frames can be told on
-//! it: how the axis runs in the skin is a constant that drifts slowly ([`drift`]), as the hand turns and
-//! other light falls on it, and a Kalman filter learns it.
+//! Before wood, the line of one frame is off by half a degree, because some of its edges are the
+//! grain's. The next frame's line is off by as much, but differently, because the hand has moved.
+//! The registration of the finger's texture ([`TextureRegistration`]) measures how the finger moved
+//! and turned in between, so that the lines of all frames can be expressed in the texture's frame.
+//! There the axis is constant but for a slow drift ([`drift`]), caused by the hand's rotation in
+//! depth and changes of light. A Kalman filter estimates it.
 //!
-//! The lines' errors are not independent. As long as the hand rests, the same grain lies behind it,
-//! and the next line errs as the last; how much of an error is new grows with the distance that the
-//! finger has moved. Of a line whose error correlates by ρ from frame to frame, many tell as much as
-//! independent ones of (1 + ρ) / (1 − ρ) times the variance. And a line that is surer than what is
-//! known counts as it is: a finger before an even background gains nothing from the frames before,
-//! nor does it lose.
+//! The errors of the lines are not independent. While the hand rests, the same grain lies behind
+//! it, and the next line repeats the error of the last; the new part of the error grows with the
+//! distance travelled. If the errors correlate by ρ from frame to frame, many lines carry the
+//! information of independent ones with (1 + ρ) / (1 − ρ) times the variance. A single line with
+//! less variance than the filtered one is used as it is: a finger before an even background neither
+//! gains nor loses by earlier frames.
 //!
-//! Of a finger that rests, all frames are one look at it. A part of each line's error is the same in
-//! all of them, and stays; but what noise makes of clutter (an edge that is taken for the finger's in
-//! one frame and not in the next) is new in every frame, and that part is averaged away, as far as the
-//! skin tells better than the frame how the finger lies. How large it is, the lines tell themselves, by
-//! how they scatter beside the skin: lines that all err alike stay as they are.
+//! All frames of a finger at rest count as one measurement. Part of each line's error is common to
+//! all of them and remains. The other part is new in every frame: noise decides whether an edge of
+//! the clutter is taken for the finger's. That part is averaged away, provided that the
+//! registration is more precise than the frame's own line. Its share of the variance is estimated
+//! from the scatter of the lines in the texture's frame; lines with a common error do not scatter,
+//! and are not averaged.
 //!
-//! How far the lines scatter about what is known tells besides what their covariances are worth: the
-//! variance of unit weight, χ² per degree of freedom. Where it is more than 1, here as after any
-//! adjustment by least squares, all are that much less sure.
+//! The innovations also give the variance of unit weight, χ² per degree of freedom. As in any
+//! least-squares adjustment, all covariances are scaled by it where it exceeds 1.
 
 use super::line::{CHI2_2DOF_99, FingerLine};
 use super::registration::{TextureRegistration, drift};
@@ -30,33 +31,35 @@ use crate::geometry::shape_space::Axis;
 use crate::image::gray::GrayView;
 use nalgebra::{Matrix2, Vector2};
 
-/// The errors of two lines correlate by exp(−distance / this), in half-widths.
+/// Correlation length of the line's error along the path of the finger \[half-widths\]: the errors
+/// of two lines correlate by exp(−distance / this).
 const FRESH_WIDTHS: f64 = 0.5;
-/// They are never taken for the same altogether: pixels have noise of their own.
+/// Upper limit of that correlation: the noise of the pixels is always independent.
 const MOST_CORRELATED: f64 = 0.98;
-/// This part of their variance they have in common however far the finger moves, as what a shaded
-/// flank does to all of them.
+/// Part of the variance that remains common to all lines however far the finger moves, such as the
+/// effect of a shaded flank.
 const COMMON_PART: f64 = 0.15;
-/// What contradicts what is known by more than this, in the square of their covariance, is another
-/// finger's.
+/// Validation gate, χ² of the innovation: a line beyond it belongs to another finger.
 const OTHER: f64 = 100.0;
-/// As long as a finger has not gone so far, in half-widths, its lines are one look at it.
+/// Distance from the first pose within which a finger is at rest \[half-widths\].
 const ONE_LOOK_WIDTHS: f64 = 0.5;
-/// At most this part of the variance of each is its own, and new in every frame.
+/// Upper limit of the independent part of the variance of a line at rest, the part that is new in
+/// every frame.
 const MOST_OWN_PART: f64 = 0.5;
-/// How the skin lies has a say in how far two of them are apart, once for each.
+/// Multiple of the texture pose's covariance in the difference of two lines: it enters once for
+/// each.
 const POSE_TERMS: f64 = 2.0;
-/// Lines are believed to scatter as they say by so many frames, in degrees of freedom two each; each
-/// that is fresh changes that by one part in so many more, but at least by this. The more so if it
-/// contradicts what is known, but no more than that.
+/// Prior weight of a variance factor of 1, in frames (two degrees of freedom each). A frame changes
+/// the factor by its fresh part times 1 / (frames so counted), but at least by the rate below. The
+/// χ² of one frame is limited to its 99 % quantile.
 const BELIEVED_FRAMES: f64 = 8.0;
 const SCATTER_RATE: f64 = 0.05;
-/// Skin that has not been found in so many frames in a row is learned anew.
+/// Consecutive frames without a valid registration after which the texture is learned anew.
 const MOST_MISSED: usize = 5;
-/// The part of the template's length that is skin for certain.
+/// Part of the template's length that certainly shows the finger's texture.
 const TEXTURED_PART: f64 = 0.9;
 
-/// What the frames so far have told of a hand's line.
+/// The filter of one hand's line.
 #[derive(Debug, Clone)]
 pub(super) struct LineFilter {
     registration: TextureRegistration,
@@ -65,41 +68,41 @@ pub(super) struct LineFilter {
 
 #[derive(Debug, Clone, Copy)]
 struct LineState {
-    /// The line as it runs in the skin, beside the axis that was drawn on it: offset \[px\] at the
-    /// skin's middle, and angle \[rad\].
+    /// State: the line in the frame of the texture, relative to the axis drawn on it: offset \[px\]
+    /// at the texture's middle, and angle \[rad\].
     line: Vector2<f64>,
-    /// Its covariance; of a finger that rests without what all its lines have in common, as if the part
-    /// that is their own were as large as can be.
+    /// Its covariance. For a finger at rest: without the error common to all its lines, and with
+    /// the independent part at its upper limit, [`MOST_OWN_PART`].
     covariance: Matrix2<f64>,
-    /// The look that it comes from, as long as the finger rests.
+    /// The measurement at rest that it comes from, while the finger rests.
     rest: Option<RestingLine>,
-    /// The variance of unit weight, and of how many frames it is.
+    /// Variance of unit weight, and the number of frames it was estimated from, the prior included.
     variance_factor: f64,
     frames: f64,
-    /// How the skin lay last, and when.
+    /// Last pose of the texture, and its time.
     pose: Axis,
-    /// Frames in a row in which the skin was not found.
+    /// Consecutive frames without a valid registration.
     missed: usize,
     time_s: f64,
     half_width_px: f64,
 }
 
-/// A look at a finger that rests.
+/// The lines of a finger at rest, which count as one measurement.
 #[derive(Debug, Clone, Copy)]
 struct RestingLine {
-    /// How the skin lay first.
+    /// First pose of the texture.
     first: Axis,
-    /// The sum of the inverse covariances of its lines, and how many they are.
+    /// Sum of the inverse covariances of its lines, and their number.
     information: Matrix2<f64>,
     frames: f64,
-    /// The sum of χ² of how far each lay from those before, less what is the skin's, and what that would
-    /// be of lines that have nothing in common.
+    /// Sum over the lines of χ² of the innovation, less the part of the texture pose; and the
+    /// expectation of that sum for lines without a common error.
     variance_factor: f64,
     most_scatter: f64,
 }
 
 impl RestingLine {
-    /// None yet of a finger whose skin lies there.
+    /// No lines yet, of a finger whose texture has this pose.
     fn at(first: Axis) -> Self {
         Self {
             first,
@@ -110,13 +113,13 @@ impl RestingLine {
         }
     }
 
-    /// With one more line of such a covariance.
+    /// With one more line of this covariance; `None` if it is singular.
     fn seen(self, covariance: &Matrix2<f64>) -> Option<Self> {
         let information = self.information + covariance.try_inverse()?;
         Some(Self { information, frames: self.frames + 1.0, ..self })
     }
 
-    /// With how far one more lies from what is known, as in [`LineState::covariance`].
+    /// With the innovation of one more line; `state` is [`LineState::covariance`].
     fn with_residual(self, observation: &LineObservation, state: &Matrix2<f64>) -> Option<Self> {
         let inverse = observation.measured.covariance.try_inverse()?;
         let registration_term =
@@ -131,7 +134,7 @@ impl RestingLine {
         })
     }
 
-    /// The part of the variance of its lines that is new in each.
+    /// The independent part of the variance of its lines, 0 to [`MOST_OWN_PART`].
     fn own_part(&self) -> f64 {
         if self.variance_factor > 0.0 {
             MOST_OWN_PART.min(self.variance_factor / self.most_scatter)
@@ -140,18 +143,19 @@ impl RestingLine {
         }
     }
 
-    /// The covariance of what is known of them all, in which the own part was the largest.
+    /// Covariance of the combined line: the common part, and the state's covariance `own`, in which
+    /// the independent part was at its limit.
     fn whole(&self, own: &Matrix2<f64>) -> Option<Matrix2<f64>> {
         Some(self.common()? + own * (self.own_part() / MOST_OWN_PART))
     }
 
-    /// Covariance of what its lines have in common.
+    /// Covariance of the error common to its lines.
     fn common(&self) -> Option<Matrix2<f64>> {
         Some(self.information.try_inverse()? * (self.frames * (1.0 - self.own_part())))
     }
 }
 
-/// The finger as its template has it.
+/// Dimensions of the finger's template.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct BandDimensions {
     pub half_width_px: f64,
@@ -164,12 +168,12 @@ impl LineFilter {
         Self { registration: TextureRegistration::empty(), state: None }
     }
 
-    /// Another hand, or the same in another pose: nothing is known of it.
+    /// Discards the state: another hand, or another pose of the same one.
     pub fn forget(&mut self) {
         self.state = None;
     }
 
-    /// The line of a frame, told with what is known from the frames before.
+    /// The frame's line combined with those of earlier frames.
     pub fn follow(
         &mut self,
         image: &GrayView<'_>,
@@ -215,7 +219,7 @@ impl LineFilter {
         });
     }
 
-    /// `None` where the skin is not to be seen, or lies where no such line can be.
+    /// `None` if the texture is not registered, or the innovation fails the validation gate.
     fn filtered(
         &mut self,
         image: &GrayView<'_>,
@@ -237,7 +241,7 @@ impl LineFilter {
         Some(state.scaled(filtered))
     }
 
-    /// Where the skin would lie if this line were right.
+    /// The texture's pose predicted from the frame's line and the state.
     fn expected(&self, line: &FingerLine, state: &LineState) -> Axis {
         let here = line.expressed_at(&self.registration.middle_of(&line.axis)).axis;
         let anchor = here.anchor - here.normal() * state.line.x;
@@ -247,7 +251,8 @@ impl LineFilter {
 }
 
 impl LineState {
-    /// After the skin has moved to where it lies now, and by how many half-widths.
+    /// The state predicted for the texture's pose in this frame, and the distance travelled since
+    /// the last one \[half-widths\].
     fn carried(self, texture_pose: &TexturePose, time_s: f64) -> (Self, f64) {
         let w = self.half_width_px;
         let travel = (texture_pose.axis.anchor - self.pose.anchor).norm() / w;
@@ -272,7 +277,7 @@ impl LineState {
         (carried, travel)
     }
 
-    /// With another frame of a finger that rests, and the line of all of them.
+    /// Update by a frame of a finger at rest: the new state, and the line of all its frames.
     fn with_resting_line(
         self,
         observation: &LineObservation,
@@ -296,7 +301,8 @@ impl LineState {
         Some((Self { rest: Some(rest), ..state }, filtered))
     }
 
-    /// With another frame of a finger that has moved, and the line that counts.
+    /// Update by a frame of a finger that has moved: the new state, and the combined line, or the
+    /// frame's own if that has less variance.
     fn moved(self, observation: &LineObservation) -> Option<(Self, FingerLine)> {
         let with_residual = self.with_residual(observation);
         let common = |covariance: &Matrix2<f64>| {
@@ -310,7 +316,7 @@ impl LineState {
         Some((with_residual.restarted(observation)?, observation.line))
     }
 
-    /// With what a look tells.
+    /// Kalman update; `filtered` is the covariance of the observation.
     fn updated(self, observation: &LineObservation, filtered: &Matrix2<f64>) -> Option<Self> {
         let before = self.covariance * observation.inflation;
         let gain = before * (observation.expected + filtered).try_inverse()?;
@@ -318,7 +324,7 @@ impl LineState {
         Some(Self { line, covariance: (Matrix2::identity() - gain) * before, ..self })
     }
 
-    /// With how far a look lies from what was known.
+    /// With the variance factor updated by the innovation.
     fn with_residual(self, observation: &LineObservation) -> Self {
         let frames = self.frames + observation.freshness;
         let rate = observation.freshness * (1.0 / frames).max(SCATTER_RATE);
@@ -327,12 +333,12 @@ impl LineState {
         Self { variance_factor, frames, ..self }
     }
 
-    /// A line with the covariance that it has if it scatters as all do.
+    /// A line with its covariance scaled by the variance factor where that exceeds 1.
     fn scaled(&self, line: FingerLine) -> FingerLine {
         FingerLine { covariance: line.covariance * self.variance_factor.max(1.0), ..line }
     }
 
-    /// As a frame alone has it, which may be the first of a finger that rests.
+    /// Restarted from the frame's line alone, which may be the first of a finger at rest.
     fn restarted(self, observation: &LineObservation) -> Option<Self> {
         let single = observation.measured.covariance;
         let line = self.line + observation.surprise;
@@ -346,29 +352,30 @@ impl LineState {
     }
 }
 
-/// A frame's own line beside what is known. Where they contradict each other, all covariances are those
-/// of a doubted one.
+/// A frame's own line and its innovation. If χ² of the innovation exceeds its 99 % quantile, all
+/// covariances are inflated by the ratio.
 #[derive(Debug, Clone, Copy)]
 struct LineObservation {
-    /// As it was measured, and the same told beside the skin.
+    /// The line as measured, and the same expressed at the texture's pose.
     line: FingerLine,
     measured: FingerLine,
     texture_pose: TexturePose,
-    /// What is known of the line in the skin, and how far the frame's is from there.
+    /// The state, and the innovation.
     state: Vector2<f64>,
     surprise: Vector2<f64>,
-    /// Of the line that is foretold in this image, and of the frame's as one of many that err alike.
+    /// Covariance of the predicted line in this image, and of the frame's line as one of many with
+    /// correlated errors, R (1 + ρ) / (1 − ρ).
     expected: Matrix2<f64>,
     filtered: Matrix2<f64>,
     inflation: f64,
-    /// χ² of its difference from what is known per degree of freedom, and how much of it is news, 0–1.
+    /// χ² of the innovation per degree of freedom, and the part of it that is new, 1 − ρ, 0–1.
     variance_factor: f64,
     freshness: f64,
 }
 
 impl LineObservation {
-    /// `None` where they contradict each other altogether; the finger has gone so far since the last
-    /// look, in half-widths.
+    /// `None` if the innovation fails the validation gate [`OTHER`]; `travel` is the distance from
+    /// the last measurement \[half-widths\].
     fn of(
         line: FingerLine,
         texture_pose: &TexturePose,
@@ -400,8 +407,9 @@ impl LineObservation {
         })
     }
 
-    /// The line by both, told where the frame's is: these are their covariances, and what they have in
-    /// `common` stays.
+    /// The line combined from the predicted line with covariance `expected` and the frame's with
+    /// covariance `filtered`, expressed where the frame's is. `common` gives the covariance of the
+    /// error that both share, which is added.
     fn combined(
         &self,
         expected: &Matrix2<f64>,
@@ -422,7 +430,8 @@ impl LineObservation {
     }
 }
 
-/// How the errors of two lines of a finger correlate that has gone so far in between, in half-widths.
+/// Correlation of the errors of two lines of a finger that moved by `travel` in between
+/// \[half-widths\].
 pub(super) fn correlation(travel: f64) -> f64 {
     MOST_CORRELATED.min((-travel / FRESH_WIDTHS).exp())
 }

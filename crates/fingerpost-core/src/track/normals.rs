@@ -1,4 +1,4 @@
-//! Search lines along the normals of a placed contour, and what they have found of the hand.
+//! Search lines along the normals of a placed contour, and the edges measured on them.
 
 use super::appearance::{GreyCue, SearchModel};
 use super::options::TrackerOptions;
@@ -14,33 +14,32 @@ use crate::measure::edge::{Edge, EdgeMeasurement, Miss, Scale, SearchLine};
 use crate::measure::edge_search::{Cue, EdgeSearch};
 use crate::numeric::simd::Isa;
 
-/// A search line reads no further beyond its end than this \[px\]: the reach of the widest kernel.
+/// Distance that a search line reads beyond its end \[px\]: the reach of the widest kernel.
 pub(super) const KERNEL_REACH_PX: f64 = 32.0;
-/// An edge of the grey image goes before one of a mixture of colours further inside if it has so many
-/// times its contrast.
+/// Least ratio of contrasts with which an edge of the grey image replaces one of a mixture of
+/// colours further inside.
 const PLAINER: f64 = 2.0;
-/// An edge is the background's if [`INSIDE_PX`] of it is hardly foreground.
+/// Mean foreground probability of the pixels [`INSIDE_PX`] of an edge below which the edge is the
+/// background's.
 const HARDLY: f64 = 0.3;
-/// The hand's own edge is looked for so far from where it begins to differ from the background
-/// \[px\].
+/// Half-length of the second search, about the place where the line leaves the foreground \[px\].
 const BEGINS_WITHIN_PX: f64 = 4.0;
 
-/// The lines of one search, in the order in which they were put in, and the buffers for it.
+/// The lines of one search, in the order of insertion, and its buffers.
 #[derive(Debug, Clone)]
 pub(super) struct Normals {
     search: EdgeSearch,
     lines: Vec<SearchLine>,
-    /// Which part of the outline each line belongs to.
+    /// The part of the outline of each line.
     parts: Vec<Part>,
     found: Vec<EdgeMeasurement>,
-    /// What the lines of one part have found.
+    /// Edges on the lines of one part.
     found_of_part: Vec<EdgeMeasurement>,
-    /// Whose edges are those of the grey image, where another is searched.
+    /// Which edges are those of the grey image, if another is searched.
     in_grey: Vec<bool>,
     grey_lines: Vec<SearchLine>,
     found_in_grey: Vec<EdgeMeasurement>,
-    /// Lines that are searched once more, where the hand begins, of which parts they are, and which
-    /// lines they replace.
+    /// Lines of the second search, their parts, and the lines they replace.
     again: Vec<SearchLine>,
     again_parts: Vec<Part>,
     replaced: Vec<Replaced>,
@@ -51,7 +50,7 @@ pub(super) struct Normals {
 #[derive(Debug, Clone, Copy)]
 struct Replaced {
     line: usize,
-    /// Where along it the hand begins \[px\].
+    /// Position along it where the foreground ends \[px\].
     begins_px: f64,
 }
 
@@ -93,12 +92,12 @@ impl Normals {
         &self.lines
     }
 
-    /// What each line has found.
+    /// The measurement of each line.
     pub fn found(&self) -> &[EdgeMeasurement] {
         &self.found
     }
 
-    /// Tells a search in a picture in its frame.
+    /// Converts a search in a reduced image to pixels of its frame.
     pub fn enlarge(&mut self, pyramid_level: PyramidLevel) {
         let px = pyramid_level.px();
         for (line, found) in self.lines.iter_mut().zip(&mut self.found) {
@@ -111,14 +110,15 @@ impl Normals {
         }
     }
 
-    /// The part of the image that the lines read: columns and rows, from and to \[px\].
+    /// The region that the lines read: first and last column, first and last row \[px\].
     pub fn region(&self) -> [f64; 4] {
         let reach = |line: &SearchLine| line.half_length_px + KERNEL_REACH_PX;
         region_about(self.lines.iter().map(|line| (line.sample.position, reach(line))))
     }
 
-    /// Searches every line of a scene, `shown` as the sight shows it. Of the edges those alone are the
-    /// hand's that look like it inside, if `own_only`, and none that the background explains.
+    /// Searches every line of a scene, `shown` as the search model shows it. With `own_only`, edges
+    /// that are not like the hand inside are dropped; edges that the background explains always
+    /// are.
     pub fn search(
         &mut self,
         scene: &Scene<'_>,
@@ -150,10 +150,10 @@ impl Normals {
         }
     }
 
-    /// A mixture of colours that shows most of a hand best may hardly show some of its edges, or what is
-    /// close inside of them better. The hand's own edge in grey counts where it is the only one, or
-    /// further out and much plainer. Of a finger that is lit from one side it counts on that flank, and
-    /// not on the other.
+    /// A mixture of colours that shows most of a hand best may hardly show some of its edges, or
+    /// show objects inside of them better. The hand's own edge in grey is used where it is the only
+    /// one, or lies further out with much more contrast. For a finger lit from one side it is used
+    /// on the lit flank, and not on the shaded one.
     fn search_in_grey(
         &mut self,
         scene: &Scene<'_>,
@@ -183,8 +183,8 @@ impl Normals {
         Ok(())
     }
 
-    /// Whether the edge that a line has found is the hand's own, in a frame that is `shown` as the sight
-    /// shows it.
+    /// Whether the edge of a line is the hand's own, in a frame `shown` as the search model shows
+    /// it.
     pub fn is_own(
         &self,
         line: usize,
@@ -202,8 +202,8 @@ impl Normals {
         }
     }
 
-    /// Edges that the background explains are not the hand's. Where along the line the hand begins
-    /// before the background, it may have an edge of its own.
+    /// Drops edges that the background explains. Where the line leaves the foreground, the hand's
+    /// own edge is searched again.
     fn search_before(
         &mut self,
         background: Behind<'_>,
@@ -245,8 +245,8 @@ impl Normals {
     }
 }
 
-/// Searches lines by what is known of the parts of the outline that they are of, where flanks are known
-/// for themselves; `of_part` is a buffer.
+/// Searches lines with the cue of their part of the outline, where flanks are known separately;
+/// `of_part` is a buffer.
 fn search_parts(
     search: &mut EdgeSearch,
     shown: &Frame<'_>,
@@ -269,7 +269,8 @@ fn search_parts(
     Ok(())
 }
 
-/// Whether an edge of the grey image is further out than another's, and much plainer.
+/// Whether an edge of the grey image lies further out than another, with [`PLAINER`] times its
+/// contrast.
 fn is_plainer(edge: &Edge, other: &Edge) -> bool {
     edge.offset_px > other.offset_px
         && edge.contrast_grey.abs() >= PLAINER * other.contrast_grey.abs()
@@ -281,12 +282,12 @@ pub(super) fn at_edge(line: &SearchLine, edge: &Edge) -> PlacedSample {
     PlacedSample { position: position + normal * edge.offset_px, normal }
 }
 
-/// How likely a place on a search line is foreground.
+/// Foreground probability at a position on a search line; `None` if unknown.
 fn foreground(background: Behind<'_>, line: &SearchLine, at: f64) -> Option<f64> {
     background.foreground(line.sample.position + line.sample.normal * at)
 }
 
-/// Whether what is inside of an edge is the background; not if that is unknown.
+/// Whether the pixels inside of an edge are background; false if that is unknown.
 fn is_background(background: Behind<'_>, line: &SearchLine, offset_px: f64) -> bool {
     let (mut sum, mut count) = (0.0, 0.0);
     for inside_px in INSIDE_PX {
@@ -298,8 +299,8 @@ fn is_background(background: Behind<'_>, line: &SearchLine, offset_px: f64) -> b
     sum < HARDLY * count
 }
 
-/// Where along a line foreground ends and background begins, from inside outwards: the place that
-/// parts them best; none without both.
+/// Position along a line where foreground ends and background begins, from inside outwards, by the
+/// best change point; `None` without both.
 fn where_hand_begins(background: Behind<'_>, line: &SearchLine) -> Option<f64> {
     let reach = line.half_length_px.floor();
     let (mut sum, mut best, mut begins_px) = (0.0, 0.0, None);
@@ -314,13 +315,14 @@ fn where_hand_begins(background: Behind<'_>, line: &SearchLine) -> Option<f64> {
     begins_px
 }
 
-/// A line of the last search, and what became of it.
+/// A line of the last search, and its measurement.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SearchedLine<'a> {
-    /// Where was looked.
+    /// The line that was searched.
     pub line: &'a SearchLine,
-    /// The edge, or why there is none.
+    /// The edge, or the reason why there is none.
     pub found: &'a EdgeMeasurement,
-    /// Whether the edge agrees with the fit, that is, counts among [`Diagnostics::inliers`].
+    /// Whether the edge agrees with the fit, that is, counts among
+    /// [`Diagnostics::inliers`](super::Diagnostics::inliers).
     pub agrees: bool,
 }

@@ -1,12 +1,13 @@
-//! The picture that a large hand is followed in.
+//! Reduced image in which a large hand is tracked.
 //!
-//! How a hand differs from its model, and what is behind it, go with its size: joints and nails, the
-//! shading of a flank, the grain of a table. A finger twice as wide in the image has edges that stray
-//! by twice as many pixels, and what is told from some pixels about an edge tells less of it. So a
-//! large hand is followed in a picture that is smaller by a whole factor, of the means of squares of
-//! pixels, in which its finger is of the usual width. To what little a sharp edge is blurred by that,
-//! a contour is blind; the finger line is refined in the frame as it was recorded, where its pixels
-//! agree with a finger.
+//! The deviations of a hand from its model, and the structures of its background, scale with its
+//! size in the image: joints and nails, the shading of a flank, the grain of a table. For a finger
+//! twice as wide, the edge residuals due to them are twice as large in pixels, and measurements
+//! over a fixed number of pixels contain less of the edge. Therefore a large hand is tracked in an
+//! image reduced by a whole factor, each pixel the mean of a square of pixels, in which its finger
+//! has the usual width. The contour is insensitive to the small blur that this adds to a sharp
+//! edge; the finger line is refined in the frame at full resolution, where its pixels agree with a
+//! finger.
 
 use super::estimate::{MAX_DOF, ShapeEstimate};
 use super::line::FingerLine;
@@ -19,29 +20,29 @@ use crate::image::frame::{ColourView, Frame};
 use crate::image::gray::GrayView;
 use nalgebra::{Matrix2, Point2, SVector, Vector2};
 
-/// Half the width of a usual finger at least \[px\]: no picture shows a large one slimmer. Hands of 12
-/// to 13 px that were followed in the frame itself took the shading along a flank for its edge: before
-/// wood their points were up to three times as far off as in a picture of half the size. In smaller
-/// pictures yet, a hand was lost to the jaw of a gripper.
+/// Least half-width of a finger in a reduced image \[px\]. Hands of 12 to 13 px that were tracked
+/// at full resolution took the shading along a flank for its edge: before wood their points were up
+/// to three times as far off as in an image of half the size. In images of a smaller size still, a
+/// hand was lost to the jaw of a gripper.
 const USUAL_HALF_WIDTH_PX: f64 = 6.0;
 
-/// How much smaller the picture is.
+/// Reduction of the tracked image.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct PyramidLevel {
     factor: usize,
 }
 
 impl PyramidLevel {
-    /// The picture is the frame.
+    /// No reduction.
     pub const NONE: Self = Self { factor: 1 };
 
-    /// That for a finger of this half-width in the frame.
+    /// The level for a finger of this half-width in the frame.
     pub fn of_finger(half_width_px: f64) -> Self {
         let factor = (half_width_px / USUAL_HALF_WIDTH_PX).floor();
         Self { factor: factor.max(1.0).min(f64::from(u8::MAX)) as usize }
     }
 
-    /// Whether the picture is not the frame itself.
+    /// Whether the image is reduced.
     pub fn is_smaller(self) -> bool {
         self.factor > 1
     }
@@ -50,17 +51,17 @@ impl PyramidLevel {
         self.factor
     }
 
-    /// How many pixels of the frame a pixel of the picture is long.
+    /// Length of a pixel of the reduced image in pixels of the frame.
     pub fn px(self) -> f64 {
         self.factor as f64
     }
 
-    /// Where in the frame the middle of the picture's first pixel is.
+    /// Frame coordinate of the centre of the reduced image's first pixel.
     fn first_px(self) -> f64 {
         0.5 * (self.px() - 1.0)
     }
 
-    /// A place of the picture in the frame.
+    /// Converts a point from the reduced image to the frame.
     pub fn in_frame(self, at: Point2<f64>) -> Point2<f64> {
         at.map(|c| c * self.px() + self.first_px())
     }
@@ -69,18 +70,18 @@ impl PyramidLevel {
         at.map(|c| (c - self.first_px()) / self.px())
     }
 
-    /// A start pose of the frame in the picture.
+    /// Converts a start pose from the frame to the reduced image.
     pub fn start(self, start: &StartPose) -> StartPose {
         let (tip_px, length_px) = (self.in_picture(start.tip_px), start.length_px / self.px());
         StartPose { tip_px, length_px, ..*start }
     }
 
-    /// A sample of the picture in the frame.
+    /// Converts a sample from the reduced image to the frame.
     pub fn sample(self, sample: &PlacedSample) -> PlacedSample {
         PlacedSample { position: self.in_frame(sample.position), ..*sample }
     }
 
-    /// What the picture tells of a finger, in the frame.
+    /// Converts a finger from the reduced image to the frame.
     pub fn finger(self, finger: &Finger) -> Finger {
         let px = self.px();
         Finger {
@@ -103,7 +104,7 @@ impl PyramidLevel {
         Axis { anchor: self.in_frame(anchor), tip: self.in_frame(tip), angle_rad }
     }
 
-    /// What the frame tells of a finger, in the picture.
+    /// Converts a refined line from the frame to the reduced image.
     pub fn refined(self, refined: &Refined) -> Refined {
         let part = 1.0 / self.px();
         let Refined { axis, stretch, .. } = *refined;
@@ -123,7 +124,7 @@ impl PyramidLevel {
         }
     }
 
-    /// The story of the picture, in the frame.
+    /// Converts a track from the reduced image to the frame.
     pub fn track(self, track: &Track) -> Track {
         let px = self.px();
         let Diagnostics { residual_rms_px, max_residual_px, .. } = track.diagnostics;
@@ -145,8 +146,8 @@ impl PyramidLevel {
         }
     }
 
-    /// A shape vector: all of its components are lengths but those that say otherwise, and the first
-    /// two are a place.
+    /// Converts a shape vector: its first two components are a position, and those named "\[px\]"
+    /// are lengths.
     fn shape(self, shape: &ShapeEstimate) -> ShapeEstimate {
         let mut units = SVector::<f64, MAX_DOF>::repeat(1.0);
         for (unit, _) in units.iter_mut().zip(shape.names).filter(|(_, n)| n.ends_with("[px]")) {
@@ -160,13 +161,13 @@ impl PyramidLevel {
     }
 }
 
-/// The covariance of an offset and an angle, where a px is so many.
+/// Covariance of (offset, angle) with the offset scaled by `px`.
 fn scaled(covariance: &Matrix2<f64>, px: f64) -> Matrix2<f64> {
     let unit = Matrix2::from_diagonal(&Vector2::new(px, 1.0));
     unit * covariance * unit
 }
 
-/// The pixels of the picture; kept from frame to frame, so that nothing is allocated.
+/// Pixels of the reduced image, kept from frame to frame, so that nothing is allocated.
 #[derive(Debug, Clone, Default)]
 pub(super) struct ReducedImage {
     gray: Vec<u8>,
@@ -175,11 +176,10 @@ pub(super) struct ReducedImage {
 }
 
 impl ReducedImage {
-    /// A frame that is reduced; what does not fill a square of pixels on its right and lower border is
-    /// left out.
+    /// The reduced frame; an incomplete square at the right or lower border is left out.
     ///
     /// # Errors
-    /// None but for a frame that was never made.
+    /// None, except for a frame that was never made.
     pub fn of(&mut self, frame: &Frame<'_>, pyramid_level: PyramidLevel) -> Result<Frame<'_>> {
         let Self { gray, colour, sums } = self;
         let image = frame.image();
@@ -193,7 +193,7 @@ impl ReducedImage {
     }
 }
 
-/// The means of squares of pixels of so many channels.
+/// Means over squares of `factor` × `factor` pixels in each of `CHANNELS` channels.
 fn reduce<'a, const CHANNELS: usize>(
     pixels: &mut Vec<u8>,
     sums: &mut Vec<u16>,
@@ -210,7 +210,7 @@ fn reduce<'a, const CHANNELS: usize>(
                 *sum += u16::from(grey);
             }
         }
-        // Of a factor that is known beforehand, a mean takes an instruction or two.
+        // With a constant factor, the division of a mean takes an instruction or two.
         match factor {
             2 => means::<CHANNELS>(reduced, sums, 2),
             3 => means::<CHANNELS>(reduced, sums, 3),
@@ -219,7 +219,7 @@ fn reduce<'a, const CHANNELS: usize>(
     }
 }
 
-/// The means of a row of squares, from the sums of their columns.
+/// Means of a row of squares, from the sums of their columns.
 #[expect(clippy::inline_always, reason = "where the factor is a constant, it is compiled as one")]
 #[inline(always)]
 fn means<const CHANNELS: usize>(reduced: &mut [u8], sums: &[u16], factor: usize) {

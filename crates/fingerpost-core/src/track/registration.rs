@@ -1,42 +1,44 @@
-//! How a finger lies, by its own skin and by that of its hand.
+//! Pose of a finger, by registration of its own texture and of its hand's.
 //!
-//! A finger is slim, and what noise there is turns the way its [`TexturePatch`] lies by a tenth or two of a
-//! degree, anew in every frame. Its hand is larger, and is turned with it, nearly: as both turn in depth
-//! they drift apart in the picture, and how far is not known before. So the hand tells how the finger
-//! has turned since the last frame, and the finger how it is turned beside the hand in the mean of many:
-//! a Kalman filter of an angle that drifts as lines do on a hand ([`drift`]). On 14 films of rendered
-//! hands the angle then scatters from frame to frame by 0.12° in place of 0.15°, before wood by 0.15° in
-//! place of 0.23°.
+//! A finger is slim: image noise turns the pose of its [`TexturePatch`] by a tenth or two of a
+//! degree, independently in every frame. Its hand is larger and turns with it, but not exactly: as
+//! both rotate in depth they drift apart in the image by an unknown angle. Therefore the hand's
+//! registration gives the finger's rotation since the last frame, and the finger's gives the mean
+//! angle between the two over many frames: a Kalman filter of an angle that drifts as lines do on a
+//! hand ([`drift`]). On 14 films of rendered hands the angle's scatter from frame to frame falls
+//! from 0.15° to 0.12°, before wood from 0.23° to 0.15°.
 
 use crate::axis::{Area, TexturePatch, TexturePose};
 use crate::geometry::shape_space::Axis;
 use crate::image::gray::GrayView;
 use nalgebra::Point2;
 
-/// How lines drift on a hand: variance of the offset \[half-widths²\] and of the angle \[rad²\] for
-/// every half-width that it moves, and for every second; of the angle besides for every rad² that it
-/// turns.
+/// Process noise of a line on a hand: variance of the offset \[half-widths²\] and of the angle
+/// \[rad²\] for every half-width of motion and for every second; in addition of the angle for every
+/// rad² of rotation.
 const DRIFT_PER_WIDTH: [f64; 2] = [5e-5, 2e-6];
 const DRIFT_PER_S: [f64; 2] = [1e-4, 4e-6];
 const DRIFT_PER_TURN: f64 = 2.5e-3;
-/// What contradicts what is known by more than this, in squares of its standard deviation, is a hand
-/// that has opened or closed.
+/// Validation gate of the angle between finger and hand, innovation squared in units of its
+/// variance: beyond it the hand has opened or closed, and the filter restarts.
 const OTHER: f64 = 12.0;
-/// Of a finger whose angle has no more variance than this \[rad²\] a hand tells nothing: it drifts by as
-/// much from frame to frame.
+/// Variance of the finger's own angle \[rad²\] below which the hand is not registered: the angle
+/// between the two drifts by as much from frame to frame.
 const SURE: f64 = 2e-6;
-/// A hand whose angle has so many times the variance of the finger's tells nothing of it.
+/// Ratio of the variance of the hand's angle to that of the finger's from which the hand is not
+/// used.
 const UNSURE: f64 = 4.0;
 
-/// How far lines drift on a hand that has gone so far \[half-widths\], and turned, in some time: variances
-/// of the offset \[half-widths²\] and of the angle \[rad²\].
+/// Drift of lines on a hand that has moved by `gone` \[half-widths\] and turned by `turned_rad` in
+/// `passed_s`: variances of the offset \[half-widths²\] and of the angle \[rad²\]. A negative time
+/// counts as 0.
 pub(super) fn drift(gone: f64, passed_s: f64, turned_rad: f64) -> [f64; 2] {
     let [offset, angle] =
         [0, 1].map(|k| DRIFT_PER_WIDTH[k] * gone + DRIFT_PER_S[k] * passed_s.max(0.0));
     [offset, angle + DRIFT_PER_TURN * turned_rad.sin().powi(2)]
 }
 
-/// The skins of a finger and of its hand, learned frame by frame.
+/// The texture patches of a finger and of its hand, learned frame by frame.
 #[derive(Debug, Clone)]
 pub(super) struct TextureRegistration {
     finger: TexturePatch,
@@ -45,36 +47,36 @@ pub(super) struct TextureRegistration {
     turn: Option<HeadingFilter>,
 }
 
-/// How the finger's skin is turned beside the hand's.
+/// Kalman filter of the angle between the finger's texture and the hand's.
 #[derive(Debug, Clone, Copy)]
 struct HeadingFilter {
     angle_rad: f64,
     /// Its variance \[rad²\].
     variance: f64,
-    /// Where the finger was when that was told, how its hand was turned, and when.
+    /// Position of the finger, angle of the hand, and time at the last update.
     place: Point2<f64>,
     hand_rad: f64,
     time_s: f64,
 }
 
-/// How both lie in a frame.
+/// Poses of both in a frame.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct TexturePoses {
-    /// The finger, by both.
+    /// The finger's pose from both.
     pub together: TexturePose,
     finger: TexturePose,
     hand: Option<TexturePose>,
 }
 
 impl TextureRegistration {
-    /// None yet.
+    /// No textures yet.
     pub fn empty() -> Self {
         let [finger, hand] = [Area::Finger, Area::Hand].map(TexturePatch::empty);
         Self { finger, hand, half_width_px: 1.0, turn: None }
     }
 
-    /// Draws an axis on both, as [`TexturePatch::draw`] does, and tells whether the image shows enough of the
-    /// finger.
+    /// Draws an axis on both, as [`TexturePatch::draw`] does; returns whether the image shows
+    /// enough texture of the finger.
     pub fn draw(
         &mut self,
         image: &GrayView<'_>,
@@ -84,18 +86,17 @@ impl TextureRegistration {
         length_px: f64,
     ) -> bool {
         (self.half_width_px, self.turn) = (half_width_px, None);
-        // Of a hand that is not to be seen none is found later.
+        // Without texture of the hand here, later frames do not find it either.
         self.hand.draw(image, axis, half_width_px, taper, length_px);
         self.finger.draw(image, axis, half_width_px, taper, length_px)
     }
 
-    /// An axis told at the middle of the finger's skin.
+    /// An axis expressed at the middle of the finger's texture.
     pub fn middle_of(&self, axis: &Axis) -> Axis {
         self.finger.middle_of(axis)
     }
 
-    /// How the finger lies in an image, near where an axis would have it; `None` where the image does
-    /// not show it.
+    /// The finger's pose in an image, searched near an axis; `None` where its texture is not found.
     pub fn find(&mut self, image: &GrayView<'_>, near: &Axis, time_s: f64) -> Option<TexturePoses> {
         let finger = self.finger.find(image, near)?;
         let is_sure = finger.covariance[(1, 1)] < SURE;
@@ -105,7 +106,7 @@ impl TextureRegistration {
         Some(TexturePoses { together, finger, hand })
     }
 
-    /// Learns the frame in which they have just been found.
+    /// Learns the textures of the frame in which they were last found.
     pub fn learn(&mut self, texture_poses: &TexturePoses) {
         self.finger.learn(&texture_poses.finger);
         if let Some(hand) = &texture_poses.hand {
@@ -113,13 +114,13 @@ impl TextureRegistration {
         }
     }
 
-    /// How the hand would lie if the finger lay there.
+    /// The hand's predicted pose, given the finger's.
     fn hand_by(&self, finger: &Axis) -> Axis {
         let angle_rad = finger.angle_rad - self.turn.map_or(0.0, |turn| turn.angle_rad);
         Axis::of_finger(finger.anchor, angle_rad, (finger.tip - finger.anchor).norm())
     }
 
-    /// How the finger lies by both. What is known of how one is turned beside the other learns from it.
+    /// The finger's pose from both registrations; updates the filter of the angle between them.
     fn together(&mut self, finger: &TexturePose, hand: &TexturePose, time_s: f64) -> TexturePose {
         let [own, whole] = [finger, hand].map(|texture_pose| texture_pose.covariance[(1, 1)]);
         let hand_rad = hand.axis.angle_rad;
@@ -135,13 +136,13 @@ impl TextureRegistration {
         if whole >= UNSURE * own {
             return *finger;
         }
-        // The finger is a part of the hand: what is told of it is never less sure for that.
+        // The finger is part of the hand: this never increases the variance of its own angle.
         finger.turned_to(hand_rad + turn.angle_rad, own.min(turn.variance + whole))
     }
 }
 
 impl HeadingFilter {
-    /// What is known, with what another frame shows; `None` where that contradicts it.
+    /// Update by another frame; `None` if its innovation fails the validation gate.
     fn with(self, seen: &Self, half_width_px: f64) -> Option<Self> {
         let gone = (seen.place - self.place).norm() / half_width_px;
         let turned_rad = seen.hand_rad - self.hand_rad;
@@ -155,7 +156,7 @@ impl HeadingFilter {
     }
 }
 
-// What is followed is private to the crate, and what it must agree with is where it was painted.
+// The registration is private to the crate; the truth is the painted pose.
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -163,7 +164,7 @@ mod tests {
 
     const FRAMES: usize = 60;
 
-    /// A finger that moves and turns before its hand, and the hand as it is turned beside it.
+    /// A finger that moves and turns before its hand, and the hand turned relative to it.
     fn painted(k: usize, hand_rad: f64) -> Painted {
         let t = k as f64;
         let tip = [118.0 + 6.0 * (0.3 * t).sin(), 78.0 + 4.0 * (0.2 * t).cos()];
@@ -177,7 +178,7 @@ mod tests {
         }
     }
 
-    /// Errors of the finger's angle by its own skin, and by both, frame by frame.
+    /// Errors of the finger's angle by its own texture and by both, frame by frame.
     fn errors(of: impl Fn(usize) -> Painted) -> Vec<[f64; 2]> {
         let mut registration = TextureRegistration::empty();
         let first = Painted { noise: 0.0, ..of(0) };
@@ -210,7 +211,7 @@ mod tests {
 
     #[test]
     fn a_hand_that_turns_otherwise_hardly_takes_the_finger_along() {
-        // By up to a quarter of a degree from frame to frame, to 3 degrees either way.
+        // By up to a quarter of a degree from frame to frame, up to 3 degrees either way.
         let turned_rad = |k: usize| 0.06 * (0.08 * k as f64).sin();
         let errors = errors(|k| painted(k, turned_rad(k)));
         let together = rms(&errors, 1);
@@ -220,14 +221,14 @@ mod tests {
 
     #[test]
     fn a_hand_that_has_opened_is_looked_at_anew() {
-        // From one frame to the next it is turned by 6 degrees.
+        // Turned by 6 degrees from one frame to the next.
         let errors = errors(|k| painted(k, if k < 30 { 0.0 } else { 0.1 }));
         assert!(errors.iter().all(|e| e[1].abs() < 0.02), "{errors:?}");
     }
 
     #[test]
     fn without_a_hand_in_the_picture_the_finger_lies_as_its_own_skin_has_it() {
-        // Behind the finger the picture ends.
+        // The image ends behind the finger.
         let at =
             |k: usize| Painted { noise: 2.0, seed: 3 + k as u64, ..Painted::at([60.0, 60.0], 0.0) };
         let errors = errors(at);

@@ -1,5 +1,5 @@
-//! The story of an accepted frame: the finger line, from pixels and contour and the frames before,
-//! and what the frame teaches of the hand.
+//! Result of an accepted frame: the finger line, from the pixels, the contour and earlier frames;
+//! and learning of the hand's appearance from the frame.
 
 use super::appearance::{AppearanceModel, EdgeCue};
 use super::axis_curvature::{FingerScale, FrontLine};
@@ -19,41 +19,43 @@ use crate::geometry::ribbon::{BandMeasure, RIBBON_DOF, RibbonVector};
 use crate::geometry::shape_space::{Pose, ShapeSpace};
 use crate::geometry::template::Part;
 
-/// Flanks are refined from so far beyond where another limb hides them \[px\].
+/// Distance beyond the place where another limb stops hiding a flank from which the flank is
+/// refined \[px\].
 const CROTCH_PX: f64 = 2.0;
-/// A flank that nothing hides is refined from so much before the outline's beginning, in units of
-/// the finger's length: what is no finger there is found out, and a longer flank gives a surer
-/// angle.
+/// Distance before the outline's beginning from which a flank that nothing hides is refined, in
+/// units of the finger's length: pixels there that are not the finger's are rejected, and a longer
+/// flank gives a more precise angle.
 const BEYOND_OUTLINE: f64 = 0.07;
-/// Both go round the tip to this part of the half-width beyond the middle of its round end.
+/// Both flanks are refined up to this part of the half-width beyond the centre of the tip's round
+/// end.
 const CAP: f64 = 0.7;
 
-/// A picture of half the size blurs an edge that is blurred by this \[px\] or more by hardly more, and
-/// tells as much of it; but the noise of such a picture may be as blurred as its edges, and no longer
-/// independent from pixel to pixel.
+/// Edge blur above which the recorded frame is not refined \[px\]. At half the resolution an edge
+/// with this blur or more is hardly more blurred, and as informative. The noise of such an image
+/// may be as blurred as its edges, and is then correlated between pixels.
 const SHARP_PX: f64 = 1.5;
 
-/// Looks change slowly where a hand stays: one frame in so many teaches them, and counts as often.
-/// One that has moved by more than this part of its half-width is before something else, and smeared.
+/// Period of learning the appearance of a hand that stays in place, in frames; one frame then
+/// counts as often. A hand that has moved by more than [`STAYS`] half-widths is learned at once: it
+/// is before another background, and its image is blurred by motion.
 const FRAMES_A_LESSON: usize = 3;
 const STAYS: f64 = 0.5;
 
-/// A shaded flank is known from colours alone, which a camera records at half its resolution, and the lit
-/// one from grey levels: the contour may be so far aside, and turned by that over half the line's length
-/// \[px\].
+/// Bias of a contour with a shaded flank, at either end \[px\]: the shaded flank is measured from
+/// colours alone, which a camera records at half the resolution, and the lit one from grey levels.
 const SHADED_PX: f64 = 0.6;
 
-/// How much of the flanks of a finger counts.
+/// Part of a finger's flanks that is used.
 #[derive(Debug, Clone, Copy)]
 enum Flanks {
-    /// All that no other limb of the template hides: of a bent finger half does not agree.
+    /// All that no other limb of the template hides: of a bent finger, half does not agree.
     Visible,
-    /// As much as agrees with the fit from the tip on.
+    /// The part that agrees with the fit, from the tip on.
     Agreeing,
 }
 
 impl ContourTracker {
-    /// The story of a frame whose fit was accepted, with the finger line.
+    /// Result of a frame whose fit was accepted, with the finger line.
     pub(super) fn tracked(
         &mut self,
         frame: &Scene<'_>,
@@ -62,7 +64,7 @@ impl ContourTracker {
         accept: &AcceptOptions,
     ) -> Result<Track> {
         let finger = match self.hand.shape {
-            // No one image shows both flanks of a finger that is lit from one side.
+            // No single image shows both flanks of a finger that is lit from one side.
             Shape::Ribbon(x) if self.options.refine && self.hand.shaded.is_none() => {
                 self.finger_of(&x, found)?
             }
@@ -84,8 +86,9 @@ impl ContourTracker {
             Shape::Ribbon(x) if self.options.refine => finger_line.map(|line| {
                 let length_px = self.hand.measure.length_px;
                 let shown = BandDimensions { half_width_px: x[3], taper: x[4], length_px };
-                // A bend does the same to all lines. It makes one count less beside those of other frames,
-                // and as much of it as these average away is put back.
+                // The bias due to a bend is common to all lines. It lowers this line's weight
+                // against those of other frames; the part of it that the filter averages away is
+                // restored.
                 let bend_bias = self.axis_curvature.bend_bias().hypot(self.shade_bias(&line));
                 let seen = self.finger_scale(x[3]);
                 let line = self
@@ -95,7 +98,7 @@ impl ContourTracker {
                 let filtered = self.line_filter.follow(frame.image(), time_s, line, &shown);
                 let left = (filtered.spread() / line.spread()).min(1.0);
                 let restored_bias = bend_bias * (1.0 - left).sqrt();
-                // What is the same in all frames has no say in how they are weighed.
+                // A bias that is equal in all frames must not affect the weights.
                 filtered
                     .with_relative_bias(restored_bias.hypot(self.axis_curvature.faint_flank_bias()))
             }),
@@ -104,13 +107,13 @@ impl ContourTracker {
         Ok(Track { finger_line, ..track(time_s, Status::Tracking, found, accept, None) })
     }
 
-    /// How the view shows a finger of such a half-width.
+    /// Scale of the finger in this view, for a half-width.
     fn finger_scale(&self, half_width_px: f64) -> FingerScale {
         FingerScale { half_width_px, foreshortening: self.foreshortening }
     }
 
-    /// How the line of the front lies to that of the whole, by the pixels of its flanks alone, where
-    /// these tell more than the bend of the whole.
+    /// Difference of the line of the front from that of the whole, from the pixels of the front's
+    /// flanks alone, where these are more precise than the curvature of the whole.
     fn front_of(
         &mut self,
         frame: &Scene<'_>,
@@ -134,20 +137,21 @@ impl ContourTracker {
         }))
     }
 
-    /// How far a line may be off for a shaded flank, as a part of what it is measured on: not for noise,
-    /// so it is no less for many frames.
+    /// Bias due to a shaded flank, as a part of the half-length. It is systematic: averaging over
+    /// frames does not reduce it.
     fn shade_bias(&self, line: &FingerLine) -> f64 {
         self.hand.shaded.map_or(0.0, |_| SHADED_PX / line.half_length_px)
     }
 
-    /// The finger line by both looks at a frame, or by the one that can be believed.
+    /// The finger line from the contour and the pixels of a frame, or from the one that is trusted.
     fn line_of(&mut self, found: &FitResult, refined: Option<&Refined>) -> Option<FingerLine> {
         let contour = self.by_contour(found)?;
         let Some(refined) = refined else { return Some(contour) };
         let pixels = FingerLine::of_pixels(refined);
-        // Where the pixels agree with a finger only so far, the contour knows other things than two
-        // bare flanks tell: the hand's colours, and its width. Of a finger that is covered in part
-        // either may be misled, and where they contradict each other, neither is believed alone.
+        // Where the pixels agree with the model of a finger only in part, the contour has other
+        // information than two visible flanks: the hand's colours and its width. For a partly
+        // covered finger either estimate may be biased: if they contradict each other, neither is
+        // trusted alone.
         Some(match refined.source {
             Source::Photometric if self.hand.is_covered && pixels.contradicts(&contour) => {
                 pixels.joined(&contour)
@@ -158,8 +162,8 @@ impl ContourTracker {
         })
     }
 
-    /// The line by contour and pixels where neither is believed alone. What they differ by is learned
-    /// of a hand's own pixels.
+    /// The line from contour and pixels where neither is trusted alone. Their difference is learned
+    /// from frames with the hand's own pixels.
     fn by_both(
         &mut self,
         found: &FitResult,
@@ -179,15 +183,15 @@ impl ContourTracker {
         Some(pixels.joined(&contour).with_shape_mismatch(&unlike, &expected))
     }
 
-    /// The line of a fit's contour, as far as what covers it may have led it astray.
+    /// The line of a fit's contour, with the bias that an occluder may cause.
     fn contour_line(&self, found: &FitResult) -> Option<FingerLine> {
         let fit = found.fit.as_ref()?;
         let line = FingerLine::of_contour(&fit.axis, &fit.line_covariance);
         Some(line.with_bias(self.hand.unusual_px(fit)))
     }
 
-    /// The same where the pixels of all frames have it, as sure as such lines are and as its width
-    /// allows.
+    /// The same, corrected by the mean difference of the pixels' lines, with the covariance scaled
+    /// and extended by the mismatch of its width and taper.
     fn by_contour(&self, found: &FitResult) -> Option<FingerLine> {
         let line = self.variance_factor.bias_corrected(self.contour_line(found)?);
         let expected = line.covariance;
@@ -199,14 +203,14 @@ impl ContourTracker {
         })
     }
 
-    /// The finger as far as its flanks show.
+    /// The finger, with the agreeing part of its flanks; of a covered hand, all visible flanks.
     fn finger_of(&self, x: &RibbonVector, found: &FitResult) -> Result<Option<Finger>> {
-        // What covers a hand may lie over the middle of a flank; its own pixels are told otherwise.
+        // An occluder may lie over the middle of a flank; its pixels are recognised otherwise.
         let flanks = if has_own_pixels(found) { Flanks::Agreeing } else { Flanks::Visible };
         self.finger(x, found, flanks)
     }
 
-    /// The finger by its flanks alone; none if they cannot be believed.
+    /// The finger line refined from its flanks; `None` if they are not trusted.
     fn refine(
         &mut self,
         frame: &Scene<'_>,
@@ -219,14 +223,14 @@ impl ContourTracker {
         let search_model = self.hand.search_model(frame, found.edges(), self.options.polarity);
         let shown = self.convergence.shown(frame, search_model.mixture, finger)?;
         let appearance = search_model.cue.appearance();
-        // What is known of the background are grey levels, whatever mixture shows the hand best.
+        // The background model has grey levels, whatever mixture of colours shows the hand best.
         let behind = frame.background();
         let known = behind.as_ref().map(|b| b.known().behind(*frame.image()));
         self.refiner.refine(&shown, finger, search_model.polarity, appearance, known.as_ref())
     }
 
-    /// The same in the frame as it was recorded, where that is followed in a smaller picture: none
-    /// unless its pixels agree with a finger, and are sharp enough to tell more than the picture's.
+    /// The same in the frame at full resolution, if a reduced image is tracked; `None` unless its
+    /// pixels agree with a finger and are sharp enough to add information.
     fn refine_whole(
         &mut self,
         frame: &Scene<'_>,
@@ -256,7 +260,7 @@ impl ContourTracker {
         Ok(refined.filter(adds_detail).map(|refined| pyramid_level.refined(&refined)))
     }
 
-    /// The finger that the band template stands for, by so much of both its flanks.
+    /// The finger of the band template, with the given part of both flanks.
     fn finger(
         &self,
         x: &RibbonVector,
@@ -290,12 +294,13 @@ impl ContourTracker {
         let belief = self.by_contour(found).and_then(|line| self.belief(&line.covariance));
         let round_end_px = Some(round_end_px);
         let finger = Finger { axis, half_width_px, taper, flanks, round_end_px, belief };
-        // A template may be longer than any picture; no line of such a finger is told by its pixels.
+        // A template may be longer than any image; such a finger is not refined from pixels.
         let is_longest = self.pyramid_level.px() * finger.stretch().length_px() > MAX_STRETCH_PX;
         Ok((!is_longest).then_some(finger))
     }
 
-    /// How the finger of a fit that counts is bent, if its flanks tell; never of the paper's model.
+    /// Bend of the finger of an accepted fit, from its flanks; `None` for the model of 1994 and for
+    /// flanks that do not show it.
     pub(super) fn bend(&mut self, frame: &Scene<'_>, found: &FitResult) -> Result<Option<Bend>> {
         let Shape::Ribbon(x) = found.shape else { return Ok(None) };
         let Some(finger) = self.finger(&x, found, Flanks::Visible)? else { return Ok(None) };
@@ -304,8 +309,8 @@ impl ContourTracker {
         self.refiner.bend(&shown, &finger, search_model.polarity, search_model.cue.appearance())
     }
 
-    /// Takes over what a fit that counts shows of the hand, now and then. Where its looks did not lead
-    /// to it, the light has changed: it looks as it looks now.
+    /// Learns the hand's appearance from an accepted fit, every [`FRAMES_A_LESSON`] frames. If the
+    /// fit was not found by appearance, the light has changed: the model is replaced.
     pub(super) fn update_appearance(&mut self, frame: &Scene<'_>, found: &FitResult) -> Result<()> {
         let is_relit =
             self.hand.is_shown_in(frame) && found.fit.is_some_and(|fit| !fit.by_appearance);
@@ -328,7 +333,8 @@ impl ContourTracker {
         Ok(())
     }
 
-    /// Takes over what the last accepted fit saw on either side of the contour, for so many frames.
+    /// Learns the pixels on either side of the contour of the last accepted fit, with the weight of
+    /// `frames` frames.
     pub(super) fn learn_appearance(&mut self, frame: &Scene<'_>, frames: usize) -> Result<()> {
         let coloured = frame.colour().is_some();
         let known = self.hand.appearance.as_ref().map(AppearanceModel::is_coloured);
@@ -340,7 +346,7 @@ impl ContourTracker {
         }
         let (samples, finger) = (self.hand.fingers(&self.samples), self.hand.shape.silhouette());
         let keep = (1.0 - self.options.track.appearance_rate).powi(frames as i32);
-        // The tracker of 1994 knows the finger as a whole.
+        // The tracker of 1994 models the finger as a whole.
         let shaded = self.hand.shaded;
         let appearance = self.hand.appearance.get_or_insert_with(|| match self.options.model {
             Model::Ribbon => AppearanceModel::new(coloured).with_flank_levels().with_shaded(shaded),
@@ -349,8 +355,8 @@ impl ContourTracker {
         self.convergence.teach(appearance, samples, frame, &finger, (keep, frames as f64))
     }
 
-    /// Takes over what is behind a hand where the last accepted fit saw no edge. What covers the hand
-    /// elsewhere teaches nothing.
+    /// Learns the background where the hand of the last accepted fit ends without an edge. What
+    /// covers the hand elsewhere is not learned.
     pub(super) fn learn_behind(&mut self, frame: &Scene<'_>) -> Result<()> {
         let (samples, finger) = (self.hand.fingers(&self.samples), self.hand.shape.silhouette());
         self.hand.appearance.as_mut().map_or(Ok(()), |appearance| {
@@ -359,7 +365,7 @@ impl ContourTracker {
     }
 }
 
-/// Whether the pixels about the flanks are the hand's: what covers a hand has pixels of its own.
+/// Whether the pixels about the flanks are the hand's own: an occluder has other pixels.
 fn has_own_pixels(found: &FitResult) -> bool {
     !found.fit.is_some_and(|fit| fit.own_only)
 }

@@ -1,4 +1,4 @@
-//! A frame, and what its camera shows where no hand is.
+//! A frame with the model of its background.
 
 use super::pyramid::PyramidLevel;
 use crate::appearance::background::Background;
@@ -7,20 +7,21 @@ use crate::image::frame::Frame;
 use nalgebra::Point2;
 use std::ops::Deref;
 
-/// A frame before a background that may be known; otherwise it is the frame, or the picture that it is
-/// reduced to.
+/// A frame and its background model, if that is known; it dereferences to the frame, or to the
+/// reduced image of it.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Scene<'a> {
     frame: Frame<'a>,
     background: Option<&'a Background>,
-    /// Whether the background has a say in where the hand is, and does not only judge it.
+    /// Whether the background is used in the search for the hand, and not only in its validation.
     leads: bool,
     whole: Frame<'a>,
     pyramid_level: PyramidLevel,
 }
 
 impl<'a> Scene<'a> {
-    /// A frame and its background, which counts only where its edges are.
+    /// A frame and its background, which is used only if its edges are in place
+    /// ([`Background::is_exact`]).
     pub fn new(frame: &Frame<'a>, background: Option<&'a Background>) -> Self {
         let background = background.filter(|b| b.is_exact());
         Self {
@@ -32,7 +33,7 @@ impl<'a> Scene<'a> {
         }
     }
 
-    /// The same, to be looked at in a smaller picture.
+    /// The same, with a reduced image in place of the frame.
     pub fn reduced<'b>(&self, picture: Frame<'b>, pyramid_level: PyramidLevel) -> Scene<'b>
     where
         'a: 'b,
@@ -40,22 +41,22 @@ impl<'a> Scene<'a> {
         Scene { frame: picture, pyramid_level, ..*self }
     }
 
-    /// The frame, to be looked at alone.
+    /// The same, without the background in the search.
     pub fn alone(&self) -> Self {
         Self { leads: false, ..*self }
     }
 
-    /// The frame as it was recorded, where it is looked at in a smaller picture.
+    /// The frame at full resolution; `None` unless the scene shows a reduced image.
     pub fn whole(&self) -> Option<&Frame<'a>> {
         self.pyramid_level.is_smaller().then_some(&self.whole)
     }
 
-    /// What is behind the hand, if that is known and has a say in where the hand is.
+    /// The background, if it is known and used in the search.
     pub fn background(&self) -> Option<Behind<'_>> {
         self.table().filter(|_| self.leads)
     }
 
-    /// What is behind the hand, if that is known: it judges what was found, in a frame alone as well.
+    /// The background, if it is known, for validation: also if it is not used in the search.
     pub fn table(&self) -> Option<Behind<'_>> {
         self.background.map(|background| Behind { background, scene: self })
     }
@@ -69,7 +70,7 @@ impl<'a> Deref for Scene<'a> {
     }
 }
 
-/// What is behind the hand.
+/// The background of a scene.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Behind<'a> {
     background: &'a Background,
@@ -77,19 +78,19 @@ pub(super) struct Behind<'a> {
 }
 
 impl<'a> Behind<'a> {
-    /// How likely a place is foreground, 0–1; see [`Background::foreground`].
+    /// Foreground probability of a place, 0–1; see [`Background::foreground`].
     pub fn foreground(self, at: Point2<f64>) -> Option<f64> {
         let Scene { pyramid_level, whole, .. } = self.scene;
         let at = pyramid_level.in_frame(at);
         self.background.foreground(whole, at.x, at.y)
     }
 
-    /// What is known of it in the frame as it was recorded.
+    /// The background model at full resolution.
     pub fn known_whole(self) -> KnownBackground<'a> {
         KnownBackground::from(self.background)
     }
 
-    /// The same in the picture that is looked at.
+    /// The same in the image that the scene shows.
     pub fn known(self) -> KnownBackground<'a> {
         self.known_whole().reduced(self.scene.pyramid_level.factor())
     }

@@ -1,13 +1,14 @@
-//! A finger that a lamp lights from one side, before something as dark as its other half.
+//! Detection and fit of a shaded flank: a finger lit from one side, before a background as dark as
+//! its other half.
 //!
-//! What settles on such a finger settles on its lit half: only there is it of another brightness than
-//! what is beside it, and a mixture of colours that is learned there tells light from shade. But the
-//! chromaticity of a finger goes on into its shade, up to the flank: light of one colour changes the sum
-//! of the channels and not their parts in it. So once a hand has settled, the chromaticities across
-//! either flank are looked at; where they end beyond what has settled, or where they alone tell the flank,
-//! the finger is fitted once more, and followed, with that flank by chromaticity and the other by grey
-//! levels. A camera records colours at half its resolution, so that they bleed over a step of brightness
-//! into what is dark: they are asked only where grey levels show no flank.
+//! The acquisition fits the lit half of such a finger: only there does its brightness differ from
+//! its surroundings, and a mixture of colours learned there separates light from shade. The
+//! finger's chromaticity continues into the shade, up to the flank: light of one colour changes the
+//! sum of the channels, not their ratios. After the acquisition, the chromaticities across either
+//! flank are measured. Where they end beyond the fit, or where they alone show the flank, the
+//! finger is fitted again and then tracked with that flank in chromaticity and the other in grey
+//! levels. A camera records colours at half its resolution, so that they bleed over a step of
+//! brightness into dark regions: they are used only where grey levels show no flank.
 
 use super::acquire::with_thumb_of;
 use super::appearance::AppearanceModel;
@@ -25,59 +26,62 @@ use crate::geometry::template::{Limb, Part, TemplateSample};
 use crate::image::frame::{SidedPixel, chromaticity};
 use nalgebra::{Point2, Vector2, Vector3};
 
-/// The finger is looked at from the middle of its round end back over this part of the template's
-/// length, pixel by pixel or in so many places: beside the rest is the hand.
+/// The measured part of the finger: from the centre of its round end back, as a part of the
+/// template's length, in steps of a pixel and at most this number of places. Further back the hand
+/// is beside it.
 const FRONT: f64 = 0.6;
 const MOST_PLACES: f64 = 128.0;
-/// Across it, from the other flank, nearly, to this far beyond the flank \[half-widths, px\], and what is
-/// behind it over so many pixels from there on.
+/// Profile across it: from this distance inside the flank (nearly the other flank) \[half-widths\]
+/// to this distance beyond it \[half-widths, plus px\]; the pixels after that are the background
+/// \[px\].
 const INSIDE: f64 = 1.7;
 const BEYOND: f64 = 2.0;
 const BEYOND_PX: f64 = 6.0;
 const BEHIND_PX: i32 = 7;
-/// Its chromaticity is another than that of what is behind it by so many standard deviations, and it is
-/// more like the finger's before where it ends, and less after it, than this. Of 142 shaded flanks on four
-/// films, 19 of 20 have 3.7 and more, 0.9 and more, and 0.14 and less.
+/// Least separation of its chromaticity from the background's \[standard deviations\]; its likeness
+/// to the finger (1: finger, 0: background) must be above the second value before its end, and
+/// below the third after it. Of 142 shaded flanks on four films, 19 of 20 have at least 3.7, at
+/// least 0.9 and at most 0.14.
 const MIN_CHROMATIC_SEPARATION: f64 = 3.0;
 const LIKE_FINGER: f64 = 0.65;
 const LIKE_BEHIND: f64 = 0.25;
-/// The chromaticity of what goes on beyond what has settled is no farther from that of the finger than this
-/// part of how far what is behind it is: of the skin in the shade, and not of something beside it that is
-/// even less like what is behind.
+/// Upper limit of the distance in chromaticity of the region beyond the fit from the finger, as a
+/// part of that of the background from the finger: it is the skin in the shade, and not another
+/// object that differs from the background even more.
 const SAME_CHROMATICITY: f64 = 0.35;
-/// Up to so far after where it ends it bleeds \[px\].
+/// Length over which its colour bleeds beyond its end \[px\].
 const BLEEDS_PX: i32 = 3;
-/// A shaded flank is darker than this part of the lit half, and as dark as what is behind it, to within
-/// this part: there 0.33 to 0.62, and 0.08 in the median. The shaded flank of a finger before wood, which a
-/// mixture of colours shows, has 0.73.
+/// Upper limits of a shaded flank's brightness, and of its difference from the background's, as
+/// parts of the lit half's. The shaded flanks have 0.33 to 0.62, and 0.08 in the median. The shaded
+/// flank of a finger before wood, which a mixture of colours shows, has 0.73.
 const DARK: f64 = 0.65;
 const AS_DARK: f64 = 0.15;
-/// So many pixels inside of what has settled tell how bright its flank is.
+/// Number of pixels inside the fitted flank over which its brightness is measured.
 const FLANK_PX: i32 = 4;
-/// What has settled is the lit half if the finger goes on for more than this beyond it \[px,
-/// half-widths\]: colours of a finger that is all lit bleed up to 5 px or 0.7 half-widths into black.
+/// Least extension of the finger beyond the fit, if that is of the lit half \[px, half-widths\].
+/// Colours of a fully lit finger bleed up to 5 px or 0.7 half-widths into black.
 const GOES_ON_PX: f64 = 4.0;
 const GOES_ON: f64 = 0.8;
-/// How often the finger is fitted up to its shaded flank, with looks that each time are those of the last
-/// fit, and how much more freely than while it is tracked.
+/// Number of fits up to the shaded flank, each with the appearance learned from the last one; and
+/// the factor by which the prior of its dimensions is wider than in tracking.
 const ROUNDS: usize = 2;
 const SLACK: f64 = 4.0;
-/// It has to become wider by this part of what was missing.
+/// Least increase of the half-width by the fit, as a part of the extension of the finger.
 const WIDENS: f64 = 0.25;
 
 /// A flank that grey levels do not show.
 #[derive(Debug, Clone, Copy)]
 struct ShadedFlank {
     flank: Part,
-    /// How far beyond what has settled it is \[px\]; 0 if it is there.
+    /// Its distance beyond the fitted flank \[px\]; 0 if it is there.
     beyond_px: f64,
-    /// How bright it is, in parts of the lit half.
+    /// Its brightness, as a part of the lit half's.
     brightness: f64,
 }
 
 impl ContourTracker {
-    /// Fits a hand that has settled once more if its finger is lit from one side, and takes note of the
-    /// shaded flank. What is not found to be one stays as it is.
+    /// Fits an acquired hand again if its finger is lit from one side, and stores the shaded flank.
+    /// Otherwise the hand is left as it is.
     pub(super) fn find_shaded_flank(&mut self, frame: &Scene<'_>) -> Result<()> {
         let (Shape::Ribbon(x), Model::Ribbon) = (self.hand.shape, self.options.model) else {
             return Ok(());
@@ -107,8 +111,8 @@ impl ContourTracker {
         Ok(shaded.map(|(beyond_px, brightness)| ShadedFlank { flank, beyond_px, brightness }))
     }
 
-    /// What the frame shows across a flank; none without colours, or where too little lies in the frame or
-    /// chromaticities tell too little.
+    /// Profile of the frame across a flank; `None` without colours, where too little of it lies in
+    /// the frame, or where the chromaticities are not separated.
     fn flank_profile(
         &self,
         frame: &Scene<'_>,
@@ -152,7 +156,8 @@ impl ContourTracker {
         Ok(Some(flank_profile))
     }
 
-    /// Goes along the front of a flank: where it is, and its normal. What another limb hides is left out.
+    /// Calls `each` with position and normal along the front of a flank, except where another limb
+    /// hides it.
     fn outward(
         &self,
         x: &RibbonVector,
@@ -177,7 +182,8 @@ impl ContourTracker {
         Ok(())
     }
 
-    /// Fits the finger up to its shaded flank. False if there is none.
+    /// Fits the finger up to its shaded flank. False if the colours are not separated, a fit is
+    /// rejected or the finger does not widen.
     fn fit_shaded_flank(
         &mut self,
         frame: &Scene<'_>,
@@ -206,8 +212,8 @@ impl ContourTracker {
         Ok(shaded.beyond_px <= 0.0 || self.hand.shape.width() > least_px)
     }
 
-    /// Learns what is inside of the finger's outline and what is outside of it, whether there are edges or
-    /// none. False if chromaticities do not tell one from the other.
+    /// Learns the pixels inside and outside of the finger's outline, whether it has edges or not.
+    /// False if their colours are not separated.
     fn learn_about_outline(&mut self, frame: &Scene<'_>) -> Result<bool> {
         let mut outline = Vec::new();
         self.hand.outline(&self.hand.shape, &self.samples, |part, placed| {
@@ -226,7 +232,7 @@ impl ContourTracker {
     }
 }
 
-/// A finger that goes on beyond one of its flanks.
+/// A finger extended beyond one of its flanks.
 fn widened(x: &RibbonVector, shaded: &ShadedFlank) -> RibbonVector {
     let half_px = 0.5 * shaded.beyond_px;
     let lateral_px = if shaded.flank == Part::RightFlank { half_px } else { -half_px };
@@ -238,26 +244,26 @@ fn widened(x: &RibbonVector, shaded: &ShadedFlank) -> RibbonVector {
     wide
 }
 
-/// Sums over the pixels that are as far outward from a flank, or means.
+/// Sums over the pixels at one distance outward from a flank, or means.
 #[derive(Debug, Clone, Copy, Default)]
 struct ShadeMeans {
     count: f64,
     grey: f64,
     chromaticity: Vector3<f64>,
-    /// How like the finger that is, in the mixture that shows it best.
+    /// Likeness to the finger: grey level in the mixture that shows it best.
     like: f64,
 }
 
-/// What is seen across a flank, from the finger outwards, pixel by pixel.
+/// Profile across a flank, from the finger outwards, pixel by pixel.
 #[derive(Debug, Clone)]
 struct FlankProfile {
-    /// How far outward the first sums are \[px\]; negative inside.
+    /// Distance outward of the first sums \[px\]; negative inside.
     first: i32,
     sums: Vec<ShadeMeans>,
 }
 
 impl FlankProfile {
-    /// From where to where a finger of this half-width is looked at, outward from a flank \[px\].
+    /// First and last distance outward from a flank for a finger of this half-width \[px\].
     fn reach(half_width_px: f64) -> (i32, i32) {
         let beyond = (BEYOND * half_width_px + BEYOND_PX).ceil() as i32;
         (-(INSIDE * half_width_px) as i32, beyond + BEHIND_PX)
@@ -276,7 +282,7 @@ impl FlankProfile {
         }
     }
 
-    /// Means from so far outward to so far, the last not included; none where nothing was seen.
+    /// Means over distances outward from `from_px` to `to_px`, exclusive; `None` without pixels.
     fn mean(&self, from_px: i32, to_px: i32) -> Option<ShadeMeans> {
         let at = |px: i32| (px - self.first).clamp(0, self.sums.len() as i32) as usize;
         let means = self.sums.get(at(from_px)..at(to_px))?;
@@ -294,26 +300,27 @@ impl FlankProfile {
         })
     }
 
-    /// Means over the finger, and over what is behind it.
+    /// Means over the finger, and over the background.
     fn flank_levels(&self) -> Option<(ShadeMeans, ShadeMeans)> {
         let behind = self.behind();
         Some((self.mean(self.first, 0)?, self.mean(behind, behind + BEHIND_PX)?))
     }
 
-    /// Where what is behind the finger begins to be looked at \[px outward\].
+    /// Distance at which the pixels of the background begin \[px outward\].
     fn behind(&self) -> i32 {
         self.first + self.sums.len() as i32 - BEHIND_PX
     }
 
-    /// How like the finger chromaticities are from so far outward to so far: 0 is what is behind it and 1 the
-    /// finger.
+    /// Likeness to the finger of the chromaticities between two distances: 0 for the background, 1
+    /// for the finger.
     fn like(&self, from_px: i32, to_px: i32) -> Option<f64> {
         let (inside, outside) = self.flank_levels()?;
         Some((self.mean(from_px, to_px)?.like - outside.like) / (inside.like - outside.like))
     }
 
-    /// How far outward the finger ends by its chromaticity, if it does: the change point that leaves most of
-    /// what is like it before, and most of what is not after it \[px\].
+    /// Distance outward at which the finger's chromaticity ends \[px\]: the change point that best
+    /// separates likeness before from unlikeness after it; `None` if the two sides do not pass
+    /// [`LIKE_FINGER`] and [`LIKE_BEHIND`].
     fn end(&self, half_width_px: f64) -> Option<i32> {
         let middle = -half_width_px as i32;
         let (mut sum, mut best, mut end) = (0.0, f64::NEG_INFINITY, middle);
@@ -328,8 +335,8 @@ impl FlankProfile {
         ends.then_some(end)
     }
 
-    /// How far beyond the flank a shaded one is \[px\], and how bright in parts of the lit half; none if
-    /// there is none.
+    /// Distance of a shaded flank beyond the fitted one \[px\], and its brightness as a part of the
+    /// lit half's; `None` if the flank is not shaded.
     fn shaded(&self, half_width_px: f64) -> Option<(f64, f64)> {
         let end = self.end(half_width_px)?;
         let goes_on = f64::from(end) > GOES_ON_PX.max(GOES_ON * half_width_px);

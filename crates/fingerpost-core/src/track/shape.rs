@@ -1,11 +1,11 @@
-//! The shape of a hand in the image, of either model.
+//! Shape vector of a hand in the image, for either model.
 
 use super::silhouette::Silhouette;
 use crate::geometry::planar::AffineMap;
 use crate::geometry::ribbon::RibbonVector;
 use nalgebra::{Point2, Rotation2, Vector2, Vector3};
 
-/// What the contour in the image is made from.
+/// The state that generates the contour in the image.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Shape {
     Ribbon(RibbonVector),
@@ -13,7 +13,7 @@ pub(super) enum Shape {
 }
 
 impl Shape {
-    /// (c_u, c_v, θ): what both models share.
+    /// (c_u, c_v, θ), the parameters common to both models.
     pub(super) fn placement(&self) -> Vector3<f64> {
         match self {
             Self::Ribbon(x) => x.fixed_rows::<3>(0).into_owned(),
@@ -59,7 +59,7 @@ impl Shape {
         }
     }
 
-    /// Half the width of the finger, up to a factor that the template fixes.
+    /// Half-width of the finger, up to a factor that the template fixes.
     pub(super) fn width(&self) -> f64 {
         match self {
             Self::Ribbon(x) => x[3],

@@ -1,17 +1,18 @@
-//! The outline of a finger and its shaft, as far as colours are sampled along them.
+//! Outline and shaft of a finger, for the sampling of colours along them.
 
 use crate::appearance::histogram::HistogramModel;
 use crate::geometry::ribbon::RibbonVector;
 use crate::geometry::shape_space::{Axis, PlacedSample};
 use crate::image::frame::Frame;
 use nalgebra::{Point2, Vector2};
-/// What looks like the hand votes for it by this much on average.
+/// Mean log-likelihood ratio at and above which pixels are like the hand.
 pub(super) const LIKE_HAND: f64 = 1.0;
-/// An edge is a flank's if its normal points aside by this much at least.
+/// Least lateral component of the normal of a flank's edge, the sine of its angle to the finger's
+/// direction.
 const MIN_LATERAL: f64 = 0.7;
 
-/// A finger is looked at in steps along its length of this part of its half-width and at least \[px\],
-/// and in so many places across it, up to this part of the half-width from its axis.
+/// Sampling of a finger: step along its length, as a part of its half-width and at least \[px\];
+/// number of places across it, and their limit as a part of the half-width from its axis.
 const STEP_WIDTHS: f64 = 1.0 / 8.0;
 
 const LEAST_STEP_PX: f64 = 1.0;
@@ -20,26 +21,27 @@ const PLACES: usize = 5;
 
 const ACROSS: f64 = 0.6;
 
-/// What is beside a flank is looked at so far from the edge's own pixels \[half-widths\].
+/// Distances beside a flank at which its surroundings are sampled, from the end of the edge's own
+/// pixels \[half-widths\].
 const BESIDE: [f64; 3] = [0.2, 0.4, 0.6];
 
-/// What lies ahead of its tip is looked at this far \[half-widths\].
+/// Distance ahead of the tip up to which it is sampled \[half-widths\].
 pub(super) const AHEAD: f64 = 3.0;
 
-/// The edge itself, this far to either side, is of neither colour; looks are learned up to that
-/// far from it \[px\].
+/// Half the width of an edge's mixed pixels, which belong to neither side and are not learned
+/// \[px\].
 pub(super) const EDGE_PX: f64 = 2.0;
 
-/// A finger as far as its looks are concerned.
+/// Direction and width of a finger, for the learning of its appearance.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Silhouette {
-    /// Unit vector of pointing.
+    /// Unit vector of the pointing direction.
     pub ahead: Vector2<f64>,
     pub half_width_px: f64,
 }
 
 impl Silhouette {
-    /// The edge itself, this far to either side, is of neither colour \[px\].
+    /// Half the width of an edge's mixed pixels \[px\].
     pub const EDGE_PX: f64 = EDGE_PX;
 
     /// That of a band template.
@@ -47,7 +49,7 @@ impl Silhouette {
         Self { ahead: Vector2::new(x[2].cos(), x[2].sin()), half_width_px: x[3] }
     }
 
-    /// Of these edges those of its left flank and those of its right one, by where their normals point.
+    /// The edges of the left flank and those of the right one, by the directions of their normals.
     pub fn flanks<'a>(
         &self,
         edges: &'a [PlacedSample],
@@ -58,7 +60,7 @@ impl Silhouette {
     }
 }
 
-/// A finger as far as it has to show that it is of one piece, and ends.
+/// A finger's shaft, for the tests whether it is in one piece and where it ends.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Shaft {
     pub axis: Axis,
@@ -84,7 +86,7 @@ impl Shaft {
         (0..count).map(move |i| from_px + i as f64 * step_px)
     }
 
-    /// The places across it, so far ahead of its tip.
+    /// Places across it, `ahead_px` ahead of its tip.
     fn across(&self, ahead_px: f64) -> impl Iterator<Item = Point2<f64>> + use<> {
         let Self { axis, half_width_px, .. } = *self;
         let (direction, normal) = (axis.direction(), axis.normal());
@@ -94,25 +96,26 @@ impl Shaft {
         })
     }
 
-    /// The mean vote there.
+    /// Mean log-likelihood ratio there.
     pub fn log_ratio(&self, frame: &Frame<'_>, appearance: &HistogramModel, ahead_px: f64) -> f64 {
         appearance.mean_log_ratio(frame, self.across(ahead_px))
     }
 
-    /// Where what lies ahead of it is looked at.
+    /// Places ahead of its tip that are sampled.
     pub fn places_ahead(&self) -> impl Iterator<Item = Point2<f64>> {
         [self.half_width_px, self.length_px].into_iter().flat_map(|ahead_px| self.across(ahead_px))
     }
 
-    /// How far back from its tip a finger shows, on its right and on its left \[px\]: hand between its
-    /// flanks and none beside them, at most as far as it is long. Behind its knuckle is no hand, or more
-    /// of it on either side.
+    /// Length of the visible finger from its tip back, on its right and on its left \[px\]: the
+    /// hand between its flanks and not beside them, limited to its own length. Behind the knuckle
+    /// is no hand, or more hand on either side.
     pub fn shows_px(&self, frame: &Frame<'_>, appearance: &HistogramModel) -> [f64; 2] {
         [1.0, -1.0].map(|side| {
             let (mut sum, mut best, mut end_px) = (0.0, 0.0, 0.0);
             for back_px in self.steps(self.half_width_px, self.length_px) {
                 let beside = appearance.mean_log_ratio(frame, self.beside(-back_px, side));
-                // No place says more than another: what is told is how many of them are a finger's.
+                // Each place counts at most 1, so that the sum is the number of places like a
+                // finger minus the others.
                 sum += self.log_ratio(frame, appearance, -back_px).min(-beside).clamp(-1.0, 1.0);
                 if sum > best {
                     (best, end_px) = (sum, back_px);
@@ -122,7 +125,7 @@ impl Shaft {
         })
     }
 
-    /// Places beside a flank, so far ahead of the tip.
+    /// Places beside a flank, `ahead_px` ahead of the tip.
     fn beside(&self, ahead_px: f64, side: f64) -> impl Iterator<Item = Point2<f64>> + use<> {
         let Self { axis, half_width_px, .. } = *self;
         BESIDE.into_iter().map(move |out| {
@@ -131,15 +134,16 @@ impl Shaft {
         })
     }
 
-    /// The corners of where it is looked at, and beside.
+    /// Corners of the region that is sampled, on it and beside it.
     pub fn corners(&self) -> impl Iterator<Item = Point2<f64>> {
         [self.half_width_px, -self.length_px]
             .into_iter()
             .flat_map(|ahead_px| self.beside(ahead_px, 1.0).chain(self.beside(ahead_px, -1.0)))
     }
 
-    /// How far ahead of its tip the hand goes on \[px\], beyond what may lie across it: to the end of
-    /// the stretch that looks most like it, if that is as long as half the finger is wide.
+    /// Length by which the hand continues ahead of its tip \[px\], beyond an occluder across it: up
+    /// to the end of the segment with the largest sum of log-likelihood ratios; 0 if that is less
+    /// than the sum over half the finger's width of hand.
     pub fn goes_on_px(&self, frame: &Frame<'_>, appearance: &HistogramModel) -> f64 {
         let (mut sum, mut best, mut end_px) = (0.0_f64, 0.0, 0.0);
         for ahead_px in self.steps(self.half_width_px, self.length_px) {

@@ -1,39 +1,41 @@
-//! What the covariances of lines are worth, and what contours are off.
+//! Variance factor of the finger lines' covariances, and bias of the contours' lines.
 //!
-//! A covariance knows of what scatters within the picture that it is made of. What it does not know of
-//! shows where two looks at one finger are compared: if their covariances are right, the square of
-//! their difference is on average what these foretell. Where it is more, as in grey and compressed
-//! pictures and before patterned cloth, all are that much less sure, here as after any adjustment by
-//! least squares: the variance of unit weight. Less is never believed.
+//! A covariance accounts for the errors that scatter within one image. Other errors show in the
+//! comparison of two estimates of one line: if their covariances are right, the squared difference
+//! is on average the predicted variance. Where it is more, as in grey and compressed images and
+//! before patterned cloth, all covariances are scaled by the ratio, the variance of unit weight of
+//! least-squares adjustment. A factor below 1 is never applied.
 //!
-//! What stays of the differences, frame after frame, is the contour's error. Its edges lie where the
-//! picture is steepest, which on a limb in the shade is within the finger; the pixels' model has a
-//! ramp of shade. One frame's pixels know less than that, but the mean of many knows more: the contour
-//! is set right by it. Its covariance keeps counting the error, for the pixels' mean has its own. As
-//! long as the hand rests, all this is one comparison: how much of the next one is new grows with the
-//! distance that the finger has moved.
+//! The mean of the differences over frames is the contour's bias. Its edges lie at the greatest
+//! gradient, which on a limb in the shade is inside the finger; the photometric model includes a
+//! shading ramp. In one frame the pixels are less precise than this bias, but the mean over many
+//! frames is not: the contour's line is corrected by it. The contour's covariance still includes
+//! the bias, because the mean of the pixels has an error of its own. While the hand rests, all
+//! frames are one comparison: the new part of the next one grows with the distance that the finger
+//! has moved.
 
 use super::line::FingerLine;
 use super::line_filter::correlation;
 use nalgebra::{Matrix2, Point2, Vector2};
 
-/// Covariances are believed to be right, and contours in place, by so many comparisons; each fresh one
-/// changes that by one part in so many more, but at least by this.
+/// Prior weight of a variance factor of 1 and a bias of 0, in comparisons. A comparison changes
+/// them by its fresh part times 1 / (comparisons so counted), but at least by the rate below.
 const BELIEVED: f64 = 8.0;
 const LEAST_RATE: f64 = 0.05;
-/// The more so the more the lines differ, but no more than they do in one case of a hundred by chance:
-/// χ² of one degree of freedom.
+/// 99 % quantile of χ² with 1 degree of freedom: a difference is limited to it, in units of the
+/// estimated variance.
 const CHI2_1DOF_99: f64 = 6.635;
 
-/// What contours and pixels of a hand have told of each other: in offset and in angle.
+/// Statistics of the difference between the pixels' and the contour's line of a hand, in offset and
+/// in angle.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct VarianceFactor {
-    /// Mean of how far the pixels' line is from the contour's (px, rad).
+    /// Mean difference of the pixels' line from the contour's (px, rad).
     bias: Vector2<f64>,
-    /// Mean square of that, in parts of the variances foretold.
+    /// Mean square of it, in units of the predicted variances.
     square: Vector2<f64>,
     comparisons: f64,
-    /// Where the contour was at the last one.
+    /// Position of the contour at the last comparison.
     place: Option<Point2<f64>>,
 }
 
@@ -49,7 +51,8 @@ impl Default for VarianceFactor {
 }
 
 impl VarianceFactor {
-    /// Takes over how far the pixels' line is from the contour's, of a finger of some half-width.
+    /// Learns from the difference of the pixels' line from the contour's; `half_width_px` is the
+    /// finger's.
     pub fn learn(&mut self, contour: &FingerLine, pixels: &FingerLine, half_width_px: f64) {
         let place = contour.axis.anchor;
         let gone = self.place.map_or(0.0, |last| (place - last).norm() / half_width_px);
@@ -58,7 +61,7 @@ impl VarianceFactor {
         self.count(&difference, &expected, 1.0 - correlation(gone));
     }
 
-    /// Takes over a difference beside the covariance of that, fresh in part, 0–1.
+    /// Learns from a difference with its covariance and its new part, 0–1.
     fn count(&mut self, difference: &Vector2<f64>, expected: &Matrix2<f64>, freshness: f64) {
         self.comparisons += freshness;
         let rate = freshness * (1.0 / self.comparisons).max(LEAST_RATE);
@@ -71,12 +74,13 @@ impl VarianceFactor {
         }
     }
 
-    /// The line of a contour, where the pixels of all frames have it, and as sure as such lines are.
+    /// The line of a contour, corrected by the mean difference of the pixels' lines, with its
+    /// covariance scaled.
     pub fn bias_corrected(&self, contour: FingerLine) -> FingerLine {
         self.scaled(contour.moved(&self.bias))
     }
 
-    /// A line as sure as those of its kind.
+    /// A line with its covariance scaled by the variance factor of offset and angle.
     pub fn scaled(&self, line: FingerLine) -> FingerLine {
         let sigmas = self.square.map(|square| square.max(1.0).sqrt());
         let scaled = line.covariance.component_mul(&(sigmas * sigmas.transpose()));
@@ -84,7 +88,7 @@ impl VarianceFactor {
     }
 }
 
-// What it is learned from is made by the tracker; here it is written down.
+// The differences it learns from are made by the tracker; here they are written down.
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -104,7 +108,8 @@ mod tests {
         }
     }
 
-    /// After so many comparisons, whose differences are these in the standard deviations foretold.
+    /// State after `count` comparisons with these differences, in units of the predicted standard
+    /// deviations.
     fn learned(count: usize, difference: impl Fn(usize) -> [f64; 2]) -> VarianceFactor {
         let sigmas = Vector2::from(SIGMAS);
         let expected = Matrix2::from_diagonal(&sigmas.component_mul(&sigmas));
@@ -158,7 +163,7 @@ mod tests {
         let moved = line().difference(&bias_corrected.axis);
         assert!((moved.x / SIGMAS[0] - 2.0).abs() < 0.1, "{moved}");
         assert!((moved.y / SIGMAS[1] + 1.0).abs() < 0.1, "{moved}");
-        // 2² + 1² in parts of what is foretold.
+        // 2² + 1² in units of the predicted variance.
         let variance = bias_corrected.covariance[(0, 0)] / line().covariance[(0, 0)];
         assert!((variance - 5.0).abs() < 0.3, "{variance}");
         assert_eq!(bias_corrected.covariance, variance_factor.scaled(line()).covariance);

@@ -1,9 +1,9 @@
-//! One frame of every view of a rig in one call.
+//! Update of every view of a rig by one frame each, in one call.
 //!
-//! Views share nothing, so they can be updated side by side, in threads; the tracks are the same to
-//! the bit. A thread costs some tens of microseconds to start and to wait for, and more where the
-//! processor has other work. That is little for a view that looks for its hand, which takes
-//! milliseconds, and about what is gained for one that follows it.
+//! Views share no state, so they can be updated in parallel threads; the tracks are identical to
+//! the bit. Starting and joining a thread costs some tens of microseconds, and more if the
+//! processor is busy. That is little for a view that searches for its hand, which takes
+//! milliseconds, and about as much as a thread saves for a view that tracks one.
 
 use crate::Result;
 use crate::appearance::background::Background;
@@ -11,34 +11,34 @@ use crate::image::frame::Frame;
 use crate::track::{ContourTracker, Status, Track};
 use std::thread;
 
-/// One view's share of the work: its tracker and its newest frame.
+/// One view's update: its tracker and its newest frame.
 #[derive(Debug)]
 pub struct ViewUpdate<'a> {
-    /// Follows the hand in this view.
+    /// The tracker of this view.
     pub tracker: &'a mut ContourTracker,
-    /// What the view sees.
+    /// The view's frame.
     pub frame: Frame<'a>,
-    /// What is behind the hand, if that is known; it has looked at the frame.
+    /// The view's background model, if it is known; it must have looked at the frame.
     pub background: Option<&'a Background>,
-    /// When the frame was captured \[s\].
+    /// Time of capture \[s\].
     pub time_s: f64,
 }
 
-/// Who updates the views.
+/// Distribution of the updates over threads.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Schedule {
-    /// The calling thread those that follow a hand, threads of their own the others.
+    /// Views that track a hand in the calling thread, each of the others in a thread of its own.
     #[default]
     ByNeed,
-    /// The calling thread, one view after the other.
+    /// All views in the calling thread, one after the other.
     InTurn,
     /// A thread for each view.
     SideBySide,
 }
 
-/// Updates the tracker of every view, and tells what each made of its frame, in their order: the
-/// error of one view ([`ContourTracker::update_before`] names them) costs no other view its track.
-/// Where the system starts no more threads, the calling one does the work.
+/// Updates the tracker of every view and returns the tracks in the order of the views. An error of
+/// one view ([`ContourTracker::update_before`] lists them) leaves the others' tracks intact. If the
+/// system starts no more threads, the calling one does the work.
 ///
 /// ```
 /// use fingerpost_core::nalgebra::Point2;
@@ -70,7 +70,7 @@ pub fn update_views(updates: Vec<ViewUpdate<'_>>, schedule: Schedule) -> Vec<Res
     }
     thread::scope(|scope| {
         for share in apart {
-            // A share that gets no thread is as it was, and is finished below.
+            // An update without a thread is unchanged, and is done below.
             let _ = thread::Builder::new().spawn_scoped(scope, || share.finish());
         }
         here.into_iter().for_each(Share::finish);
@@ -79,7 +79,7 @@ pub fn update_views(updates: Vec<ViewUpdate<'_>>, schedule: Schedule) -> Vec<Res
     shares.into_iter().filter_map(|share| share.track).collect()
 }
 
-/// A view's share: to be done, or done.
+/// One view's update, pending or done.
 struct Share<'a> {
     update: Option<ViewUpdate<'a>>,
     track: Option<Result<Track>>,
@@ -90,7 +90,7 @@ impl<'a> Share<'a> {
         Self { update: Some(update), track: None }
     }
 
-    /// Whether a thread of its own is worth it.
+    /// Whether a thread of its own saves time.
     fn goes_apart(&self, schedule: Schedule) -> bool {
         match schedule {
             Schedule::InTurn => false,

@@ -1,4 +1,5 @@
-//! How the light and the camera have changed since the background was learned.
+//! Estimation of the change of light and of the camera's displacement since the background was
+//! learned.
 
 use super::options::Light;
 use super::visit::CELL_PX;
@@ -7,41 +8,44 @@ use crate::image::frame::Frame;
 use nalgebra::Matrix2;
 use nalgebra::Vector2;
 
-/// Levels beyond these are clipped or lost in noise, and tell nothing of the light.
+/// Range of usable levels: beyond it they are clipped or lost in noise.
 const DARKEST: f32 = 8.0;
 const BRIGHTEST: f32 = 247.0;
-/// A light that leaves less, or gives more, than this is no change of light.
+/// Range of plausible gains.
 const GAINS: std::ops::RangeInclusive<f64> = 0.1..=8.0;
-/// Fits of the light, each with weights from the last, at most; none after one that has moved it by
-/// less than this part of a grey level.
+/// Largest number of iterations of the light's fit; they stop after a change by less than this
+/// \[grey levels\].
 const LIGHT_FITS: usize = 4;
 const LIGHT_SETTLED_GREY: f64 = 0.02;
-/// Tukey's constant, times the factor from a median absolute deviation to a standard deviation.
+/// Tukey's constant, times the ratio of standard deviation to median absolute deviation.
 const TUKEY_MAD: f32 = 4.685 * 1.4826;
-/// The camera has moved when the change lasts this many frames: a flash does not.
+/// Consecutive frames of change after which the camera counts as moved: longer than a flash.
 const MOVED_FRAMES: usize = 3;
-/// A pixel shows that the camera moves where the background changes by this much over four pixels
-/// \[grey levels\].
+/// Least change of the background over four pixels, around a pixel that shows a motion of the
+/// camera \[grey levels\].
 const TELLING_GREY: f32 = 12.0;
-/// Fewer of them than this tell nothing, and all pixels have to.
+/// Least number of such pixels; with fewer, all pixels are used.
 const TELLING_LEAST: usize = 60;
-/// Pixels whose background is steeper than this tell how far it has shifted \[grey levels / px\],
+/// Least gradient of the background at the pixels used to measure the displacement
+/// \[grey levels / px\].
 const STEEP_GREY_PX: f64 = 4.0;
-/// as long as that explains what they show, to within this \[px\].
+/// Largest displacement that a residual may correspond to, apart from noise; larger residuals are
+/// outliers \[px\].
 const FARTHEST_SHIFT_PX: f64 = 1.0;
-/// Fits of the shift, each with weights from the last, at most; none after one that has moved it by
-/// less than this \[px\].
+/// Largest number of iterations of the displacement's fit; they stop after a change by less than
+/// this \[px\].
 const SHIFT_FITS: usize = 3;
 const SHIFT_SETTLED_PX: f64 = 1e-3;
-/// A direction in which the shift is known no better than this tells nothing \[px\]: along edges
-/// that all run one way, as those of boards and stripes, what is fitted is the noise.
+/// Largest standard deviation of the displacement in a direction that counts as determined \[px\]:
+/// along edges of one direction, as of boards and stripes, the fit is only noise.
 const DETERMINED_PX: f64 = 0.04;
-/// and is learned anew if it has for so many frames: the camera will not come back.
+/// Consecutive frames of a displacement beyond [`EXACT_PX`] after which the background is learned
+/// anew: the camera will not return.
 const BUMPED_FRAMES: usize = 30;
 
 impl Background {
-    /// Fits gain and offset: the median ratio first, which half of the pixels may contradict, then
-    /// least squares with Tukey's weights.
+    /// Fits gain and offset: first the median ratio, which tolerates outliers in half of the
+    /// pixels, then least squares with Tukey's weights.
     pub(super) fn estimate_light(&mut self, frame: &Frame<'_>) {
         let Some(size) = self.size else { return };
         self.pairs.clear();
@@ -80,14 +84,14 @@ impl Background {
         }
         if GAINS.contains(&light.gain) {
             self.light = light;
-            // What one pixel's noise does not explain is light that changes from place to place, or
-            // a camera that moves, which must not hide behind it.
+            // A residual beyond the noise of a pixel is light that varies over the image, or a
+            // motion of the camera, which the limit keeps visible.
             let noise = (self.options.noise_grey * light.gain.max(1.0)) as f32;
             self.light_sigma = (sigma - noise).clamp(0.0, noise);
         }
     }
 
-    /// Counts what has changed on the grid, and starts anew when the camera has moved.
+    /// Measures the part of changed pixels on the grid, and starts anew when the camera has moved.
     pub(super) fn notice_motion(&mut self, frame: &Frame<'_>) {
         let Some(size) = self.size else { return };
         if self.frames == 0 {
@@ -132,7 +136,7 @@ impl Background {
         }
     }
 
-    /// Starts anew when the camera has been elsewhere for long.
+    /// Starts anew after a lasting displacement of the camera.
     pub(super) fn notice_bump(&mut self) {
         let bumped = self.shift_px.is_some_and(|shift| shift.norm() > EXACT_PX);
         self.bumped_frames = if bumped { self.bumped_frames + 1 } else { 0 };
@@ -145,8 +149,8 @@ impl Background {
         }
     }
 
-    /// Fits the shift that explains best what the frame shows at the background's edges:
-    /// now = gain · B + offset − ∇(gain · B) · shift, with Tukey's weights.
+    /// Fits the displacement that best explains the frame at the background's edges, now = gain · B
+    /// + offset − ∇(gain · B) · shift, with Tukey's weights.
     pub(super) fn measure_shift(&mut self, frame: &Frame<'_>) {
         self.shift_px = None;
         let Some((width, height)) = self.size else { return };
@@ -191,8 +195,9 @@ impl Background {
     }
 }
 
-/// Least squares with Tukey's weights about the last residuals; the offset counts only where the
-/// levels differ enough to tell it from the gain. `None` without inliers.
+/// Least squares with Tukey's weights about the last residuals. The offset is estimated only where
+/// the levels vary enough to separate it from the gain. `None` if less than a tenth of the weight
+/// is left.
 fn fit_light(
     pairs: &[(f32, f32)],
     scale: f32,
@@ -222,12 +227,11 @@ fn fit_light(
     Some(Light { gain: wbi / wbb, offset_grey: 0.0 })
 }
 
-/// Gain and offset are told apart where the levels have at least this standard deviation \[grey
-/// levels\].
+/// Least standard deviation of the levels at which gain and offset are separable \[grey levels\].
 const LEVELS_SPREAD: f64 = 20.0;
 
-/// The inverse of an information matrix in those directions of which it holds at least so much, and 0
-/// in the others; `None` if there is no such direction.
+/// Inverse of an information matrix in the directions in which its eigenvalue exceeds `least`, and
+/// 0 in the others; `None` without such a direction.
 fn inverse_where_determined(information: &Matrix2<f64>, least: f64) -> Option<Matrix2<f64>> {
     let eigen = information.symmetric_eigen();
     let changed_telling = |k: usize| eigen.eigenvalues[k] > least.max(f64::MIN_POSITIVE);
@@ -242,7 +246,7 @@ fn inverse_where_determined(information: &Matrix2<f64>, least: f64) -> Option<Ma
     }
 }
 
-/// The median of values that may be reordered; 0 of none.
+/// The median of values, which are reordered; 0 for none.
 fn median(values: &mut [f32]) -> f32 {
     let middle = values.len() / 2;
     if values.is_empty() {

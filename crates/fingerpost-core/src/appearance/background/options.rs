@@ -1,28 +1,28 @@
-//! How a background is learned, and what is left out of it.
+//! Options of the background model, and regions excluded from it.
 
 use crate::{Error, Result};
 use nalgebra::Point2;
 use nalgebra::Vector2;
 use std::ops::Range;
 
-/// How a background is learned, and what counts as a change.
+/// Options of the learning of a background and of the detection of changes.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct BackgroundOptions {
-    /// Visits that a level must have lasted before its pixel is known, 1–200. While the background
-    /// is new every frame visits every pixel.
+    /// Number of observations of a level from which its pixel is known, 1–200. While the background
+    /// is new, every frame observes every pixel.
     pub learn_frames: usize,
-    /// Part by which the running mean and variance take over a visit that agrees, 0.001–1.
+    /// Learning rate of the running mean and variance for an observation that agrees, 0.001–1.
     pub rate: f64,
-    /// Frames for which something new has to stay until it is background, 4–1000.
+    /// Number of frames after which a new object becomes background, 4–1000.
     pub absorb_frames: usize,
     /// Least standard deviation of a pixel about its level \[grey levels\], 0.1–64.
     pub noise_grey: f64,
-    /// A pixel this many of its standard deviations away from its level has changed, 1–20.
+    /// Difference from its level, in standard deviations, beyond which a pixel has changed, 1–20.
     pub changed_sigmas: f64,
-    /// Light that the deepest shadow leaves, 0–1; 1 where there are none.
+    /// Ratio of brightness in the deepest shadow, 0–1; 1 if there are no shadows.
     pub shadow_light: f64,
-    /// The background is void when more than this part of the pixels that show it have changed,
-    /// 0–1.
+    /// Part of the pixels that would show a motion of the camera above which the background is
+    /// discarded, if they have changed, 0–1.
     pub void_share: f64,
 }
 
@@ -66,13 +66,13 @@ impl BackgroundOptions {
     }
 }
 
-/// A part of the image that must not become background: everything within `radius_px` of the
-/// segment from `from` to `to`, such as a hand behind its finger.
+/// A region that must not become background: all points within `radius_px` of the segment from
+/// `from` to `to`, such as a hand behind its finger.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct KeepOut {
     /// One end of the segment \[px\].
     pub from: Point2<f64>,
-    /// The other \[px\].
+    /// The other end \[px\].
     pub to: Point2<f64>,
     /// Radius \[px\], positive.
     pub radius_px: f64,
@@ -118,8 +118,8 @@ impl KeepOut {
     }
 }
 
-/// How the light of a frame differs from that in which the background was learned: a pixel of level
-/// B there shows gain · B + offset now.
+/// Light of a frame relative to that in which the background was learned: a pixel of level B there
+/// has the level gain · B + offset in the frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Light {
     /// Gain, positive.

@@ -1,4 +1,4 @@
-//! What a visit of a pixel teaches, side by side for many pixels of a row.
+//! Update of the background by an observation of its pixels, in parallel for many pixels of a row.
 
 #![expect(
     clippy::inline_always,
@@ -9,19 +9,19 @@ use crate::numeric::simd::Work;
 /// Pixels from one cell of the foreground map to the next.
 pub const CELL_PX: usize = 2;
 
-/// The constants of a frame's visits.
+/// The constants of a frame's update.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Learning {
     /// One over the gain of the frame's light, and its offset.
     pub per_gain: f32,
     pub offset_grey: f32,
-    /// Least part that a visit takes over.
+    /// Least learning rate.
     pub rate: f32,
     /// Least variance \[grey levels²\].
     pub noise2: f32,
-    /// A level that is farther off than this many standard deviations, squared, has changed.
+    /// Squared number of standard deviations beyond which a level has changed.
     pub sigmas2: f32,
-    /// Most visits that are counted.
+    /// Upper limit of the count of observations.
     pub most_seen: u8,
 }
 
@@ -33,21 +33,21 @@ impl Learning {
     }
 }
 
-/// One visit of every pixel of a part of a row, and of the cells of colour in it.
+/// One observation of every pixel of a part of a row, and of its cells of colour.
 pub(super) struct Visits<'a> {
     pub learning: Learning,
     pub level: &'a mut [f32],
     pub variance: &'a mut [f32],
     pub seen: &'a mut [u8],
     pub now: &'a [u8],
-    /// The first pixel that begins a cell. Its cell and those that follow, and the channels of the
-    /// pixels from there on; empty in a row without colours.
+    /// The first pixel that begins a cell; that cell and the following ones; and the channels of
+    /// the pixels from there on. Empty in a row without colours.
     pub first: usize,
     pub colour: &'a mut [[f32; 3]],
     pub now_in_colour: &'a [u8],
 }
 
-/// Pixels that are visited at once: whole cells.
+/// Pixels processed at once: whole cells.
 const AT_ONCE: usize = 64;
 
 impl Work for Visits<'_> {
@@ -59,18 +59,17 @@ impl Work for Visits<'_> {
         let levels = level.chunks_mut(AT_ONCE).zip(variance.chunks_mut(AT_ONCE));
         let shown = seen.chunks_mut(AT_ONCE).zip(now.chunks(AT_ONCE));
         for ((level, variance), (seen, now)) in levels.zip(shown) {
-            // The part of its change that every pixel takes over: none if it disagrees.
+            // Learning rate of every pixel: 0 if it disagrees.
             let mut parts = [0.0; AT_ONCE];
             let pixels = level.iter_mut().zip(variance).zip(seen).zip(now).zip(&mut parts);
             for ((((level, variance), seen), now), taken) in pixels {
-                // Without branches, by factors that are 0 or 1: what does not count is worked out as
-                // well.
+                // Without branches, by factors that are 0 or 1: both alternatives are computed.
                 let change = learning.in_its_light(*now) - *level;
                 let known = if *variance > noise2 { *variance } else { noise2 };
                 let starts = u8::from(*seen == 0);
                 let learns = starts | u8::from(change * change <= sigmas2 * known);
                 let (begun, learned) = (f32::from(starts), f32::from(learns));
-                // All of it at the first level of a pixel, or another one that has outlasted it.
+                // Rate 1 at the first level of a pixel, or at the level that replaces it.
                 let mean = 1.0 / (1.0 + f32::from(*seen));
                 let part = learned * if mean > rate { mean } else { rate };
                 *taken = part;

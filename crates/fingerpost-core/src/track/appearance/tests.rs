@@ -1,4 +1,4 @@
-//! What is taught is private to the tracker, and what it must agree with is what was painted.
+//! The model is private to the tracker; the truth is the painted image.
 
 use super::super::convergence::UNSEEN_FRAMES;
 use super::*;
@@ -7,19 +7,19 @@ use crate::image::gray::GrayView;
 use nalgebra::{Point2, Vector2};
 
 const SIDE: usize = 80;
-/// The hand ends here, before paper above and before something else below \[px\].
+/// The hand ends here \[px\], before paper above and before something else below.
 const EDGE: f64 = 40.0;
 const SKIN: [f64; 3] = [124.0, 139.0, 175.0];
 const PAPER: [f64; 3] = [191.0, 184.0, 178.0];
 const WOOD: [f64; 3] = [104.0, 124.0, 141.0];
 const BLUE: [f64; 3] = [170.0, 90.0, 60.0];
 
-/// For how long the paper was seen, and how long that is remembered.
+/// Number of frames before paper, and the forgetting of them.
 const SEEN_FRAMES: usize = 30;
 const KEEP: f64 = 0.8;
 
-/// Looks of a hand that was seen before paper for long, after a frame in which its lower half shows
-/// no edge: what that half is of, and what is behind it.
+/// Model of a hand that was long before paper, after a frame in which its lower half shows no edge,
+/// with the colours of that half and of its background.
 fn taught(inside: [f64; 3], behind: [f64; 3]) -> [AppearanceModel; 2] {
     let colour_at = |i: usize| {
         let (x, y) = (i % SIDE, i / SIDE);
@@ -30,7 +30,7 @@ fn taught(inside: [f64; 3], behind: [f64; 3]) -> [AppearanceModel; 2] {
             (false, false) => PAPER,
             (false, true) => behind,
         };
-        // Shades are many, and noise is of every channel's own.
+        // Shades vary, and the noise of each channel is independent.
         let shade = 1.0 - 0.03 * ((3 * x + 7 * y) % 11) as f64;
         let noise = |k: usize| ((5 * x + 3 * y + 4 * k * (x + 1)) % 7) as f64 - 3.0;
         [0, 1, 2].map(|k| (shade * colour[k] + noise(k)) as u8)
@@ -59,7 +59,7 @@ fn taught(inside: [f64; 3], behind: [f64; 3]) -> [AppearanceModel; 2] {
     [before, after]
 }
 
-/// How much brighter skin is than wood as a mixture shows them \[grey levels\].
+/// Difference of brightness between skin and wood in the mixture \[grey levels\].
 fn contrast(appearance: &AppearanceModel) -> f64 {
     let colours = [SKIN, WOOD].map(|colour| colour.map(|c| c as u8));
     let gray = GrayView::new(&[0; 2], 2, 1, 2).unwrap();
@@ -75,7 +75,7 @@ fn contrast(appearance: &AppearanceModel) -> f64 {
 #[test]
 fn what_is_behind_a_hand_is_learned_where_no_edge_shows_it() {
     let [before, after] = taught(SKIN, WOOD);
-    // Half of the least contrast of a hand is that of an edge that counts.
+    // The threshold of an edge is half of the least contrast of a hand.
     assert!(contrast(&before) < 9.0, "{}", contrast(&before));
     assert!(contrast(&after) >= 17.0, "{}", contrast(&after));
     assert!(after.plain.separation() > 2.0);

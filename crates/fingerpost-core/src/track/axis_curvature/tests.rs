@@ -1,4 +1,4 @@
-//! What it learns from is made by the refinement; here it is written down.
+//! The reports it learns from are made by the refinement; here they are written down.
 
 use super::*;
 use crate::track::LineSource;
@@ -81,7 +81,7 @@ fn of_a_finger_that_hardly_shows_the_bend_takes_the_line_only_part_of_the_way_to
     }
 }
 
-/// How much of what a faint flank may do one of such a contrast does, whose pixels scatter so much.
+/// Weight of the bias of a faint flank with this contrast and this scatter of its pixels.
 fn faintness(contrast_grey: f64, residual_grey: f64, is_coloured: bool) -> f64 {
     let observed = refined(0.0, 0.3, Source::Photometric);
     let contrast_grey = [-1e9, contrast_grey];
@@ -122,8 +122,8 @@ fn pixels_that_are_no_fingers_tell_nothing() {
     assert!(axis_curvature.bend_bias().abs() < 1e-12);
 }
 
-/// Middle \[px from the medial line's vertex, towards the tip\] and slope of the line of least
-/// squares over a stretch of y = κ x² / 2.
+/// Middle \[px from the medial line's vertex, towards the tip\] and slope of the least-squares line
+/// over a segment of y = κ x² / 2.
 fn least_squares(curvature: f64, middle_px: f64, half_px: f64) -> [f64; 2] {
     let (mut sums, count) = ([0.0; 3], 2001);
     for k in 0..count {
@@ -134,7 +134,7 @@ fn least_squares(curvature: f64, middle_px: f64, half_px: f64) -> [f64; 2] {
     [sums[0] / f64::from(count), sums[1] / (sums[2] * half_px)]
 }
 
-/// The finger line of a stretch from `far_px` to `near_px` behind the tip at (200, 0), of a finger
+/// The finger line of a segment from `far_px` to `near_px` behind the tip at (200, 0), of a finger
 /// that points along +u and has the vertex of its bend at the tip.
 fn line_over(curvature: f64, far_px: f64, near_px: f64) -> FingerLine {
     let (middle_px, half_px) = (-0.5 * (far_px + near_px), 0.5 * (far_px - near_px));
@@ -178,7 +178,7 @@ fn a_line_cuts_the_finger_where_its_stretch_says() {
     let (curvature, half_width_px) = (5e-4, 7.0);
     let bend_px = curvature * HALF_PX * HALF_PX / 3.0;
     let line = line_over(curvature, 66.0, 3.0);
-    // However far it is taken: all of the way, or part of it for a bend that may be noise or shade.
+    // Moved all of the way, or part of it for a bend that may be noise or shade.
     for (sigma_px, faintest) in [(0.0, 1e9), (0.0, 1.0), (0.7 * bend_px, 1e9), (9.0, 1e9)] {
         let observed = refined(bend_px, sigma_px, Source::Photometric);
         let contrast_grey = [1e9, faintest * HALF_OWN * RESIDUAL_GREY];
@@ -189,21 +189,21 @@ fn a_line_cuts_the_finger_where_its_stretch_says() {
         let cut_px = at_front.stretch.length_px() / 12.0_f64.sqrt();
         for along_px in [-1.0, 1.0].map(|s| at_front.stretch.middle_px() + s * cut_px) {
             let Point2 { coords, .. } = at_front.axis.anchor + at_front.axis.direction() * along_px;
-            // The vertex of its bend is the tip.
+            // The vertex of the bend is the tip.
             let medial = 0.5 * curvature * (coords.x - 200.0).powi(2);
             assert!((coords.y - medial).abs() < 3e-4, "{sigma_px} {faintest}: {coords}");
         }
     }
-    // One that nothing is known of is told for what it was measured on.
+    // Without a known bend, the line is reported for the segment it was measured on.
     let at_front = AxisCurvature::default().at_front(line, None, &from_its_side(half_width_px));
     assert!((at_front.stretch.length_px() - 63.0).abs() < 1e-9, "{:?}", at_front.stretch);
     assert!(at_front.stretch.middle_px().abs() < 1e-9, "{:?}", at_front.stretch);
 }
 
-/// What is known after a look at a finger whose bend turns its line so much towards the front, in a
-/// picture with colours or without, and the look.
+/// The state after one measurement of a finger whose bend turns its line by `turn_rad` from the
+/// whole to the front, in an image with colours or without, and the measurement.
 fn bent(turn_rad: f64, sigma_px: f64, is_coloured: bool) -> (AxisCurvature, Refined) {
-    // A stretch 60 px long is 20.8 px longer than the front of a finger of 7 px.
+    // A segment of 60 px is 20.8 px longer than the front of a finger with a half-width of 7 px.
     let curvature = turn_rad / (0.5 * (2.0 * HALF_PX - 5.6 * 7.0));
     let observed = refined(curvature * HALF_PX * HALF_PX / 3.0, sigma_px, Source::Photometric);
     let mut axis_curvature = AxisCurvature::default();
@@ -218,11 +218,11 @@ fn the_front_of_a_finger_is_looked_at_where_its_bend_is_more_than_noise() {
     };
     assert_eq!(refined(&bent(0.01, 0.0, true)), Some(5.6 * 7.0));
     assert_eq!(refined(&bent(-0.01, 0.0, true)), Some(5.6 * 7.0));
-    // Of no bend, of one of a shade, and of one that may be noise, there is nothing to be had.
+    // No measurement for a bend of 0, one that may be shade, or one that may be noise.
     assert_eq!(refined(&bent(0.001, 0.0, true)), None);
     assert_eq!(refined(&bent(0.01, 0.0, false)), None);
     assert_eq!(refined(&bent(0.01, 1.0, true)), None);
-    // Nor where the short stretch would err by more, or there is nothing behind it.
+    // Nor where the short segment is less precise, or nothing lies behind it.
     let (axis_curvature, observed) = bent(0.01, 0.0, true);
     let noisy = Refined { covariance: Matrix2::identity() * 0.02_f64.powi(2), ..observed };
     assert_eq!(axis_curvature.front_to_measure(&noisy, &from_its_side(7.0)), None);
@@ -234,7 +234,7 @@ fn what_the_front_alone_tells_takes_the_place_of_the_bend() {
     let (mut axis_curvature, _) = bent(0.01, 0.0, true);
     let half_width_px = 7.0;
     let (far_px, near_px) = (FRONT.far * half_width_px, FRONT.near * half_width_px);
-    // A knuckle turns the line of the whole, and not that of the front: no parabola does so.
+    // A knuckle turns the line of the whole, not that of the front: no parabola does so.
     let whole = line_over(0.0, 66.0, near_px).moved(&Vector2::new(0.7, 0.05));
     let straight = line_over(0.0, far_px, near_px);
     let front = FrontLine::beside(&straight, &whole);
@@ -246,7 +246,7 @@ fn what_the_front_alone_tells_takes_the_place_of_the_bend() {
         "{:?}",
         at_front.stretch
     );
-    // It is as unsure as both.
+    // Its covariance is the sum of both.
     let beside = straight.expressed_beside(&whole).covariance;
     assert!((at_front.covariance - whole.covariance - beside).norm() < 1e-6 * beside.norm());
 }
@@ -255,7 +255,7 @@ fn what_the_front_alone_tells_takes_the_place_of_the_bend() {
 fn a_finger_of_no_length_has_the_tangent_of_its_bend() {
     let mut axis_curvature = AxisCurvature::default();
     axis_curvature.learn(&refined(0.6, 0.0, Source::Photometric), true);
-    // So foreshortened, its front ends before it begins.
+    // At this foreshortening the front ends before it begins.
     let seen = FingerScale { half_width_px: 7.0, foreshortening: 0.01 };
     let at_front = axis_curvature.at_front(line_over(2e-3, 66.0, 3.0), None, &seen);
     assert!((at_front.stretch.length_px() - 2.0).abs() < 1e-9, "{:?}", at_front.stretch);
@@ -268,12 +268,12 @@ fn a_short_stretch_is_not_stretched_to_a_long_one() {
     axis_curvature
         .learn(&refined(curvature * HALF_PX * HALF_PX / 3.0, 0.0, Source::Photometric), true);
     let near_px = FRONT.near * half_width_px;
-    // What is always seen of this hand is what its line is told for.
+    // A segment that is always visible of this hand is the one the line is reported for.
     let short = line_over(curvature, 30.0, near_px);
     let difference =
         axis_curvature.at_front(short, None, &from_its_side(half_width_px)).difference(&short.axis);
     assert!(difference.norm() < 1e-12, "{difference}");
-    // Seen less of for once, its line is moved by a part of that.
+    // In a frame that shows less, the line is moved by a part of that.
     let shorter = line_over(curvature, 12.0, near_px);
     let turn = axis_curvature
         .at_front(shorter, None, &from_its_side(half_width_px))

@@ -1,4 +1,4 @@
-//! What is steadied is private to the crate, and what it must agree with is where it was painted.
+//! The filter is private to the crate; the truth is the painted pose.
 
 use super::*;
 use crate::axis::{Painted, Stretch};
@@ -6,7 +6,7 @@ use crate::track::LineSource;
 
 const SHOWN: BandDimensions = BandDimensions { half_width_px: 8.0, taper: 0.0, length_px: 60.0 };
 
-/// A line that is off by so much, and told with a covariance.
+/// A line with the error `off` and the standard deviations `sigmas`.
 fn line(painted: &Painted, off: [f64; 2], sigmas: [f64; 2]) -> FingerLine {
     let axis = painted.axis();
     let anchor = axis.anchor + axis.normal() * off[0];
@@ -27,13 +27,13 @@ fn painted(k: usize, step_px: f64, texture: f64) -> Painted {
     Painted { texture, stripes_px, noise: 2.0, seed: 7 + k as u64, ..Painted::at(tip, angle_rad) }
 }
 
-/// Errors of as many frames that change from frame to frame, about (0.15 px, 0.01 rad).
+/// Error of frame `k`, different in every frame, with RMS about (0.15 px, 0.01 rad).
 fn error(k: usize) -> [f64; 2] {
     let k = k as f64;
     [0.2 * (2.3 * k).sin(), 0.014 * (2.9 * k + 1.0).sin()]
 }
 
-/// The error of angle and what is told of it in a frame.
+/// Error of the angle and its reported standard deviation in frame `k`.
 fn follow(
     line_filter: &mut LineFilter,
     k: usize,
@@ -46,7 +46,7 @@ fn follow(
     [filtered.axis.angle_rad - painted.angle_rad, filtered.covariance[(1, 1)].sqrt()]
 }
 
-/// The same of as many frames.
+/// The same for `frames` frames.
 fn followed(frames: usize, step_px: f64, texture: f64, sigmas: [f64; 2]) -> Vec<[f64; 2]> {
     let mut line_filter = LineFilter::new();
     let off = |k| if step_px > 0.0 { error(k) } else { error(0) };
@@ -66,7 +66,7 @@ fn the_lines_of_a_moving_finger_are_told_together() {
     let alone = rms((20..60).map(|k| error(k)[1]));
     let combined = rms(filtered[20..].iter().map(|t| t[0]));
     assert!(combined < 0.5 * alone, "{combined} of {alone}");
-    // And they are told to be as sure as they are.
+    // The reported standard deviation agrees with the error.
     let sigma = rms(filtered[20..].iter().map(|t| t[1]));
     assert!(combined < 1.3 * sigma && sigma < 0.6 * 0.01, "{combined} {sigma}");
 }
@@ -91,7 +91,7 @@ fn what_is_new_in_every_frame_of_a_resting_finger_is_averaged_away() {
     let alone = rms((20..40).map(|k| own(k)[1]));
     let combined = rms(filtered[20..].iter().map(|t| t[0] - common[1]));
     assert!(combined < 0.3 * alone, "{combined} of {alone}");
-    // It is honest about what is left.
+    // The reported standard deviation agrees with the remaining error.
     let (error, sigma) = (rms(filtered[20..].iter().map(|t| t[0])), filtered[39][1]);
     assert!((0.5..1.3).contains(&(error / sigma)), "{error} {sigma}");
 }
@@ -102,7 +102,7 @@ fn a_finger_that_comes_to_rest_is_told_by_the_frames_since() {
     for k in 0..20 {
         follow(&mut line_filter, k, &painted(k, 1.0, 20.0), error(k), [0.15, 0.01]);
     }
-    // Where it rests, a frame tells more than all before.
+    // At rest, a frame is more precise than the filtered line.
     let still = |k: usize| Painted { seed: 7 + k as u64, ..painted(20, 1.0, 20.0) };
     let own = |k: usize| error(k).map(|off| 0.3 * off);
     let filtered: Vec<_> =
