@@ -159,7 +159,7 @@ const COLOUR_NOISE: f32 = 1.5;
 const GREY_SHADOW_LIGHT: f32 = 0.8;
 /// Factor on the foreground probability of a pixel that a shadow would explain: a hand in a dark
 /// glove looks like one.
-const SHADOW_VARIANCE: f32 = 0.6;
+const SHADOW_FOREGROUND: f32 = 0.6;
 /// Range over which the foreground probability rises from 0 to 1, in parts of
 /// [`BackgroundOptions::changed_sigmas`].
 const RAMP: (f32, f32) = (0.6, 1.4);
@@ -419,7 +419,7 @@ impl Background {
     fn likelihood(&self, change: &Change) -> f32 {
         let part = change.sigmas / self.options.changed_sigmas as f32;
         let likely = ((part - RAMP.0) / (RAMP.1 - RAMP.0)).clamp(0.0, 1.0);
-        if change.is_shadow { SHADOW_VARIANCE * likely } else { likely }
+        if change.is_shadow { SHADOW_FOREGROUND * likely } else { likely }
     }
 
     /// Difference of a pixel inside the image from its background; `None` where that is unknown.

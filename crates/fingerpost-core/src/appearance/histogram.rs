@@ -229,10 +229,10 @@ impl HistogramModel {
     /// background's, 0–6.
     #[must_use]
     pub fn separation(&self) -> f64 {
-        let mean = |flank_levels: &[&Histogram]| {
-            let seen = flank_levels.iter().flat_map(|h| h.bins.iter().zip(&*self.log_ratios));
+        let mean = |sides: &[&Histogram]| {
+            let seen = sides.iter().flat_map(|h| h.bins.iter().zip(&*self.log_ratios));
             let sum: f64 = seen.map(|(n, v)| f64::from(*n) * f64::from(*v)).sum();
-            let total: f64 = flank_levels.iter().map(|h| h.total).sum();
+            let total: f64 = sides.iter().map(|h| h.total).sum();
             if total > 0.0 { sum / total } else { 0.0 }
         };
         let apart = mean(&[&self.hand, &self.anchor]) - mean(&[&self.background]);

@@ -16,19 +16,19 @@ pub(super) struct ForegroundTest<'a> {
     behind: Behind<'a>,
     away_px: f64,
     /// Sums and numbers of the known samples, inside and outside.
-    flank_levels: [(f64, f64); 2],
+    sides: [(f64, f64); 2],
 }
 
 impl<'a> ForegroundTest<'a> {
     /// Without samples yet, for a finger of this half-width.
     pub fn before(behind: Behind<'a>, half_width_px: f64) -> Self {
         let away_px = (INSIDE_PART * half_width_px).max(INSIDE_PX);
-        Self { behind, away_px, flank_levels: [(0.0, 0.0); 2] }
+        Self { behind, away_px, sides: [(0.0, 0.0); 2] }
     }
 
     /// Adds one place of the outline.
     pub fn add(&mut self, placed: &PlacedSample) {
-        for ((sum, count), px) in self.flank_levels.iter_mut().zip([-self.away_px, self.away_px]) {
+        for ((sum, count), px) in self.sides.iter_mut().zip([-self.away_px, self.away_px]) {
             let at = placed.position + placed.normal * px;
             if let Some(likely) = self.behind.foreground(at) {
                 *sum += likely;
@@ -40,8 +40,7 @@ impl<'a> ForegroundTest<'a> {
     /// Whether the outline is that of an object before the background; `None` if its inside is
     /// unknown.
     pub fn is_free(&self) -> Option<bool> {
-        let [inside, outside] =
-            self.flank_levels.map(|(sum, count)| (count > 0.0).then(|| sum / count));
+        let [inside, outside] = self.sides.map(|(sum, count)| (count > 0.0).then(|| sum / count));
         let inside = inside?;
         let is_visible = outside.is_none_or(|around| around <= inside - FREE_CONTRAST);
         Some(inside >= FREE_SHARE && is_visible)

@@ -97,8 +97,8 @@ struct RestingLine {
     frames: f64,
     /// Sum over the lines of χ² of the innovation, less the part of the texture pose; and the
     /// expectation of that sum for lines without a common error.
-    variance_factor: f64,
-    most_scatter: f64,
+    chi_squared: f64,
+    most_chi_squared: f64,
 }
 
 impl RestingLine {
@@ -108,8 +108,8 @@ impl RestingLine {
             first,
             information: Matrix2::zeros(),
             frames: 0.0,
-            variance_factor: 0.0,
-            most_scatter: 0.0,
+            chi_squared: 0.0,
+            most_chi_squared: 0.0,
         }
     }
 
@@ -124,20 +124,20 @@ impl RestingLine {
         let inverse = observation.measured.covariance.try_inverse()?;
         let registration_term =
             POSE_TERMS * (inverse * observation.texture_pose.covariance).trace();
-        let variance_factor =
+        let chi_squared =
             observation.surprise.dot(&(inverse * observation.surprise)) - registration_term;
         let most = 2.0 + (inverse * state).trace() / MOST_OWN_PART;
         Some(Self {
-            variance_factor: self.variance_factor + variance_factor,
-            most_scatter: self.most_scatter + most,
+            chi_squared: self.chi_squared + chi_squared,
+            most_chi_squared: self.most_chi_squared + most,
             ..self
         })
     }
 
     /// The independent part of the variance of its lines, 0 to [`MOST_OWN_PART`].
     fn own_part(&self) -> f64 {
-        if self.variance_factor > 0.0 {
-            MOST_OWN_PART.min(self.variance_factor / self.most_scatter)
+        if self.chi_squared > 0.0 {
+            MOST_OWN_PART.min(self.chi_squared / self.most_chi_squared)
         } else {
             0.0
         }
@@ -329,7 +329,8 @@ impl LineState {
         let frames = self.frames + observation.freshness;
         let rate = observation.freshness * (1.0 / frames).max(SCATTER_RATE);
         let variance_factor = self.variance_factor
-            + rate * (observation.variance_factor.min(0.5 * CHI2_2DOF_99) - self.variance_factor);
+            + rate
+                * (observation.reduced_chi_squared.min(0.5 * CHI2_2DOF_99) - self.variance_factor);
         Self { variance_factor, frames, ..self }
     }
 
@@ -369,7 +370,7 @@ struct LineObservation {
     filtered: Matrix2<f64>,
     inflation: f64,
     /// χ² of the innovation per degree of freedom, and the part of it that is new, 1 − ρ, 0–1.
-    variance_factor: f64,
+    reduced_chi_squared: f64,
     freshness: f64,
 }
 
@@ -402,7 +403,7 @@ impl LineObservation {
             expected: expected * inflation,
             filtered: filtered * inflation,
             inflation,
-            variance_factor: 0.5 * surprise.dot(&apart),
+            reduced_chi_squared: 0.5 * surprise.dot(&apart),
             freshness: 1.0 - correlation,
         })
     }

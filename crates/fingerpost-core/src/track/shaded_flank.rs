@@ -301,7 +301,7 @@ impl FlankProfile {
     }
 
     /// Means over the finger, and over the background.
-    fn flank_levels(&self) -> Option<(ShadeMeans, ShadeMeans)> {
+    fn sides(&self) -> Option<(ShadeMeans, ShadeMeans)> {
         let behind = self.behind();
         Some((self.mean(self.first, 0)?, self.mean(behind, behind + BEHIND_PX)?))
     }
@@ -314,7 +314,7 @@ impl FlankProfile {
     /// Likeness to the finger of the chromaticities between two distances: 0 for the background, 1
     /// for the finger.
     fn like(&self, from_px: i32, to_px: i32) -> Option<f64> {
-        let (inside, outside) = self.flank_levels()?;
+        let (inside, outside) = self.sides()?;
         Some((self.mean(from_px, to_px)?.like - outside.like) / (inside.like - outside.like))
     }
 
@@ -342,7 +342,7 @@ impl FlankProfile {
         let goes_on = f64::from(end) > GOES_ON_PX.max(GOES_ON * half_width_px);
         let (from, to) = if goes_on { (2, end - 1) } else { (-FLANK_PX, -1) };
         let beside = end + BLEEDS_PX;
-        let (inside, outside) = self.flank_levels()?;
+        let (inside, outside) = self.sides()?;
         let lit = self.mean(self.first, -(0.9 * half_width_px) as i32)?.grey;
         let flank = self.mean(from, to)?;
         let behind = self.mean(beside, beside + FLANK_PX)?.grey;

@@ -234,8 +234,8 @@ const LEVELS_SPREAD: f64 = 20.0;
 /// 0 in the others; `None` without such a direction.
 fn inverse_where_determined(information: &Matrix2<f64>, least: f64) -> Option<Matrix2<f64>> {
     let eigen = information.symmetric_eigen();
-    let changed_telling = |k: usize| eigen.eigenvalues[k] > least.max(f64::MIN_POSITIVE);
-    match (changed_telling(0), changed_telling(1)) {
+    let is_determined = |k: usize| eigen.eigenvalues[k] > least.max(f64::MIN_POSITIVE);
+    match (is_determined(0), is_determined(1)) {
         (false, false) => None,
         (true, true) => information.try_inverse(),
         (first, _) => {
