@@ -18,10 +18,9 @@
 //! Beyond e, the centre of the round end, the outline is a circle of radius R: with u = p − e the
 //! distance is √(u² + (y + R)²) − R. Blur moves a curved edge inwards, by s² / 2R on the circle,
 //! and by E\[(u + s Z)₊²\] / 2R − u₊² / 2R near its start.
-//! circle, and by E\[(u + s Z)₊²\] / 2R − u₊² / 2R about the place where the circle begins.
 //!
-//! The profile of the blurred step is exact for a Gaussian point spread function on square pixels up
-//! to its fourth moment, with s² the blur's variance plus 1/12 px².
+//! The profile of the blurred step is exact for a Gaussian point spread function on square pixels
+//! up to its fourth moment, with s² the blur's variance plus 1/12 px².
 
 #![expect(
     clippy::inline_always,
