@@ -79,8 +79,8 @@ type Matrix = SMatrix<f64, UNKNOWNS, UNKNOWNS>;
 /// use fingerpost_core::geometry::shape_space::Axis;
 /// use fingerpost_core::{Frame, GrayView};
 ///
-/// // A round finger along u that tapers to its tip, 16 px wide and about v = 60 at u = 110, lit from
-/// // above. Its lower flank is as dark as the table: what shows are the upper 13 px.
+/// // A round finger along u that tapers to its tip, 16 px wide and about v = 60 at u = 110, lit
+/// // from above. Its lower flank is as dark as the table: only the upper 13 px are visible.
 /// let pixel = |i: usize| {
 ///     let (u, v) = ((i % 160) as f64, (i / 160) as f64);
 ///     let y = (v - 60.0) / (8.0 - 0.05 * (u - 110.0));

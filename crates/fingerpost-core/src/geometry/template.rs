@@ -176,7 +176,8 @@ impl Template {
     /// Index finger and up-turned thumb of the usual hand; the finger alone for [`Thumb::None`].
     ///
     /// # Errors
-    /// None for these proportions; the signature is that of [`with_proportions`](Self::with_proportions).
+    /// None for these proportions; the signature is that of
+    /// [`with_proportions`](Self::with_proportions).
     ///
     /// ```
     /// use fingerpost_core::geometry::template::{Template, Thumb};
