@@ -3,7 +3,7 @@
 //! With Z standard normal and z the depth below the edge in standard deviations of the blur,
 //!
 //! ```text
-//! M₀(z) = E[(z + Z)₊⁰] = Φ(z)                the share of what lies inside
+//! M₀(z) = E[(z + Z)₊⁰] = Φ(z)                the fraction inside
 //! M½(z) = E[(z + Z)₊^½]                       a round limb: brightness rises as the root of depth
 //! M₁(z) = E[(z + Z)₊]  = z Φ(z) + φ(z)        a flat slope: brightness rises with depth
 //! ```

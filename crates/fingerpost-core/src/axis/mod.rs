@@ -137,7 +137,7 @@ impl Stretch {
         Self { from_px: self.from_px - anchor_px, to_px: self.to_px - anchor_px }
     }
 
-    /// The same stretch in a unit of which `px` make one of the present unit.
+    /// The same stretch in another unit; `px` of it equal one present unit.
     pub(crate) fn scaled(&self, px: f64) -> Self {
         Self { from_px: px * self.from_px, to_px: px * self.to_px }
     }

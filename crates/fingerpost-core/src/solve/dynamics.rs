@@ -75,19 +75,19 @@ pub fn acceleration_density(a: f64, lasts_s: f64) -> f64 {
 /// use fingerpost_core::solve::dynamics::{Component, Course, Domain, Dynamics, Prediction};
 /// use fingerpost_core::nalgebra::{Matrix1, Vector1};
 ///
-/// // Something at 100 px that may move at some 500 px/s, seen to ± 0.5 px.
+/// // An object at 100 px with a speed of up to about 500 px/s, measured to ± 0.5 px.
 /// let course = Course::Velocity { density: 1e5, first_sigma: 500.0 };
 /// let components = [Component { course, domain: Domain::Line }];
 /// let seen = Matrix1::new(0.25);
 /// let mut dynamics = Dynamics::start(components, 0.25, 0.0, &Vector1::new(100.0), &seen)?;
 ///
-/// // A frame later it is at 106 px: no surprise, and the velocity is known from then on.
+/// // A frame later it is at 106 px: a small innovation, which determines the velocity.
 /// let innovation = dynamics.update(0.04, &Vector1::new(106.0), &seen)?.expect("no long gap");
 /// assert!(innovation.normalised_square() < 1.0);
 /// let Prediction::Expected(next) = dynamics.predict(0.08)? else { unreachable!() };
 /// assert!((next.vector[0] - 112.0).abs() < 0.1);
 ///
-/// // After a second nobody knows where it is.
+/// // After a second the gap is too long for a prediction.
 /// assert!(matches!(dynamics.predict(1.04)?, Prediction::Lost { .. }));
 /// # Ok::<(), fingerpost_core::Error>(())
 /// ```
