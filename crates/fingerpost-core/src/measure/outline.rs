@@ -14,22 +14,22 @@ use nalgebra::{Matrix2, Point2, Vector2};
 use crate::image::gray::GrayView;
 use crate::{Error, Result};
 
-/// σ of the derivative of a Gaussian [px]: about the blur of a camera's edge, which is optimal, and
-/// wide enough to be sampled by pixels (aliasing is below 10⁻¹²).
+/// σ of the derivative of a Gaussian \[px\]: about the blur of a camera's edge, which is optimal,
+/// and wide enough to be sampled by pixels (aliasing is below 10⁻¹²).
 const KERNEL_SIGMA_PX: f64 = 1.2;
 
 /// Reach of the kernel, in σ: it has fallen to 10⁻⁴ of its peak.
 const KERNEL_REACH: f64 = 4.5;
 
-/// Minimum number of stretches of a path, and their maximum length [px].
+/// Minimum number of stretches of a path, and their maximum length \[px\].
 const STRETCHES: f64 = 32.0;
 const LONGEST_STRETCH_PX: f64 = 8.0;
 
 /// Newton steps to the maximum of |R|; it converges within two from the nearest whole pixel.
 const NEWTON_STEPS: usize = 4;
 
-/// Inlier threshold of the distance from a line: [px], in median standard deviations if that is
-/// more, and its upper bound [px].
+/// Inlier threshold of the distance from a line: \[px\], in median standard deviations if that is
+/// more, and its upper bound \[px\].
 const AGREES_PX: f64 = 0.75;
 const AGREES_SIGMAS: f64 = 5.0;
 const MOST_AGREES_PX: f64 = 2.0;
@@ -43,7 +43,7 @@ const BIWEIGHT: f64 = 4.685;
 /// Lower bound on the scale of the residuals relative to the given one, for exact lines.
 const LEAST_SCALE: f64 = 1e-3;
 
-/// Pixel noise [levels], and roughness of cut edges [px]. Only their ratio matters, for the
+/// Pixel noise \[levels\], and roughness of cut edges \[px\]. Only their ratio matters, for the
 /// weights; the scale of the residuals is measured.
 const NOISE_LEVELS: f64 = 2.0;
 const ROUGHNESS_PX: f64 = 0.03;
@@ -81,31 +81,31 @@ impl Polarity {
 /// The edge of one stretch.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct EdgePoint {
-    /// Position [px].
+    /// Position \[px\].
     pub position: Point2<f64>,
-    /// Distance from the path, along the normal [px].
+    /// Distance from the path, along the normal \[px\].
     pub offset_px: f64,
     /// Step of grey levels across the edge, positive if it rises along the normal.
     pub contrast: f64,
     /// Standard deviation of the offset, from noise of 2 grey levels and the roughness of cut edges
-    /// [px].
+    /// \[px\].
     pub sigma_px: f64,
 }
 
 /// A line through edges.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LineFit {
-    /// A point of the line, in the middle of its edges [px].
+    /// A point of the line, in the middle of its edges \[px\].
     pub point: Point2<f64>,
-    /// Its direction [rad], from the first edge towards the last.
+    /// Its direction \[rad\], from the first edge towards the last.
     pub angle_rad: f64,
-    /// Covariance of the offset at the point along the normal [px] and the angle [rad].
+    /// Covariance of the offset at the point along the normal \[px\] and the angle \[rad\].
     pub covariance: Matrix2<f64>,
     /// Fraction of the edges that are inliers, 0 to 1.
     pub share: f64,
     /// Whether each edge is an inlier.
     pub inliers: Vec<bool>,
-    /// Root mean square of the inliers' residuals [px].
+    /// Root mean square of the inliers' residuals \[px\].
     pub rms_px: f64,
 }
 
@@ -120,9 +120,9 @@ type Stretch = Vec<(f64, f64)>;
 ///
 /// # Arguments
 ///
-/// - `path`: the corners of a polyline, 2 or more [px]; a part without length has no edges.
-/// - `reach_px`: maximum distance of an edge from the path, 0.5 to 100 [px].
-/// - `least_contrast`: minimum step of an edge [grey levels].
+/// - `path`: the corners of a polyline, 2 or more \[px\]; a part without length has no edges.
+/// - `reach_px`: maximum distance of an edge from the path, 0.5 to 100 \[px\].
+/// - `least_contrast`: minimum step of an edge \[grey levels\].
 ///
 /// # Errors
 ///
@@ -160,7 +160,7 @@ struct Scan<'a> {
     length_px: f64,
     /// Whether columns are scanned: the path runs along rows.
     by_columns: bool,
-    /// Reach along the scan [px].
+    /// Reach along the scan \[px\].
     reach_px: f64,
 }
 
@@ -348,7 +348,7 @@ pub fn fit_line(points: &[Point2<f64>], sigmas_px: &[f64]) -> Result<Option<Line
     Ok(solve(points, sigmas_px, at, along, agrees_px))
 }
 
-/// The inlier threshold [px].
+/// The inlier threshold \[px\].
 fn agrees_px(sigmas_px: &[f64]) -> f64 {
     let mut sigmas = sigmas_px.to_vec();
     sigmas.sort_unstable_by(f64::total_cmp);
