@@ -91,8 +91,8 @@ pub struct BSpline {
     closed: bool,
     control_point_count: usize,
     /// Non-decreasing; for a closed B-spline with `degree` knots more on either side of its period.
-    /// Basis function i is non-zero on [knots[i], knots[i + degree + 1]], and the domain starts at
-    /// knots[degree].
+    /// Basis function i is non-zero on `[knots[i], knots[i + degree + 1]]`, and the domain starts at
+    /// `knots[degree]`.
     knots: Vec<f64>,
 }
 
@@ -289,7 +289,7 @@ impl BSpline {
         }
     }
 
-    /// The knot span i with knots[i] ≤ t < knots[i + 1]; at the end of the domain the last
+    /// The knot span i with `knots[i] ≤ t < knots[i + 1]`; at the end of the domain the last
     /// non-empty one. `t` lies in the domain.
     fn span(&self, t: f64) -> usize {
         let knots = self.domain_knots();

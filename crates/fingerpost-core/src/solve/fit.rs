@@ -91,7 +91,7 @@ const MOST_RELAXED: f64 = 1.5;
 const MAD_TO_SIGMA: f64 = 1.4826;
 /// Convergence of the reweighting: the step moves by less than this fraction of its own sigma. The
 /// moves shrink: the remainder is a thousandth of the variance on average, and almost never a fifth
-/// of the sigma (`tests/fit.rs`). A contour that is searched again continues from there.
+/// of the sigma (`tests/suite/fit.rs`). A contour that is searched again continues from there.
 const SETTLED: f64 = 0.2;
 
 const SIZES: usize = 64;
