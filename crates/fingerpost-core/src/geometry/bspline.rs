@@ -91,8 +91,8 @@ pub struct BSpline {
     closed: bool,
     control_point_count: usize,
     /// Non-decreasing; for a closed B-spline with `degree` knots more on either side of its period.
-    /// Basis function i is non-zero on `[knots[i], knots[i + degree + 1]]`, and the domain starts at
-    /// `knots[degree]`.
+    /// Basis function i is non-zero on `[knots[i], knots[i + degree + 1]]`, and the domain starts
+    /// at `knots[degree]`.
     knots: Vec<f64>,
 }
 
