@@ -1,12 +1,12 @@
-//! What a camera that does not move sees where the hand is not.
+//! The learned background of a static camera.
 
 use crate::appearance::background::Background;
 use crate::image::gray::GrayView;
 use crate::{Error, Result};
 use nalgebra::Vector2;
 
-/// A borrowed view of a learned background: the mean grey level of every pixel and how sure it is.
-/// It is made from two maps, or from a [`Background`] as it stands in the light of its last frame.
+/// A borrowed view of a learned background: the mean grey level of every pixel and its variance. It
+/// is made from two maps, or from a [`Background`] under the illumination of its last frame.
 ///
 /// ```
 /// use fingerpost_core::axis::KnownBackground;
@@ -22,12 +22,13 @@ pub struct KnownBackground<'a> {
     image: Option<GrayView<'a>>,
     width: usize,
     height: usize,
-    /// A pixel is the mean of a square of so many, and the images that it was learned from are so wide.
+    /// A pixel is the mean of a square of `factor` × `factor` recorded pixels; width of the
+    /// recorded images.
     factor: usize,
     recorded_width: usize,
 }
 
-/// Where the levels come from.
+/// Source of the levels.
 #[derive(Debug, Clone, Copy)]
 enum Levels<'a> {
     Maps { mean_grey: &'a [f32], sigma_grey: &'a [f32] },
@@ -50,13 +51,13 @@ impl<'a> From<&'a Background> for KnownBackground<'a> {
 
 impl<'a> KnownBackground<'a> {
     /// A background of `width` × `height` pixels, row by row without padding: the mean grey level
-    /// \[0–255\] and the standard deviation of that mean \[grey levels, not negative\]. A pixel that
-    /// was never seen without the hand has an infinite standard deviation, and is not used.
+    /// \[0–255\] and the standard deviation of that mean \[grey levels, not negative\]. A pixel
+    /// never observed without the hand has an infinite standard deviation, and is not used.
     ///
     /// # Errors
-    /// When a side is zero or a slice is not of `width` · `height` numbers. The numbers themselves
-    /// are looked at where they are used: a pixel whose mean is not finite, or whose standard
-    /// deviation is negative or not finite, counts as never seen.
+    /// When a side is zero or a slice does not have `width` · `height` numbers. The numbers
+    /// themselves are checked where they are used: a pixel whose mean is not finite, or whose
+    /// standard deviation is negative or not finite, counts as never observed.
     pub fn new(
         mean_grey: &'a [f32],
         sigma_grey: &'a [f32],
@@ -85,21 +86,21 @@ impl<'a> KnownBackground<'a> {
         })
     }
 
-    /// The same, behind what `image` shows: where the refined frame is another picture of the scene,
-    /// such as a mixture of its colours, its levels are not those of the background.
+    /// The same as the background of `image`: the refined frame may be another image of the scene,
+    /// such as a linear combination of its colours, with other levels.
     #[must_use]
     pub fn behind(self, image: GrayView<'a>) -> Self {
         Self { image: Some(image), ..self }
     }
 
-    /// The same, of pictures that are smaller by a whole factor.
+    /// The same at a size reduced by a whole factor.
     pub(crate) fn reduced(self, factor: usize) -> Self {
         let factor = factor.min(self.width).min(self.height).max(1);
         let (width, height) = (self.width / factor, self.height / factor);
         Self { width, height, factor, ..self }
     }
 
-    /// The picture that it is the background of, if that is not the refined frame.
+    /// The image it is the background of, if that is not the refined frame.
     pub(super) fn image(&self) -> Option<&GrayView<'a>> {
         self.image.as_ref()
     }
@@ -117,7 +118,7 @@ impl<'a> KnownBackground<'a> {
     }
 
     /// Level, first and second derivative along the unit vector `n`, and variance of a pixel;
-    /// `None` where it is not known, or on the border, where it has no derivatives.
+    /// `None` where it is unknown, or on the border, where it has no derivatives.
     pub(super) fn local(&self, x: usize, y: usize, n: Vector2<f64>) -> Option<[f32; 4]> {
         let [[a, b, c], [d, e, f], [g, h, k]] = self.about(x, y)?;
         let variance = self.variance(x, y)?;
@@ -134,7 +135,8 @@ impl<'a> KnownBackground<'a> {
         Some([level, self.variance(x, y)?]).filter(|_| level.is_finite())
     }
 
-    /// The levels about a pixel, row by row; `None` on the border and where one was never seen.
+    /// The 3 × 3 levels about a pixel, row by row; `None` on the border and where one was never
+    /// observed.
     fn about(&self, x: usize, y: usize) -> Option<[[f32; 3]; 3]> {
         if x == 0 || y == 0 || x + 1 >= self.width || y + 1 >= self.height {
             return None;
@@ -152,7 +154,7 @@ impl<'a> KnownBackground<'a> {
         }
     }
 
-    /// The same of a picture that is smaller.
+    /// The same at a reduced size.
     fn means_about(&self, x: usize, y: usize) -> Option<[[f32; 3]; 3]> {
         let mut means = [[0.0; 3]; 3];
         for (v, row) in (y - 1..).zip(&mut means) {
@@ -163,7 +165,7 @@ impl<'a> KnownBackground<'a> {
         Some(means)
     }
 
-    /// The mean over the square of a pixel of a picture that is smaller.
+    /// The mean over the square of recorded pixels that a pixel of the reduced size covers.
     fn mean(&self, x: usize, y: usize, of: impl Fn(usize, usize) -> Option<f32>) -> Option<f32> {
         let mut sum = 0.0;
         for v in y * self.factor..(y + 1) * self.factor {
@@ -174,7 +176,7 @@ impl<'a> KnownBackground<'a> {
         Some(sum / (self.factor * self.factor) as f32)
     }
 
-    /// Level of a pixel as it was recorded, if it is known.
+    /// Level of a recorded pixel, if it is known.
     fn recorded_level(&self, x: usize, y: usize) -> Option<f32> {
         match self.levels {
             Levels::Learned(background) => background.level(x, y),
@@ -182,7 +184,7 @@ impl<'a> KnownBackground<'a> {
         }
     }
 
-    /// Variance of a pixel inside the image; `None` where it was never seen.
+    /// Variance of a pixel inside the image; `None` where it was never observed.
     fn variance(&self, x: usize, y: usize) -> Option<f32> {
         if self.factor == 1 {
             return self.recorded_variance(x, y);
@@ -191,7 +193,7 @@ impl<'a> KnownBackground<'a> {
         Some(mean / (self.factor * self.factor) as f32)
     }
 
-    /// Variance of a pixel as it was recorded.
+    /// Variance of a recorded pixel.
     fn recorded_variance(&self, x: usize, y: usize) -> Option<f32> {
         match self.levels {
             Levels::Learned(background) => Some(background.variance(x, y) as f32),
@@ -203,7 +205,7 @@ impl<'a> KnownBackground<'a> {
     }
 }
 
-// Only trackers of this crate look at smaller pictures.
+// Reduced sizes are private to the crate.
 #[cfg(test)]
 #[expect(clippy::unwrap_used, reason = "a test may panic")]
 mod tests {
@@ -228,7 +230,7 @@ mod tests {
         assert!((at - level).abs() < 1e-6);
         let below = over(&|i| mean[i], 1, 2) - over(&|i| mean[i], 1, 0);
         assert!((slope - 0.5 * below).abs() < 1e-5);
-        // On the border there are no derivatives, and of one pixel nothing is known.
+        // On the border there are no derivatives, and one pixel is unknown.
         assert_eq!(known.level(0, 1), None);
         assert_eq!(known.level(3, 2), None);
     }

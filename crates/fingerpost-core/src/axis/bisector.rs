@@ -1,10 +1,10 @@
-//! The bisector of the two flanks' edges.
+//! The bisector of the edges of the two flanks.
 //!
-//! The flanks q = d + ϑ p ± (w₀ + w₁ p) are fitted to edges found across them: per flank the straight
-//! line that most edges agree with, then all that agree by weighted least squares with Tukey's
-//! biweight. A surface of revolution has its axis midway between its tangent planes, so the bisector
-//! is the axis whatever the taper and the perspective. Light from the side moves both edges the same
-//! way, and with them the bisector; the photometric line does not suffer from that.
+//! The flanks q = d + ϑ p ± (w₀ + w₁ p) are fitted to edges measured across them: first per flank
+//! the straight line with the largest consensus, then its inliers jointly by weighted least squares
+//! with Tukey's biweight. The axis of a surface of revolution projects midway between its tangent
+//! planes, so the bisector is the axis for any taper and perspective. Light from the side shifts
+//! both edges in the same direction and biases the bisector; the photometric line models it.
 
 use super::sketch::{FlankLines, SIDES, Sketch};
 use super::visible_flanks::VisibleFlanks;
@@ -20,24 +20,27 @@ use nalgebra::{Matrix2, SMatrix, SVector};
 
 /// Unknowns: d, ϑ, w₀, w₁.
 const UNKNOWNS: usize = 4;
-/// How sure the sketch is: offset and half-width \[px\], turn and taper at the ends \[px\].
+/// Prior standard deviations of the sketch: offset and half-width \[px\], turn measured at the ends
+/// \[px\], taper.
 const SKETCH_SIGMA_PX: f64 = 3.0;
 const SKETCH_END_SIGMA_PX: f64 = 6.0;
 const SKETCH_TAPER_SIGMA: f64 = 0.1;
-/// The image noise that edges are found with; their variances are scaled to the real one.
+/// Nominal image noise of the edge search \[grey levels\]; variances are scaled to the measured
+/// noise.
 const UNIT_NOISE_GREY: f64 = 1.0;
-/// The residuals of exact edges are not taken for less than this \[px\].
+/// Lower bound on the robust scale of the residuals \[px\].
 const LEAST_SCALE_PX: f64 = 0.01;
-/// Half-length of the searches once the edges are near \[px\].
+/// Half-length of the searches after the first pass \[px\].
 const NEAR_PX: f64 = 3.0;
-/// The line has settled when it moves less than this anywhere on the finger \[px\].
+/// Convergence: no point of the finger's axis moves by more than this \[px\].
 const SETTLED_PX: f64 = 0.02;
-/// From one search to the next \[px\]: nearer ones see the same pixels, and tell little more.
+/// Distance between searches \[px\]; closer ones share pixels and add little information.
 pub(super) const STATION_PX: f64 = 2.0;
-/// Noise moves edges one by one; what lies behind the finger moves whole runs of them alike, and
-/// counts so many times as much. Measured before ellipses of 6–20 px and up to ±25 or ±50 grey levels.
+/// Variance factor of the scatter that the background causes. Noise moves edges independently;
+/// structure behind the finger moves runs of them together. Measured before ellipses of 6–20 px and
+/// up to ±25 or ±50 grey levels.
 const DISTURBED_RUN: f64 = 20.0;
-/// Pairs of edges that each flank's line is tried through.
+/// Pairs of edges tried per flank in the consensus.
 const TRIALS: usize = 48;
 
 #[derive(Debug, Clone)]
@@ -51,7 +54,7 @@ pub(super) struct Bisector {
     equations: EquationBuffer,
 }
 
-/// An edge found across a flank.
+/// An edge measurement across a flank.
 #[derive(Debug, Clone, Copy)]
 struct Station {
     p: f64,
@@ -93,12 +96,12 @@ impl Bisector {
         })
     }
 
-    /// The same with another instruction set.
+    /// The same fit for another instruction set.
     pub fn with_isa(self, isa: Isa) -> Self {
         Self { search: self.search.with_isa(isa), ..self }
     }
 
-    /// The bisector near the sketch, or `None` if the flanks do not show.
+    /// The bisector near the sketch, or `None` if the flanks are not visible.
     ///
     /// # Errors
     /// When the sketch cannot be searched along.
@@ -112,7 +115,7 @@ impl Bisector {
         visible: &VisibleFlanks,
     ) -> Result<Option<BisectorFit>> {
         let mut at = *sketch;
-        // Not so far that one flank finds the other.
+        // The search of one flank must not reach the other.
         let mut half_length_px = self.options.half_length_px.min(at.half_width_px.max(2.0));
         let mut last = None;
         for pass in 0..self.options.max_passes {
@@ -147,7 +150,7 @@ impl Bisector {
         Ok(last)
     }
 
-    /// Finds the edges across both flanks.
+    /// Measures the edges across both flanks.
     fn measure(
         &mut self,
         frame: &Frame<'_>,
@@ -187,7 +190,7 @@ impl Bisector {
         Ok(())
     }
 
-    /// The step from `at` by the edges, and by what the sketch says.
+    /// The step from `at` by the edge measurements and the prior of the sketch.
     fn solve(&mut self, at: &Sketch, sketch: &Sketch) -> Result<Option<Solution>> {
         let mut equations = self.equations.clear::<UNKNOWNS>();
         for (stations, side) in self.flanks.iter().zip(SIDES) {
@@ -228,8 +231,8 @@ impl Bisector {
         }))
     }
 
-    /// The robust covariance of d and ϑ, E\[ψ²\] / E\[ψ′\]² (Σ w row rowᵀ / Σ w)⁻¹ / n, neighbours'
-    /// correlation counted; and the part of the edges that has no say.
+    /// Robust covariance of d and ϑ, E\[ψ²\] / E\[ψ′\]² (Σ w row rowᵀ / Σ w)⁻¹ / n, with the
+    /// correlation of neighbours; and the fraction of edges with zero weight.
     fn sandwich(&self) -> Option<(Matrix2<f64>, f64)> {
         let (weights, residuals) = (self.fitter.weights(), self.fitter.residuals());
         let n = weights.len() as f64;
@@ -266,12 +269,12 @@ struct Solution {
     report: BisectorReport,
 }
 
-/// How d, ϑ, w₀, w₁ move the edge of a flank outward.
+/// Derivatives of the outward position of a flank's edge by d, ϑ, w₀, w₁.
 fn row(side: f64, station: &Station) -> SVector<f64, UNKNOWNS> {
     SVector::from([side, side * station.p, 1.0, station.p])
 }
 
-/// Keeps the edges that agree with the straight line that most agree with.
+/// Keeps the edges near the straight line with the least truncated squared residual.
 fn consensus(stations: &mut Vec<Station>, within_px: f64) {
     let n = stations.len();
     if n < 6 {
@@ -283,11 +286,12 @@ fn consensus(stations: &mut Vec<Station>, within_px: f64) {
             |s: &Station| ((s.offset_px - offset - slope * s.p) / within_px).powi(2).min(1.0);
         stations.iter().map(truncated).sum()
     };
-    // The sketch's own line, then lines through an edge near one end and one near the other, in a
-    // fixed order that goes through both thirds.
+    // The candidates are the sketch's own line, then lines through an edge of the first third and
+    // one of the last third, in a fixed order that covers both thirds.
     let (mut best, mut line) = (cost(0.0, 0.0), (0.0, 0.0));
     for k in 0..TRIALS {
-        // A cost below one has no edge that disagrees: a still better line would keep them all, too.
+        // A cost below one leaves no edge outside the truncation: a better line would keep the same
+        // edges.
         if best < 1.0 {
             return;
         }

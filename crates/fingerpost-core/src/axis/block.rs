@@ -1,17 +1,18 @@
-//! What deviates from block to block, and how much.
+//! Random deviations of blocks from the smooth model, and their variances.
 //!
 //! A block's inside level, background level and edge may deviate from the smooth model. Each
-//! deviation y is random with a variance τ²; with the block's equations
+//! deviation y is random with a variance τ²; in the block's equations
 //!
 //! ```text
 //! [H  C] [δ]   [g]
 //! [Cᵀ Y] [y] = [h]          Y = Σ w f fᵀ + Λ,  Λ = σ² / τ²
 //! ```
 //!
-//! the deviations are eliminated, H − C Y⁻¹ Cᵀ and g − C Y⁻¹ h remain for the step δ of what all
-//! blocks share: this maximises the likelihood with the deviations integrated out.
+//! the deviations are eliminated. H − C Y⁻¹ Cᵀ and g − C Y⁻¹ h remain for the step δ of the
+//! unknowns shared by all blocks. This maximises the likelihood with the deviations integrated out.
 //!
-//! Blocks stand side by side ([`pixels`](super::pixels)): every number here has one lane for each.
+//! Blocks are processed in lanes ([`pixels`](super::pixels)): every number here has one lane per
+//! block.
 
 #![expect(
     clippy::inline_always,
@@ -23,60 +24,61 @@ use super::pixels::{Doubles, Group, LANES, total};
 use super::profile::{COLUMNS, EDGE, INSIDE, OUTSIDE, RIGHT};
 use crate::numeric::simd::each;
 
-/// What deviates: the features it acts through.
+/// The features through which the deviations act.
 pub(super) const EFFECTS: [usize; 3] = [INSIDE, OUTSIDE, EDGE];
 pub(super) const INSIDE_EFFECT: usize = 0;
 pub(super) const OUTSIDE_EFFECT: usize = 1;
 pub(super) const EDGE_EFFECT: usize = 2;
-/// A deviation's variance is taken for no less than this part of what one block can tell of it:
-/// that keeps Λ finite and changes nothing.
+/// Lower bound on a deviation's variance, as a fraction of σ² / Σ w f², the variance of its
+/// estimate from one block. It keeps Λ finite without effect on the result.
 const LEAST_VARIANCE: f64 = 1e-3;
-/// A block that tells nothing of a deviation tells this much: Σ w f².
+/// Lower bound on the information Σ w f² of a block.
 const LEAST_INFORMATION: f64 = 1e-6;
-/// Neighbours' edges that agree by more than so many standard deviations of chance belong to
-/// something longer than a block, as a joint.
+/// Threshold on the product of neighbouring edges, in standard deviations of its distribution for
+/// independent edges. A larger product shows a structure longer than a block, such as a joint.
 const CHANCE: f64 = 1.5;
-/// What agrees from block to block counts as much as this many that do not: 2 / (1 − ρ), with
-/// ρ = ½ from one to the next.
+/// Variance factor of deviations that correlate from block to block: 2 / (1 − ρ), with ρ = ½
+/// between neighbours.
 const RUN: f64 = 4.0;
 
-/// Of a symmetric 3 × 3 matrix: the upper triangle, row by row.
+/// The upper triangle of a symmetric 3 × 3 matrix, row by row.
 type Symmetric = [Doubles; 6];
 
-/// The deviations of a group's blocks, and how they hang on what all blocks share.
+/// The deviations of a group's blocks, and their coupling to the shared unknowns.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Deviations {
     /// y: inside and background level \[grey levels\], edge outward \[px\].
     pub effects: [Doubles; 3],
-    /// How much each block counts, 0–1; a lane without a block does not.
+    /// Weight of each block, 0–1; zero in a lane without a block.
     pub block_weight: Doubles,
-    /// χ² of its pixels per pixel.
+    /// χ² per pixel.
     pub chi_squared: Doubles,
-    /// Variance of its edge from what the background does about it \[px²\].
+    /// Variance of the edge due to structure in the background and in the finger's level \[px²\].
     pub restless_px2: Doubles,
-    /// How many deviations were fitted, in effect.
+    /// Effective number of deviations fitted.
     pub freed: Doubles,
     /// Y⁻¹.
     inverse: Symmetric,
-    /// Cᵀ, and h beside it.
+    /// Cᵀ, with h beside it.
     coupling: [[Doubles; COLUMNS]; 3],
 }
 
-/// Evidence of how much a kind of deviation varies.
+/// Sums from which the variances of the deviations are estimated.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Evidence {
     excess: [Doubles; 3],
     information: [Doubles; 3],
-    /// The edge of the last block: the root of what it tells, as far as it counts, and the edge.
+    /// The last block's edge: the weighted root of its information, and its estimate.
     last: Option<[f64; 2]>,
-    /// Of neighbours: products of their edges, what these tell, and how many they are.
+    /// Over neighbouring blocks: the sum of products of edges, that of their information, and the
+    /// number of pairs.
     together: f64,
     shared: f64,
     pairs: f64,
 }
 
 impl Deviations {
-    /// None yet of a group's blocks.
+    /// Zero deviations for a group's blocks.
     pub fn none(group: &Group) -> Self {
         Self {
             effects: [[0.0; LANES]; 3],
@@ -89,7 +91,7 @@ impl Deviations {
         }
     }
 
-    /// Trusts the blocks by how their pixels scatter: those with more than `most_chi_squared` less.
+    /// Weights the blocks by χ² per pixel: above `most_chi_squared` by the square of the ratio.
     #[inline(always)]
     pub fn trust(&mut self, group: &Group, most_chi_squared: f64) {
         self.block_weight = each(|i| {
@@ -98,8 +100,8 @@ impl Deviations {
         });
     }
 
-    /// Eliminates the deviations, whose variances are given, from the blocks' equations; `noise2`
-    /// is the variance of a pixel.
+    /// Eliminates the deviations, of given variances, from the blocks' equations; `noise2` is the
+    /// variance of a pixel.
     #[inline(always)]
     pub fn eliminate(
         &mut self,
@@ -154,8 +156,8 @@ impl Deviations {
         });
     }
 
-    /// Takes the deviations to where they belong after the shared step was taken to the part `part`
-    /// of its length and changed the features by those columns of `changes`.
+    /// Updates the deviations after the fraction `part` of the shared step was taken, which changed
+    /// the features by `changes`.
     pub fn follow(&mut self, changes: &[Doubles; COLUMNS], part: f64) {
         let mut right = [[0.0; LANES]; 3];
         for (right, coupling) in right.iter_mut().zip(&self.coupling) {
@@ -189,7 +191,7 @@ fn apply([aa, ab, ac, bb, bc, cc]: &Symmetric, [a, b, c]: [&Doubles; 3]) -> [Dou
     ]
 }
 
-/// The inverse of a symmetric matrix, or zeros where there is none.
+/// The inverse of a symmetric matrix, or zeros if it is singular.
 #[inline(always)]
 fn inverse([a, b, c, d, e, f]: &Symmetric) -> Symmetric {
     let aa: Doubles = each(|i| d[i] * f[i] - e[i] * e[i]);
@@ -206,8 +208,8 @@ fn inverse([a, b, c, d, e, f]: &Symmetric) -> Symmetric {
 }
 
 impl Evidence {
-    /// Adds what blocks tell, by moments: of a deviation of variance τ² a block's own estimate y,
-    /// given the other deviations, has the variance τ² + σ² / h.
+    /// Adds blocks to the method-of-moments estimate. For a deviation of variance τ², a block's own
+    /// estimate y, given the other deviations, has the variance τ² + σ² / h.
     #[inline(always)]
     fn add(
         &mut self,
@@ -221,7 +223,7 @@ impl Evidence {
         for k in 0..3 {
             let all: Doubles = each(|i| 1.0 / inverse[k][i].max(f64::MIN_POSITIVE));
             let own: Doubles = each(|i| (all[i] - lambda[k][i]).max(LEAST_INFORMATION));
-            // What was expected is drawn to zero by Λ.
+            // The prior Λ shrinks the estimate towards zero; this undoes it.
             let free: Doubles = each(|i| expected[k][i] * all[i] / own[i]);
             let (excess, information) = (self.excess[k], self.information[k]);
             self.excess[k] =
@@ -238,7 +240,8 @@ impl Evidence {
         }
     }
 
-    /// Puts a block's edge beside that of the block before: noise would have them independent.
+    /// Adds the product of a block's edge with that of the previous block; it has zero mean for
+    /// independent noise.
     #[inline(always)]
     fn pair(&mut self, root: f64, free: f64, block_weight: f64) {
         if let Some([last_root, last]) = self.last {
@@ -249,7 +252,7 @@ impl Evidence {
         self.last = Some([block_weight * root, free]);
     }
 
-    /// What runs of blocks whose edges deviate alike add to the variance of an edge \[px²\].
+    /// Variance added to an edge by runs of blocks that deviate together \[px²\].
     pub fn runs(&self, noise2: f64) -> f64 {
         if self.shared > 0.0 {
             let chance = CHANCE * noise2 * self.pairs.sqrt();

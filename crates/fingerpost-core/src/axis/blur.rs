@@ -1,17 +1,17 @@
-//! Powers of depth below a straight edge, as a Gaussian blur leaves them.
+//! Moments of the depth below a straight edge under a Gaussian blur.
 //!
 //! With Z standard normal and z the depth below the edge in standard deviations of the blur,
 //!
 //! ```text
-//! M₀(z) = E[(z + Z)₊⁰] = Φ(z)                the share of what lies inside
+//! M₀(z) = E[(z + Z)₊⁰] = Φ(z)                the fraction inside
 //! M½(z) = E[(z + Z)₊^½]                       a round limb: brightness rises as the root of depth
 //! M₁(z) = E[(z + Z)₊]  = z Φ(z) + φ(z)        a flat slope: brightness rises with depth
 //! ```
 //!
-//! A table has M₀ and M½ and their slopes at knots. Both solve differential equations, M₀″ = −z M₀′
-//! and M½″ = ½ M½ − z M½′, so that value and slope at the nearest knot tell the Taylor series about
-//! it. It ends at the cube; the slope returned is the series' own, so value and derivative agree to
-//! rounding.
+//! The table has M₀ and M½ and their slopes at knots. Both solve differential equations, M₀″ = −z
+//! M₀′ and M½″ = ½ M½ − z M½′, so value and slope at the nearest knot determine the Taylor series
+//! about it. The series ends at the cubic term. The returned slope is the derivative of the series,
+//! so value and slope agree to rounding.
 
 #![expect(
     clippy::inline_always,
@@ -26,15 +26,15 @@ use super::pixels::{LANES, Lanes};
 use std::f64::consts::PI;
 use std::sync::LazyLock;
 
-/// The table covers −`REACH` ≤ z ≤ `DEPTH`: before it everything is zero to 1e-9; behind it the
-/// functions are their asymptotes to 1e-6.
+/// Range of the table, −`REACH` ≤ z ≤ `DEPTH`: below it all moments are zero to 1e-9, above it the
+/// functions equal their asymptotes to 1e-6.
 const REACH: f32 = 6.0;
 const DEPTH: f32 = 14.0;
-/// Knots per unit of z; the error is h⁴ / 384 times the fourth derivative, 4e-9, of the slope
-/// h³ / 48 times that, 9e-7.
+/// Knots per unit of z. The error of the value is h⁴ / 384 times the fourth derivative, 4e-9; that
+/// of the slope is h³ / 48 times it, 9e-7.
 const KNOTS: f32 = 32.0;
-/// There is one knot more than are between −`REACH` and `DEPTH`; up to this power of two they are
-/// repeated, so that no index needs to be checked.
+/// Size of the table, a power of two so that no index needs a check. There is one knot more than
+/// intervals between −`REACH` and `DEPTH`; the last one is repeated.
 const SIZE: usize = 1024;
 /// Added to a number below 2²², this leaves its nearest integer in the lowest bits.
 const ROUNDING: f32 = 8_388_608.0;
@@ -61,7 +61,7 @@ pub(super) struct Moments {
     pub root_slope: Lanes,
 }
 
-/// The table, looked up once and then free of synchronisation.
+/// The table; the reference is taken once, so that its use needs no synchronisation.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct BlurTable {
     knots: &'static [Knot; SIZE],
@@ -102,7 +102,7 @@ impl BlurTable {
             m.root[i] = root + t * (slope + t * (0.5 * second + t * (1.0 / 6.0) * third));
             m.root_slope[i] = slope + t * (second + 0.5 * t * third);
         }
-        // Without a shortcut, which would take the lanes apart.
+        // Without a shortcut, which would prevent vectorisation.
         let mut any_deep = false;
         for z in z {
             any_deep |= *z > DEPTH;
@@ -166,7 +166,7 @@ fn root_moment(z: f64) -> [f64; 2] {
     [value * STEP, slope * STEP]
 }
 
-// The table is private; the integrals that it is made from are the truth.
+// The table is private; the tests compare it with the integrals it is computed from.
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -175,7 +175,7 @@ mod tests {
     fn the_series_between_knots_agrees_with_the_integrals() {
         let table = BlurTable::new();
         for k in 0..500 {
-            // From before the table to behind it, at ever other parts of a step.
+            // From below the table to above it, at varying fractions of a step.
             let z: Lanes = std::array::from_fn(|i| -6.5 + 0.0431 * k as f32 + 0.0057 * i as f32);
             let found = table.moments(&z);
             for i in 0..LANES {

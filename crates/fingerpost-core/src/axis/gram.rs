@@ -1,4 +1,4 @@
-//! Weighted moments of the residuals and features of blocks: all that the fit needs of their pixels.
+//! Weighted moments of the residuals and features of blocks, sufficient for the normal equations.
 
 #![expect(
     clippy::inline_always,
@@ -10,18 +10,18 @@ use super::pixels::{Chunk, Doubles, LANES, Lanes};
 use super::profile::{COLUMNS, OUTSIDE, Prediction, Profile, RIGHT, RoundEnd};
 use crate::numeric::simd::each;
 
-/// How a pixel's residual is weighed: Tukey's biweight.
+/// Weighting of a pixel's residual: Tukey's biweight.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Weighing {
     /// Standard deviation σ of a pixel \[grey levels\].
     pub noise_grey: f64,
-    /// Where the weight reaches zero, in σ.
+    /// Residual at which the weight reaches zero, in σ.
     pub cutoff: f64,
 }
 
 /// Features and residuals of some pixels, each times the root of its pixel's weight.
 pub(super) type Weighed = [Lanes; COLUMNS];
-/// Equations of the features, in their upper triangle; the right sides stand in their column.
+/// Equations of the features, in their upper triangle; the right side is a column of its own.
 pub(super) type Equations = [[Doubles; COLUMNS]; COLUMNS];
 
 /// Sums over the pixels of blocks.
@@ -29,20 +29,20 @@ pub(super) type Equations = [[Doubles; COLUMNS]; COLUMNS];
 pub(super) struct Gram {
     /// Σ w f fᵀ, and Σ w f r.
     pub equations: Equations,
-    /// How many pixels.
+    /// Number of pixels.
     pub pixels: Doubles,
-    /// Σ w, Σ w² r² and Σ ψ′, which make the covariance of a robust fit.
+    /// Σ w, Σ w² r² and Σ ψ′, for the covariance of the robust fit.
     pub weight: Doubles,
     pub psi_squared: Doubles,
     pub psi_slope: Doubles,
     /// Σ min(r², cutoff² σ²), in σ².
     pub chi_squared: Doubles,
-    /// Pixels of no weight.
+    /// Number of pixels with zero weight.
     pub rejected: Doubles,
 }
 
 impl Gram {
-    /// The sums of blocks whose pixels should look like `profile`, near a round end or clear of it;
+    /// Computes the sums of blocks against the model `profile`, near a round end or clear of it;
     /// `space` has room for all their chunks.
     #[inline(always)]
     pub fn take(
@@ -131,14 +131,15 @@ impl PixelTally {
         }
     }
 
-    /// Weighs the pixels of a chunk, and counts them.
+    /// Weights the pixels of a chunk, and adds them to the sums.
     #[inline(always)]
     fn weigh(&mut self, chunk: &Chunk, predicted: &Prediction) -> Weighed {
         let mut columns = predicted.columns;
         let mut roots = [0.0; LANES];
         for i in 0..LANES {
             let r = chunk.grey[i] - predicted.grey[i];
-            // A pixel of doubtful background is as noisy as the part of it that shows.
+            // The variance of the background adds to the pixel's by the square of its visible
+            // share.
             let variance = chunk.variance[i] * self.per_noise2;
             let shown = columns[OUTSIDE][i];
             let precision = chunk.weight[i] / (1.0 + shown * shown * variance);
@@ -165,7 +166,7 @@ impl PixelTally {
         columns
     }
 
-    /// The sums of every block.
+    /// Writes the sums of every block.
     #[inline(always)]
     fn report(&self, gram: &mut Gram) {
         let cutoff2 = self.cutoff * self.cutoff;

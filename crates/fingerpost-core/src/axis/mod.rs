@@ -1,19 +1,18 @@
-//! The finger's axis as exactly as the image allows, with a covariance that can be believed.
+//! Refinement of the finger's axis from its two flanks, with a covariance.
 //!
-//! A tracker's contour is a template: it shares what it knows between finger and thumb, and its
-//! edges are found one by one. A [`Refiner`] looks at the two flanks of the finger alone, twice:
+//! The tracker's contour shares a shape vector between finger and thumb and measures edges one by
+//! one. A [`Refiner`] uses the two flanks of the finger alone, in two stages:
 //!
-//! 1. It finds the edges of the flanks and takes their bisector, which is the projection of the axis
-//!    of a surface of revolution whatever the taper and the perspective.
-//! 2. From there it fits what the camera recorded near the flanks, pixel by pixel, to a model of a
-//!    blurred, shaded, slightly bent finger with a round end before a background that is known or
-//!    not. This uses all that the pixels tell: of a clean picture the angle is as sure as the
-//!    Cramér–Rao bound of two free flanks allows.
+//! 1. Edges are measured across the flanks and their bisector is fitted. The bisector is the
+//!    projection of the axis of a surface of revolution for any taper and perspective.
+//! 2. From there a model of a blurred, shaded, slightly bent finger with a round end, before a
+//!    known or unknown background, is fitted to the pixels near the flanks by maximum likelihood.
+//!    On a clean image its angle reaches the Cramér–Rao bound of two free flanks.
 //!
-//! The second line counts if the pixels agree with the model and the flanks stand out from what is
-//! behind them. If they agree with it less, it is handed out as unsure, to be weighed against what
-//! else is known; otherwise the first counts, if its edges lie on two straight lines; otherwise none
-//! ([`Source`], [`RefineOptions`]).
+//! The photometric line is accepted if the pixels agree with the model and the flanks contrast with
+//! the background. If the agreement is weaker, the line is returned as unsure, to be weighed
+//! against other evidence. Otherwise the bisector is accepted if its edges lie on two straight
+//! lines; otherwise no line is returned ([`Source`], [`RefineOptions`]).
 //!
 //! ```
 //! use fingerpost_core::nalgebra::{Point2, Vector2};
@@ -33,7 +32,7 @@
 //! let pixels: Vec<u8> = (0..width * height).map(pixel).collect();
 //! let frame = Frame::gray(GrayView::new(&pixels, width, height, width)?);
 //!
-//! // What a tracker believes of it, half a pixel and half a degree off.
+//! // The tracker's estimate, half a pixel and half a degree off.
 //! let axis = Axis::of_finger(end - e * 30.0 + Vector2::new(0.0, 0.5), angle_rad + 0.009, 37.0);
 //! let stretch = Stretch { from_px: -20.0, to_px: 34.0 };
 //! let finger = Finger {
@@ -95,78 +94,79 @@ use sketch::Sketch;
 use straightness::Straightness;
 use visible_flanks::VisibleFlanks;
 
-/// The longest stretch of a finger that is looked at \[px\]: the pictures that edges are looked for in,
-/// of up to 32767 px a side, have no room for it.
+/// Upper bound on the length of a stretch \[px\]. Images searched for edges have sides of up to
+/// 32767 px, so no longer stretch fits in one.
 pub const MAX_STRETCH_PX: f64 = 65_536.0;
 
 /// A stretch of a flank, in px along the axis from its anchor; empty unless `to_px > from_px`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Stretch {
-    /// Where it begins.
+    /// Start \[px\].
     pub from_px: f64,
-    /// Where it ends, nearer to the tip.
+    /// End, nearer to the tip \[px\].
     pub to_px: f64,
 }
 
 impl Stretch {
-    /// Its length \[px\]; not positive if it is empty.
+    /// Length \[px\]; not positive if the stretch is empty.
     #[must_use]
     pub fn length_px(&self) -> f64 {
         self.to_px - self.from_px
     }
 
-    /// Where its middle is \[px\].
+    /// Midpoint \[px\].
     pub(crate) fn middle_px(&self) -> f64 {
         0.5 * (self.from_px + self.to_px)
     }
 
-    /// So far to either side of a middle \[px\].
+    /// The stretch of the given half-length about a midpoint \[px\].
     pub(crate) fn about(middle_px: f64, half_length_px: f64) -> Self {
         Self { from_px: middle_px - half_length_px, to_px: middle_px + half_length_px }
     }
 
-    /// The one over which the line of least squares through a parabola cuts it in two places, so far from
-    /// their middle (squared): these are 1 / √3 of half its length from there. A line that cuts it
-    /// nowhere is told for what is next to it.
+    /// The stretch over which the least-squares line through a parabola meets the parabola at
+    /// `middle_px` ± √`cut_px2`. The crossings of a stretch of half-length L are at ± L / √3 from
+    /// its middle. Without a crossing (`cut_px2` ≤ 0) L is 1 px.
     pub(crate) fn cut(middle_px: f64, cut_px2: f64) -> Self {
         const SHORTEST_PX: f64 = 1.0;
         Self::about(middle_px, (3.0 * cut_px2.max(0.0)).sqrt().max(SHORTEST_PX))
     }
 
-    /// The same stretch, for an anchor that lies so much farther along \[px\].
+    /// The same stretch relative to an anchor `anchor_px` farther along the axis.
     pub(crate) fn beside(&self, anchor_px: f64) -> Self {
         Self { from_px: self.from_px - anchor_px, to_px: self.to_px - anchor_px }
     }
 
-    /// The same stretch in pixels of which so many are one of its own.
+    /// The same stretch in another unit; `px` of it equal one present unit.
     pub(crate) fn scaled(&self, px: f64) -> Self {
         Self { from_px: px * self.from_px, to_px: px * self.to_px }
     }
 }
 
-/// Where a finger is believed to be, to within a few px: what the tracker knows of it.
+/// Prior estimate of a finger from the tracker, correct to within a few px.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Finger {
-    /// Its axis.
+    /// The axis.
     pub axis: Axis,
-    /// Half its width at the anchor of the axis \[px\], positive.
+    /// Half-width at the anchor of the axis \[px\], positive.
     pub half_width_px: f64,
     /// Growth of the half-width per px towards the tip.
     pub taper: f64,
-    /// The stretches to look at, of the right flank (at +90°, in the direction (−sin θ, cos θ))
-    /// and of the left one, together at most [`MAX_STRETCH_PX`] long. What a thumb or another finger
-    /// covers is left out of them.
+    /// Stretches to search on the right flank (at +90°, in the direction (−sin θ, cos θ)) and on
+    /// the left one, together at most [`MAX_STRETCH_PX`] long. They exclude the parts covered by a
+    /// thumb or another finger.
     pub flanks: [Stretch; 2],
-    /// The middle of the finger's round end, in px along the axis from its anchor; `None` if the
-    /// end is not to be seen.
+    /// Centre of the finger's round end, in px along the axis from its anchor; `None` if the end is
+    /// not visible.
     pub round_end_px: Option<f64>,
-    /// What is believed of it, if something may cover it in part: then what does not look like the hand
-    /// before what has been behind it is left out. `None` if nothing covers it.
+    /// Prior knowledge of a finger that may be partly covered. Places along the flanks whose pixels
+    /// do not have the colours of the hand inside and of the background outside are then left out.
+    /// `None` if nothing covers the finger.
     pub belief: Option<Belief>,
 }
 
 impl Finger {
-    /// From where to where along the axis either of its flanks is looked at \[px\]; empty if neither is.
+    /// The hull of both stretches along the axis \[px\]; empty if both are.
     pub(crate) fn stretch(&self) -> Stretch {
         let seen = self.flanks.iter().filter(|s| s.length_px() > 0.0);
         let nothing = Stretch { from_px: f64::INFINITY, to_px: f64::NEG_INFINITY };
@@ -177,12 +177,12 @@ impl Finger {
     }
 }
 
-/// What is believed of a finger that something covers in part: how wide it was when it was seen whole,
-/// and how sure its axis is. The few edges that are bare may lie as well on a line that is turned by a
-/// quarter of a radian.
+/// Prior of a partly covered finger: its width when it was last fully visible, and the uncertainty
+/// of its axis. Without it the few visible edges would fit a line turned by a quarter of a radian
+/// as well.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Belief {
-    /// Half its width at the anchor of its axis \[px\], positive.
+    /// Half-width at the anchor of the axis \[px\], positive.
     pub half_width_px: f64,
     /// Growth of the half-width per px towards the tip.
     pub taper: f64,
@@ -190,43 +190,43 @@ pub struct Belief {
     pub half_width_sigma_px: f64,
     /// Standard deviation of the taper, positive.
     pub taper_sigma: f64,
-    /// Standard deviations of the axis: of its offset at the anchor \[px\] and of its angle \[rad\],
-    /// positive.
+    /// Standard deviations of the axis: of its offset at the anchor \[px\] and of its angle
+    /// \[rad\], positive.
     pub axis_sigmas: [f64; 2],
 }
 
-/// Where a refined line comes from.
+/// Origin of a refined line.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Source {
-    /// The pixels agree with the model of a finger: the line of maximum likelihood.
+    /// The pixels agree with the finger model: the maximum-likelihood line.
     Photometric,
-    /// They agree with it, but not well enough for the line to be believed alone.
+    /// The pixels agree with the model, but not well enough to accept the line alone.
     Unsure,
-    /// They do not, but the edges of the flanks agree with two straight lines: their bisector.
+    /// The pixels disagree, but the edges of the flanks lie on two straight lines: their bisector.
     Bisector,
 }
 
-/// How the bisector was found.
+/// Statistics of the bisector fit.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct BisectorReport {
     /// Edges used, on both flanks.
     pub edges: usize,
-    /// The part of them that had no say.
+    /// Fraction of the edges with zero weight.
     pub rejected: f64,
     /// Robust standard deviation of the edges about the flanks \[px\].
     pub residual_px: f64,
 }
 
-/// How the photometric line was found.
+/// Statistics of the photometric fit.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PhotometricReport {
     /// Pixels fitted.
     pub pixels: usize,
-    /// Blocks that they lie in.
+    /// Blocks that contain them.
     pub blocks: usize,
-    /// How much the blocks count on average, 0–1: those that something disturbs count less.
+    /// Mean weight of the blocks, 0–1; blocks with unexplained structure weigh less.
     pub trusted: f64,
-    /// The part of the pixels that had no say.
+    /// Fraction of the pixels with zero weight.
     pub rejected: f64,
     /// Standard deviation of the pixels about the model \[grey levels\].
     pub residual_grey: f64,
@@ -234,13 +234,13 @@ pub struct PhotometricReport {
     pub blur_px: f64,
     /// Half the length of finger in use \[px\].
     pub half_length_px: f64,
-    /// How much the medial line is bent over that length: the coefficient of P₂, two thirds of its
-    /// sagitta \[px\].
+    /// Bend of the medial line over that length: the coefficient of P₂, two thirds of the height of
+    /// the arc above its chord \[px\].
     pub bend_px: f64,
     /// Standard deviation of the bend \[px\].
     pub bend_sigma_px: f64,
-    /// Contrast at either flank, finger minus background, 2 px inside the edge, where it shows even
-    /// of a finger whose limb is dark \[grey levels\].
+    /// Contrast at either flank, finger minus background, 2 px inside the edge, where even a finger
+    /// with a dark limb has contrast \[grey levels\].
     pub contrast_grey: [f64; 2],
     /// Standard deviation of the inside level along either flank \[grey levels\].
     pub inside_grey: [f64; 2],
@@ -248,37 +248,38 @@ pub struct PhotometricReport {
     pub outside_grey: [f64; 2],
     /// Standard deviation of the edge of either flank about its smooth line \[px\].
     pub edge_px: [f64; 2],
-    /// Iterations until the line had settled, or until the last that was allowed.
+    /// Iterations until convergence, at most the number allowed.
     pub iterations: usize,
-    /// Whether it had settled.
+    /// Whether the fit converged.
     pub converged: bool,
 }
 
 /// A refined finger.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Refined {
-    /// The axis. Its anchor lies where the given axis has its own, its tip at the same distance.
+    /// The axis. Its anchor has the abscissa of the given anchor, and its tip the same distance
+    /// from it.
     pub axis: Axis,
     /// Covariance of the line's offset at the anchor \[px\] and of its angle \[rad\].
     pub covariance: Matrix2<f64>,
-    /// What the line stands for: through a slightly bent finger it runs as a line of least squares
-    /// through this stretch does.
+    /// The stretch that the line represents: on a slightly bent finger it equals the least-squares
+    /// line through the medial line of this stretch.
     pub stretch: Stretch,
     /// Half-width at the anchor \[px\].
     pub half_width_px: f64,
     /// Growth of the half-width per px towards the tip.
     pub taper: f64,
-    /// Which of the two lines it is.
+    /// Which of the two lines this is.
     pub source: Source,
-    /// Standard deviation of the image's noise near the finger \[grey levels\].
+    /// Standard deviation of the image noise near the finger \[grey levels\].
     pub noise_grey: f64,
-    /// How the bisector was found.
+    /// Statistics of the bisector fit, if it succeeded.
     pub bisector: Option<BisectorReport>,
-    /// How the photometric line was found.
+    /// Statistics of the photometric fit, if it succeeded.
     pub photometric: Option<PhotometricReport>,
 }
 
-/// Refines lines; owns its buffers, so that nothing is allocated once they have grown.
+/// Refines axes. It owns its buffers, so nothing is allocated once they have grown.
 #[derive(Debug, Clone)]
 pub struct Refiner {
     options: RefineOptions,
@@ -306,7 +307,7 @@ impl Refiner {
         })
     }
 
-    /// The same, compiled for another instruction set; the lines have the same bits.
+    /// The same refiner for another instruction set; its lines are bit-identical.
     #[must_use]
     pub fn with_isa(self, isa: Isa) -> Self {
         let bisector = self.bisector.with_isa(isa);
@@ -320,16 +321,17 @@ impl Refiner {
         &self.options
     }
 
-    /// The axis of a finger that is believed to be near `finger`; `None` when neither line can be
-    /// believed, because the flanks do not show, or show something else than a finger.
+    /// The axis of the finger near the estimate `finger`. `None` when neither line is accepted,
+    /// because the flanks are not visible or do not bound a finger.
     ///
-    /// `polarity` says which side of the flanks is brighter, `appearance` what the hand looks like,
-    /// `background` what is behind it; where the pixels contradict it, it does not count. The result
-    /// depends on the arguments alone.
+    /// `polarity` is the brighter side of the flanks, `appearance` the colour model of the hand,
+    /// and `background` the learned background, which is ignored where the pixels contradict it.
+    /// The result depends on the arguments alone.
     ///
     /// # Errors
-    /// When a number of the finger is not finite, its half-width is not positive, its stretches reach
-    /// over more than [`MAX_STRETCH_PX`], or the background or the picture that it is behind is not of the frame's size.
+    /// When a number of the finger is not finite, its half-width is not positive, its stretches are
+    /// together longer than [`MAX_STRETCH_PX`], or the background or the image it belongs to
+    /// differs from the frame in size.
     pub fn refine(
         &mut self,
         frame: &Frame<'_>,
@@ -359,12 +361,12 @@ impl Refiner {
         Ok(self.believed(noise_grey, &start, bisector, photometric))
     }
 
-    /// How a finger that is believed to be near `finger` is bent; `None` when its flanks do not tell.
-    /// The arguments are those of [`refine`](Self::refine).
+    /// The bend of the finger near the estimate `finger`; `None` when its flanks do not determine
+    /// it. The arguments are those of [`refine`](Self::refine).
     ///
     /// # Errors
-    /// When a number of the finger is not finite, its half-width is not positive, or one of the halves
-    /// is longer than [`MAX_STRETCH_PX`].
+    /// When a number of the finger is not finite, its half-width is not positive, or one of the
+    /// halves is longer than [`MAX_STRETCH_PX`].
     pub fn bend(
         &mut self,
         frame: &Frame<'_>,
@@ -376,10 +378,11 @@ impl Refiner {
         self.straightness.bend(frame, cue, polarity, finger)
     }
 
-    /// The photometric line that counts, and the noise of the picture that shows it: the one before the
-    /// known background if it is believed. What is known may not be what is there; then pixels that agree
-    /// with a finger before something else are believed. Where neither are, a finger is not quite like the
-    /// model, and to know what is behind it is better than not to.
+    /// The photometric line in use, and the noise of the image it was fitted to. The first of these
+    /// is returned: the fit with the known background, if it is accepted alone; the fit with an
+    /// unknown background, if that is accepted alone, because the learned background may be out of
+    /// date; the fit with the known background, if it is unsure; the fit with an unknown
+    /// background.
     fn fit_pixels(
         &mut self,
         image: &GrayView<'_>,
@@ -400,7 +403,7 @@ impl Refiner {
         known.filter(|_| known_source.is_some() && !is_believed).or(alone)
     }
 
-    /// The photometric line before a known background, and the noise of the picture that shows it.
+    /// The photometric line with a known background, and the noise of the image it was fitted to.
     fn fit_before(
         &mut self,
         image: &GrayView<'_>,
@@ -413,7 +416,7 @@ impl Refiner {
         Some((fit, noise_grey))
     }
 
-    /// Decides which line counts.
+    /// Selects the line to return.
     fn believed(
         &self,
         noise_grey: f64,

@@ -1,9 +1,9 @@
-//! The image's noise, from the image itself.
+//! Estimation of the image noise from one image.
 //!
-//! Near the finger the image is cut into cells. The second difference by rows of the second
-//! difference by columns, [1 −2 1] × [1 −2 1]ᵀ, is blind to levels, slopes and straight edges along
-//! rows or columns, and has 36 times the variance of white noise. The cells that show a flat piece
-//! of the scene agree on it; those that show an edge or texture are above it and are left out.
+//! Near the finger the image is divided into cells. The second difference by rows of the second
+//! difference by columns, [1 −2 1] × [1 −2 1]ᵀ, cancels levels, slopes and straight edges along
+//! rows or columns, and has 36 times the variance of white noise. Cells on flat parts of the scene
+//! agree on that variance; cells with edges or texture exceed it and are left out.
 
 use super::sketch::Sketch;
 use crate::image::gray::GrayView;
@@ -11,24 +11,24 @@ use crate::numeric::simd::each;
 
 /// Side of a cell \[px\].
 const CELL: usize = 8;
-/// A row of a cell, and one pixel before and behind it.
+/// A row of a cell, with one pixel before and after it.
 type Row = [u8; CELL + 2];
-/// Squares of the weights of the double second difference: (1 + 4 + 1)².
+/// Sum of squares of the weights of the double second difference: (1 + 4 + 1)².
 const GAIN: f64 = 36.0;
-/// Relative standard deviation of a cell's variance: neighbours share pixels, and 64 of them count
-/// as 17 independent ones, √(2 / 17).
+/// Relative standard deviation of a cell's variance: neighbours share pixels, and its 64
+/// differences count as 17 independent ones, √(2 / 17).
 const CELL_SIGMA: f64 = 0.344;
-/// The lower quartile of such a cell, a gamma variable, in parts of its mean.
+/// Lower quartile of a cell's variance, a gamma variable, over its mean.
 const QUARTILE: f64 = 0.745;
-/// Cells up to this many standard deviations above the mean are kept; so cut off, the mean is lower
-/// by this part.
+/// Cells up to this many standard deviations above the mean are kept. The truncation lowers the
+/// mean by the factor `KEPT_MEAN`.
 const KEPT_SIGMAS: f64 = 2.5;
 const KEPT_MEAN: f64 = 0.988;
-/// Fewer cells than this do not agree on anything.
+/// Minimum number of cells for an estimate.
 const MIN_CELLS: usize = 4;
-/// How far beyond the flanks cells are taken from \[px\].
+/// Reach of the region beyond the flanks \[px\].
 const MARGIN_PX: f64 = 12.0;
-/// The rounding to whole grey levels alone: 1 / √12.
+/// Lower bound on the noise: quantisation to whole grey levels, 1 / √12.
 const LEAST_GREY: f64 = 0.288_675;
 const MAX_ROUNDS: usize = 10;
 const SETTLED: f64 = 1e-3;
@@ -45,7 +45,7 @@ impl NoiseEstimator {
     }
 
     /// Standard deviation of the noise near the finger \[grey levels\]; `None` if too little of the
-    /// image is there, or is not clipped.
+    /// image is there and not clipped.
     pub fn estimate(&mut self, image: &GrayView<'_>, sketch: &Sketch) -> Option<f64> {
         self.collect(image, sketch);
         let cells = &mut self.cells;
@@ -67,7 +67,7 @@ impl NoiseEstimator {
         Some(variance.sqrt().max(LEAST_GREY))
     }
 
-    /// The variances of the cells in the box about the finger.
+    /// Collects the variances of the cells in the bounding box of the finger.
     fn collect(&mut self, image: &GrayView<'_>, sketch: &Sketch) {
         let (long, wide) = (sketch.half_length_px, sketch.half_width_px + MARGIN_PX);
         let (u, v) = (sketch.along.x.abs(), sketch.along.y.abs());
@@ -87,8 +87,7 @@ impl NoiseEstimator {
     }
 }
 
-/// The variance of the noise in the cell whose first pixel is (x, y); `None` if a pixel of it is
-/// clipped.
+/// The noise variance of the cell whose first pixel is (x, y); `None` if a pixel of it is clipped.
 fn cell(image: &GrayView<'_>, x: usize, y: usize) -> Option<f64> {
     let row = |v| image.row(v)?.get(x - 1..)?.first_chunk::<{ CELL + 2 }>();
     let second = |r: &Row| -> [i16; CELL] {
@@ -102,7 +101,7 @@ fn cell(image: &GrayView<'_>, x: usize, y: usize) -> Option<f64> {
             let twice = i32::from(above[k] - 2 * here[k] + below[k]);
             sum += twice * twice;
         }
-        // Without a shortcut, so that they are looked at side by side.
+        // Without a shortcut, so that the loop is vectorised.
         for p in &row(v)?[1..=CELL] {
             is_clipped |= p.wrapping_add(1) < 2;
         }

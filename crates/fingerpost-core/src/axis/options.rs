@@ -3,66 +3,69 @@
 use crate::axis::{BisectorReport, PhotometricReport, Source};
 use crate::{Error, Result};
 
-/// How the bisector of the flanks' edges is found.
+/// Options of the bisector fit.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct BisectorOptions {
-    /// Scale of the derivative of Gaussian that finds the edges \[px\], 0.5–8.
+    /// Scale of the derivative of Gaussian of the edge search \[px\], 0.5–8.
     pub scale_px: f64,
-    /// How far from the flanks edges are looked for \[px\], 1–128, but not beyond the axis.
+    /// Half-length of the searches across the flanks \[px\], 1–128; they end at the axis at the
+    /// latest.
     pub half_length_px: f64,
-    /// The least contrast that counts as an edge \[grey levels\], 0–255.
+    /// Minimum contrast of an edge \[grey levels\], 0–255.
     pub min_contrast_grey: f64,
-    /// Edges within this of a common straight line agree \[px\], positive.
+    /// Scale of the truncated residual in the consensus \[px\], positive; edges within twice this
+    /// remain.
     pub consensus_px: f64,
     /// Tukey's cutoff \[robust standard deviations\], above 1.
     pub cutoff: f64,
-    /// Fewer edges than this on either flank are no flank, at least 6.
+    /// Minimum number of edges on either flank, at least 6.
     pub min_edges: usize,
-    /// At most this many searches, 1–20.
+    /// Maximum number of searches, 1–20.
     pub max_passes: usize,
-    /// Neighbouring edges share pixels and are interpolated alike: the covariance of independent ones
-    /// is multiplied by this, at least 1.
+    /// Factor on the covariance of independent edges, at least 1: neighbouring edges share pixels
+    /// and interpolation errors.
     pub correlation: f64,
 }
 
-/// How the photometric line is found.
+/// Options of the photometric fit.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PhotometricOptions {
-    /// Pixels so far inside the edge are fitted \[px\], 2–20.
+    /// Depth of the fitted strip inside the edge \[px\], 2–20.
     pub inner_px: f64,
-    /// Pixels so far outside the edge are fitted \[px\], 1–20: the farther, the likelier is something
-    /// else behind them than next to the edge.
+    /// Width of the fitted strip outside the edge \[px\], 1–20. Farther out the background is more
+    /// likely to differ from that at the edge.
     pub outer_px: f64,
-    /// The same before a known background, of which nothing misleads \[px\], 1–20.
+    /// The same before a known background, which has no such error \[px\], 1–20.
     pub known_outer_px: f64,
-    /// How much of the round end is fitted, from its middle, in parts of its radius, 0–0.9.
+    /// Extent of the fitted part of the round end, from its centre, in radii, 0–0.9.
     pub cap: f64,
     /// Length of a block \[px\], 1–20.
     pub block_px: f64,
-    /// Fewer blocks than this on either flank are no flank, at least 3.
+    /// Minimum number of blocks on either flank, at least 3.
     pub min_blocks: usize,
     /// Tukey's cutoff \[standard deviations of a pixel\], above 1.
     pub cutoff: f64,
-    /// The blur that is expected, to within 1 px: standard deviation \[px\], 0.3–8.
+    /// Prior mean of the blur's standard deviation \[px\], 0.3–8; the prior's own standard
+    /// deviation is 1 px.
     pub blur_px: f64,
-    /// Standard deviation of the bend and of the bulge of fingers \[px\], positive.
+    /// Prior standard deviation of the bend and of the bulge of fingers \[px\], positive.
     pub bend_px: f64,
-    /// Standard deviation of the change of brightness between the middle of the stretch and its
-    /// end, in parts of the contrast, positive.
+    /// Prior standard deviation of the change of level between the middle of the stretch and its
+    /// end, as a fraction of the contrast, positive.
     pub change: f64,
-    /// Standard deviation of what light from the side adds to the brightness in the middle of the
-    /// finger, in parts of the contrast, positive.
+    /// Prior standard deviation of the level that light from the side adds in the middle of the
+    /// finger, as a fraction of the contrast, positive.
     pub ramp: f64,
-    /// Standard deviation of what light from the camera adds there, which falls off towards the
-    /// limb as the root of the depth, in parts of the contrast, positive.
+    /// Prior standard deviation of the level that light from the camera adds there, which falls off
+    /// towards the limb as the root of the depth, as a fraction of the contrast, positive.
     pub limb: f64,
-    /// The line has settled when an iteration moves it less than this \[px\], positive, or by next to
-    /// nothing in units of what it is uncertain by.
+    /// The fit has converged when an iteration moves the flanks by less than this \[px\], positive,
+    /// or when the step is negligible in units of its covariance.
     pub tolerance_px: f64,
-    /// At most this many iterations, 1–100.
+    /// Maximum number of iterations, 1–100.
     pub max_iterations: usize,
-    /// How far background that changes from block to block, or a finger that has another level
-    /// there, may shift the edge unseen, for a change as large as the contrast \[px\], 0–5.
+    /// Undetected shift of the edge by a change of the background's level from block to block, or
+    /// by a deviation of the finger's level, if the change equals the contrast \[px\], 0–5.
     pub restlessness_px: f64,
 }
 
@@ -73,29 +76,30 @@ pub struct RefineOptions {
     pub bisector: BisectorOptions,
     /// The photometric line.
     pub photometric: PhotometricOptions,
-    /// The photometric line counts if its pixels scatter by at most this many times the image's
-    /// noise, at least 1. Skin, compression and what the model leaves out all scatter: sharp still
-    /// pictures of real fingers have 4–8.
+    /// Acceptance of the photometric line: maximum standard deviation of its pixels, in units of
+    /// the image noise, at least 1. Skin, compression and deviations from the model all contribute:
+    /// sharp still images of real fingers have 4–8.
     pub max_residual: f64,
-    /// And if at most this part of its pixels is rejected, 0–1.
+    /// Acceptance of the photometric line: maximum fraction of rejected pixels, 0–1.
     pub max_rejected: f64,
-    /// And if its blocks count this much on average, 0–1.
+    /// Acceptance of the photometric line: minimum mean weight of the blocks, 0–1.
     pub min_trusted: f64,
-    /// And if the edge of neither flank scatters by more than this from block to block \[px\],
-    /// positive: real fingers have 0.0–0.1, flanks that are none 0.1–0.4.
+    /// Acceptance of the photometric line: maximum standard deviation of either flank's edge from
+    /// block to block \[px\], positive. Real fingers have 0.0–0.1, other edges 0.1–0.4.
     pub max_edge_px: f64,
-    /// And if the contrast of both flanks is at least this many times their pixels' scatter,
-    /// positive.
+    /// Acceptance of the photometric line: minimum contrast of both flanks, in standard deviations
+    /// of their pixels, positive.
     pub min_contrast: f64,
-    /// A photometric line that does not count for what its pixels or edges scatter, or for its
-    /// contrast, is unsure if the edge of neither flank scatters by more than this \[px\], positive,
+    /// A photometric line that fails for the scatter of its pixels or edges, or for its contrast,
+    /// is unsure if the edge of neither flank scatters by more than this \[px\], positive,
     pub max_unsure_edge_px: f64,
-    /// and if the contrast of both flanks is at least this many times their pixels' scatter,
-    /// positive: a flank of no contrast may be anywhere.
+    /// and if both flanks have at least this contrast, in standard deviations of their pixels,
+    /// positive: a flank without contrast has no position.
     pub min_unsure_contrast: f64,
-    /// The bisector counts if its edges scatter by at most this about the flanks \[px\], positive,
+    /// The bisector is accepted if its edges scatter by at most this about the flanks \[px\],
+    /// positive,
     pub max_edge_residual_px: f64,
-    /// and if at most this part of them is rejected, 0–1.
+    /// and if at most this fraction of them is rejected, 0–1.
     pub max_edges_rejected: f64,
 }
 
@@ -143,7 +147,7 @@ impl Default for RefineOptions {
 }
 
 impl RefineOptions {
-    /// Whether every option is finite and in its range.
+    /// Checks that every option is finite and in its range.
     pub(super) fn check(&self) -> Result<()> {
         self.bisector.check()?;
         self.photometric.check()?;
@@ -160,7 +164,7 @@ impl RefineOptions {
 }
 
 impl RefineOptions {
-    /// Whether the photometric line is that of a finger.
+    /// Whether the photometric line is accepted alone.
     pub(super) fn believes_pixels(&self, report: &PhotometricReport, noise_grey: f64) -> bool {
         let scatter = report.residual_grey;
         report.converged
@@ -171,7 +175,7 @@ impl RefineOptions {
             && contrasts(report, self.min_contrast)
     }
 
-    /// What a photometric line is worth, if anything.
+    /// The rating of a photometric line: accepted alone, unsure, or rejected (`None`).
     pub(super) fn tells(&self, report: &PhotometricReport, noise_grey: f64) -> Option<Source> {
         if self.believes_pixels(report, noise_grey) {
             return Some(Source::Photometric);
@@ -184,14 +188,14 @@ impl RefineOptions {
         is_unsure.then_some(Source::Unsure)
     }
 
-    /// Whether the edges are those of two straight flanks.
+    /// Whether the bisector is accepted.
     pub(super) fn believes_edges(&self, report: &BisectorReport) -> bool {
         report.residual_px <= self.max_edge_residual_px
             && report.rejected <= self.max_edges_rejected
     }
 }
 
-/// Whether both flanks contrast by so many times what their pixels scatter.
+/// Whether both flanks have at least this contrast, in standard deviations of their pixels.
 fn contrasts(report: &PhotometricReport, least: f64) -> bool {
     report.contrast_grey.iter().all(|c| c.abs() >= least * report.residual_grey)
 }

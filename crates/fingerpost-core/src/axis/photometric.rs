@@ -1,27 +1,26 @@
-//! The line that the pixels themselves make most likely.
+//! Maximum-likelihood fit of the finger's two flanks to the pixels.
 //!
-//! Both flanks are fitted at once: the bisector q = d + ϑ p, the half-width w₀ + w₁ p, a bend and a
-//! bulge of the finger along the Legendre polynomial P₂(p / h), the blur, the middle of the round
-//! end, and for each flank the brightness of the finger and of what is behind it
-//! ([`profile`](super::profile)). With t = p / h, neither P₂ term shifts or turns the straight line
-//! that runs closest to the medial line of an evenly seen finger.
+//! Both flanks are fitted at once. The unknowns are the bisector q = d + ϑ p, the half-width w₀ +
+//! w₁ p, a bend and a bulge of the finger along the Legendre polynomial P₂(p / h), the blur, the
+//! centre of the round end, and for each flank the levels of finger and background
+//! ([`profile`](super::profile)). With t = p / h, neither P₂ term shifts or turns the least-squares
+//! line through the medial line of an evenly sampled finger.
 //!
-//! What no smooth model says is random from block to block ([`block`](super::block)): the inside
-//! level, the background level and the place of the edge. Each has a variance that is estimated from
-//! the picture itself, so that a flat scene costs nothing and a cluttered one widens the covariance
-//! by what it is worth. Two things more keep clutter from being believed:
+//! Deviations from the smooth model are random effects per block ([`block`](super::block)): inside
+//! level, background level and edge position. Their variances are estimated from the image, so a
+//! uniform scene costs no accuracy and clutter inflates the covariance. Two further measures reduce
+//! the influence of clutter:
 //!
-//! - A block whose pixels scatter more than the others do has something in it that is not in the
-//!   model, and counts less.
-//! - Where the background's level changes from block to block, something begins or ends behind the
-//!   finger, and whatever of it runs along the flank, nearer than the blur, has shifted the edge
-//!   without a trace in the residuals. Such a shift is about the change of level over the contrast,
-//!   times the distance over which the edge is blurred; that much is added to the variance of the
-//!   block's edge. The same goes for where the finger's own level deviates: a nail does not end where
-//!   the flank does.
+//! - A block whose pixels scatter more than those of the others contains structure that the model
+//!   lacks, and is weighted down.
+//! - A change of the background's level from block to block shows an edge behind the finger. Where
+//!   it runs along the flank within the blur, it shifts the measured edge and leaves no residual.
+//!   The shift is about (change of level / contrast) × (width of the blurred edge); its square is
+//!   added to the variance of the block's edge. Deviations of the finger's own level are treated
+//!   alike: a nail does not end at the flank.
 //!
-//! And where the edges of neighbouring blocks deviate alike, as at a joint, the blocks are no
-//! independent witnesses: what they share counts several times.
+//! Where the edges of neighbouring blocks deviate together, as at a joint, the blocks are not
+//! independent, and their common deviation enters the variance several times.
 
 #![expect(
     clippy::inline_always,
@@ -50,33 +49,35 @@ use crate::numeric::simd::Isa;
 use nalgebra::{Cholesky, Const, Matrix2, Matrix4, Vector2};
 use std::f64::consts::PI;
 
-/// The first iteration takes residuals of this part of the contrast for noise: it starts from the
-/// sketch, a part of a px off.
+/// Residual scale of the first iteration as a fraction of the contrast: the sketch is a fraction of
+/// a px off.
 const FIRST_SCALE: f64 = 0.1;
-/// Pixels scatter no less than this part of the image's noise: few that happen to agree prove
-/// nothing.
+/// Lower bound on the residual scale, as a fraction of the image noise: a few pixels that agree by
+/// chance must not set it.
 const LEAST_SCALE: f64 = 0.7;
-/// The median of χ² / n of blocks of some 25 pixels, (1 − 2 / 9 n)³.
+/// Median of χ² / n of blocks of about 25 pixels, (1 − 2 / 9 n)³.
 const MEDIAN_OF_BLOCKS: f64 = 0.974;
-/// Variances, weights of blocks and the scale are estimated in so many iterations, then held: the
-/// rest is Gauss–Newton and converges.
+/// Number of iterations that re-estimate variances, block weights and residual scale. They are held
+/// afterwards, so that the remaining Gauss–Newton iterations converge.
 const ADAPTING_ITERATIONS: usize = 8;
-/// No iteration moves the flanks by more than this \[px\], or the blur by more than this part.
+/// Upper bounds per iteration on the motion of the flanks \[px\] and on the relative change of the
+/// blur.
 const LONGEST_STEP_PX: f64 = 1.0;
 const LARGEST_BLUR_CHANGE: f64 = 0.3;
-/// A step is as small as its noise allows if it is no longer than a third of a standard deviation in
-/// all unknowns together: Gauss–Newton leaves a tenth of that. At half of one the line would be as
-/// good, but what deviates from block to block is not told apart from noise yet.
+/// Convergence threshold on the χ² of a step: a third of a standard deviation in all unknowns
+/// together. Gauss–Newton leaves a tenth of that. At half a standard deviation the line would be as
+/// good, but the block deviations are not yet separated from noise.
 const SMALL_STEP: f64 = 0.1;
-/// After the last iteration allowed, a motion of so many tolerances is still taken for settled.
+/// After the last iteration, a motion of at most this many tolerances still counts as converged.
 const NEARLY_SETTLED: f64 = 10.0;
-/// A background that is known and there leaves this part of the blocks of either flank: where it is
-/// not, some agree with it by chance.
+/// A known background that is present leaves at least this fraction of the blocks of either flank
+/// usable. Where it is absent, some blocks agree with it by chance.
 const LEAST_USABLE: f64 = 0.7;
-/// Levels to start from are those of the pixels so far inside and outside the sketch's edge \[px\].
+/// Initial levels come from pixels at least this far inside and outside the sketch's edge \[px\].
 const CLEAR_INSIDE_PX: f32 = 2.0;
 const CLEAR_OUTSIDE_PX: f32 = 1.0;
-/// The blur to start from is that of the pixels so near to the edge, but no less than that \[px\].
+/// The initial blur is estimated from pixels within this distance of the edge, and has this lower
+/// bound \[px\].
 const NEAR_EDGE_PX: f32 = 2.5;
 const LEAST_BLUR_PX: f64 = 0.4;
 
@@ -90,18 +91,18 @@ pub(super) struct Photometric {
     sorted: Vec<f64>,
 }
 
-/// A photometric line in the frame of the sketch that it was fitted from.
+/// A photometric line, in the frame of the sketch it was fitted from.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct PhotometricFit {
     pub line: FlankLines,
-    /// The stretch in p over which a line of least squares runs as this one does.
+    /// The stretch in p whose least-squares line this is.
     pub stretch: Stretch,
     /// Of d and ϑ.
     pub covariance: Matrix2<f64>,
     pub report: PhotometricReport,
 }
 
-/// The normal equations of all unknowns, and what the covariance needs beyond.
+/// Normal equations of all unknowns, and the sums that the covariance needs besides.
 struct Normal {
     information: Information,
     right: Vector,
@@ -109,7 +110,7 @@ struct Normal {
 }
 
 impl Normal {
-    /// With what is known beforehand, where a pixel scatters by `scale`.
+    /// Adds the prior, for pixels of standard deviation `scale`.
     fn join(&mut self, prior: &Prior, x: &Unknowns, scale: f64) {
         for i in 0..UNKNOWNS {
             let own = scale * scale * prior.information[i];
@@ -119,7 +120,7 @@ impl Normal {
     }
 }
 
-/// How a fit ended.
+/// State of a fit at its end.
 struct Ending {
     residual_grey: f64,
     bend_sigma_px: f64,
@@ -138,12 +139,12 @@ impl Photometric {
         }
     }
 
-    /// The same with another instruction set.
+    /// The same fit for another instruction set.
     pub fn with_isa(self, isa: Isa) -> Self {
         Self { isa, ..self }
     }
 
-    /// The line near the sketch, or `None` if too little of a flank shows or the pixels do not
+    /// The line near the sketch. `None` if too little of a flank is visible or the pixels do not
     /// determine the line.
     pub fn fit(
         &mut self,
@@ -182,7 +183,7 @@ impl Photometric {
             let part = (LONGEST_STEP_PX / motion).min(blur).min(1.0);
             x.0 += step * part;
             self.follow(sketch, &step, part);
-            // The square of the step in units of its covariance, of all unknowns together.
+            // χ² of the step: its squared length in units of the covariance of all unknowns.
             let chi_squared = step.dot(&normal.right) / (scale * scale);
             let is_small = motion < self.options.tolerance_px || chi_squared < SMALL_STEP;
             let settled = iteration > 2 && is_small;
@@ -201,7 +202,7 @@ impl Photometric {
         }
     }
 
-    /// Takes the pixels about both flanks out of the image, and whether each of them shows enough.
+    /// Collects the pixels near both flanks; returns whether each flank has enough.
     fn gather(
         &mut self,
         image: &GrayView<'_>,
@@ -220,13 +221,13 @@ impl Photometric {
         })
     }
 
-    /// How many pixels are fitted.
+    /// Number of pixels fitted.
     fn pixels(&self) -> usize {
         self.flanks.iter().map(|f| f.strip.pixels()).sum()
     }
 
-    /// Where the search begins: on the sketch, with the middle levels of the blocks' pixels that are
-    /// clear of the edge. `None` if a flank has none on either side.
+    /// Initial unknowns: the sketch, and per flank the median over the blocks of the levels clear
+    /// of the edge. `None` if a flank has no such pixels on either side.
     fn start(&mut self, sketch: &Sketch) -> Option<Unknowns> {
         let Self { isa, flanks, sorted, .. } = self;
         let mut levels = [[0.0; 2]; 2];
@@ -243,9 +244,9 @@ impl Photometric {
         Some(Unknowns::on(sketch, levels, blur_px))
     }
 
-    /// The blur that the pixels about the sketch's edge show, between levels given for either flank,
-    /// by the middle one of its blocks \[px\]. Of a step, n = (I − b) / (a − b) has
-    /// ∫ n (1 − n) dy = s / √π; what shows more than the step, or less, counts for nothing.
+    /// Blur at the sketch's edge, for given levels a and b of either flank, by the median over its
+    /// blocks \[px\]. For a blurred step, n = (I − b) / (a − b) satisfies ∫ n (1 − n) dy = s / √π.
+    /// Pixels outside the range of the two levels contribute zero.
     fn shown_blur_px(&mut self, sketch: &Sketch, levels: &[[f64; 2]; 2]) -> f64 {
         let Self { isa, flanks, sorted, .. } = self;
         let mut sum = 0.0;
@@ -254,7 +255,7 @@ impl Photometric {
             let across_step = |away: f32, grey: f32, behind: f32| {
                 let b = behind + b;
                 let parts = ((grey - b) * (a - grey)).max(0.0);
-                // Of no contrast there is no part.
+                // Keeps the quotient finite without contrast.
                 (away.abs() < NEAR_EDGE_PX, parts / ((a - b) * (a - b)).max(1.0))
             };
             isa.run(Surveying { strip, sketch, measure: across_step, mean: false, told: sorted });
@@ -285,7 +286,7 @@ impl Photometric {
                 sketch,
                 x,
                 end,
-                // Up to here no pixel of a block feels the round end.
+                // Below this abscissa the round end affects no pixel of a block.
                 clear_px: end_px - CLEAR * x.blur_px() - 0.5 * self.options.block_px,
                 table: self.table,
                 weighing,
@@ -304,7 +305,7 @@ impl Photometric {
         normal
     }
 
-    /// Takes all deviations along with a step of the unknowns.
+    /// Updates the block deviations after a step of the unknowns.
     fn follow(&mut self, sketch: &Sketch, step: &Vector, part: f64) {
         let taken = step * part;
         for (index, flank) in self.flanks.iter_mut().enumerate() {
@@ -316,8 +317,8 @@ impl Photometric {
         }
     }
 
-    /// Standard deviation of a pixel: that of the middle one of the blocks, so that up to half of
-    /// them may have something in them \[grey levels\].
+    /// Standard deviation of a pixel, from the median of χ² over the blocks: up to half of them may
+    /// contain outliers \[grey levels\].
     fn residual_scale(&mut self, scale: f64, freedom: f64) -> f64 {
         self.sorted.clear();
         for flank in &self.flanks {
@@ -359,7 +360,7 @@ impl Photometric {
     }
 }
 
-/// Covariance of d, ϑ, bend and bulge: that of a robust fit, E\[ψ²\] / E\[ψ′\]² H⁻¹.
+/// Robust covariance of d, ϑ, bend and bulge: E\[ψ²\] / E\[ψ′\]² H⁻¹.
 fn covariance(
     factor: &Cholesky<f64, Const<UNKNOWNS>>,
     tally: &Tally,
@@ -383,8 +384,8 @@ fn covariance(
     Some(covariance)
 }
 
-/// The straight line that runs closest to the bent medial line, where closeness counts by what the
-/// pixels say: the estimate of d and ϑ given that there is no bend and no bulge.
+/// The straight line closest to the bent medial line in the metric of the information matrix: the
+/// estimate of d and ϑ conditional on zero bend and zero bulge.
 fn straight(
     x: &Unknowns,
     covariance: &Matrix4<f64>,
@@ -405,9 +406,9 @@ fn straight(
     positive.then_some(PhotometricFit { line, stretch, covariance, report })
 }
 
-/// The stretch over which a line of least squares through a bend of 1 px is `line` (offset and
-/// slope): both cut the bend P₂(p / h) in the same two places, ± its half-length / √3 from its
-/// middle.
+/// The stretch over which the least-squares line through a bend of 1 px is `line` (offset and
+/// slope). Both lines meet the bend P₂(p / h) at the same two abscissae, ± half-length / √3 from
+/// the stretch's middle.
 fn stretch(line: &Vector2<f64>, h: f64) -> Stretch {
     let middle_px = line.y * h * h / 3.0;
     let cut_px2 = middle_px * middle_px + h * h * (1.0 + 2.0 * line.x) / 3.0;

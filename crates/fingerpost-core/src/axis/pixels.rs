@@ -1,15 +1,14 @@
 //! The pixels near the flanks, sorted into blocks along the finger.
 //!
-//! Pixels that are clipped (0 or 255) say only that the light was at least or at most so much, and
-//! are left out. A block is a short slab of one flank. [`LANES`] blocks that follow each other are
-//! worked on side by side, one in every lane: sums over a block's pixels, and all that follows from
-//! them, never cross lanes. A block with fewer pixels than its neighbours is padded with pixels of no
-//! weight; the last group, about the round end, is always full, and the first one may have lanes
-//! without a block.
+//! Clipped pixels (0 or 255) bound the intensity on one side only and are left out. A block is a
+//! short slab of one flank. [`LANES`] successive blocks are processed together, one per lane: sums
+//! over a block's pixels, and all results of them, never cross lanes. A block with fewer pixels
+//! than its neighbours is padded with pixels of zero weight. The last group, at the round end, is
+//! always full; the first one may have lanes without a block.
 //!
-//! A known background may lie in the shadow of the hand, or not be what is behind the finger now.
-//! Pixels further out than those that are fitted tell, block by block: their middle ratio to the
-//! background is the light that the shadow leaves, and where they do not agree with the background
+//! A learned background may lie in the shadow of the hand, or may no longer be behind the finger.
+//! Pixels further out than the fitted ones decide this per block: the median of their ratios to the
+//! background is the fraction of light left by the shadow. Where they disagree with the background
 //! even then, the block is left out.
 
 #![expect(
@@ -23,10 +22,10 @@ use crate::axis::{KnownBackground, PhotometricOptions, Stretch};
 use crate::image::gray::GrayView;
 use nalgebra::Vector2;
 
-/// How many blocks are worked on at once.
+/// Number of blocks processed at once.
 pub(super) const LANES: usize = 8;
 pub(super) type Lanes = [f32; LANES];
-/// What is made of sums over pixels, which single precision would spoil.
+/// Results of sums over pixels, for which single precision is insufficient.
 pub(super) type Doubles = [f64; LANES];
 
 /// The sum of all lanes.
@@ -57,18 +56,19 @@ pub(super) struct Chunk {
 /// A slab of one flank.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Block {
-    /// The middle of the slab.
+    /// Abscissa of the slab's middle \[px\].
     pub p: f64,
     pub pixels: usize,
     /// Mean level of the known background behind it, or zero \[grey levels\].
     pub behind: f64,
-    /// How the known background behind it is lit: 1, less in a shadow, 0 if it is not there.
+    /// Illumination of the known background behind it: 1, less in a shadow, 0 where the background
+    /// is absent.
     background_light: f32,
-    /// Its place among the lanes of all groups.
+    /// Index among the lanes of all groups.
     slot: usize,
 }
 
-/// Blocks side by side.
+/// Blocks that are processed together.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Group {
     /// The middles of the slabs; that of a neighbour in a lane without a block.
@@ -79,7 +79,7 @@ pub(super) struct Group {
     to_chunk: usize,
 }
 
-/// One flank's pixels.
+/// The pixels of one flank.
 #[derive(Debug, Clone)]
 pub(super) struct Strip {
     pub blocks: Vec<Block>,
@@ -93,17 +93,17 @@ pub(super) struct Strip {
     usable: f64,
 }
 
-/// A pixel outside the strip, that shows how the background is lit.
+/// A pixel outside the strip, used to estimate the illumination of the background.
 #[derive(Debug, Clone, Copy)]
 struct BackgroundPixel {
     p: f64,
     grey: f32,
-    /// The known level and its variance.
+    /// The learned level and its variance.
     level: f32,
     variance: f32,
 }
 
-/// A pixel on its way into a block.
+/// A pixel to be put into a block.
 #[derive(Debug, Clone, Copy)]
 struct StripPixel {
     block: usize,
@@ -116,7 +116,7 @@ struct StripPixel {
     behind: [f32; 4],
 }
 
-/// A pixel of the image, and where it is in the finger's frame.
+/// A pixel of the image, with its coordinates in the finger's frame.
 #[derive(Debug, Clone, Copy)]
 struct Pixel {
     x: u32,
@@ -132,25 +132,25 @@ struct Band {
     v: [f64; 2],
 }
 
-/// A strip of so many blocks, of so many pixels each, fits without another allocation.
+/// Capacity of a strip, in blocks and in pixels per block; larger strips allocate.
 pub(super) const USUAL_BLOCKS: usize = 128;
 pub(super) const USUAL_PIXELS: usize = 32;
 
-/// Witnesses stand outside the edge from here to there, beyond its blur \[px\],
+/// Background pixels are taken at these distances outside the edge, beyond its blur \[px\],
 const BACKGROUND_DISTANCE_PX: std::ops::RangeInclusive<i32> = 4..=8;
-/// and are heard this far along the finger from the middle of a block \[px\].
+/// and within this distance along the finger from the middle of a block \[px\].
 const BACKGROUND_REACH_PX: f64 = 6.0;
-/// Fewer than this tell nothing of a block's light.
+/// Minimum number of background pixels that determine a block's illumination.
 const MIN_BACKGROUND_PIXELS: usize = 12;
-/// A witness agrees within this many standard deviations, and this part of the level: shadows have
-/// soft edges.
+/// Tolerance of a background pixel, in standard deviations, and as a fraction of the level besides:
+/// shadows have soft edges.
 const AGREES_SIGMAS: f32 = 4.0;
 const AGREES_PART: f32 = 0.04;
-/// As many of them agree if the background is what is there.
+/// Minimum fraction of agreeing pixels where the background is present.
 const LEAST_AGREEING: f64 = 0.6;
-/// What a shadow leaves of the light; more is none, and this close to 1 it is noise.
+/// Range of illumination in a shadow. Other ratios are taken as no shadow; those near 1 are noise.
 const SHADOWS: std::ops::Range<f32> = 0.25..0.97;
-/// Levels below this tell no ratio \[grey levels\].
+/// Background levels below this determine no ratio \[grey levels\].
 const DARK_GREY: f32 = 8.0;
 
 impl Strip {
@@ -174,23 +174,24 @@ impl Strip {
         self.chunks.get(group.from_chunk..group.to_chunk).unwrap_or_default()
     }
 
-    /// The most pixels that a block has.
+    /// The largest number of pixels of a block.
     pub fn most_pixels(&self) -> usize {
         self.groups.iter().map(|g| g.to_chunk - g.from_chunk).max().unwrap_or(0)
     }
 
-    /// The place of the first block among the lanes of all groups; the others follow it.
+    /// Index of the first block among the lanes of all groups; the others follow it.
     pub fn first_slot(&self) -> usize {
         self.blocks.first().map_or(0, |b| b.slot)
     }
 
-    /// The part of the blocks that the frame and what is known of the background leave, 0–1.
+    /// Fraction of the blocks with pixels after clipping and the comparison with the background,
+    /// 0–1.
     pub fn usable(&self) -> f64 {
         self.usable
     }
 
-    /// How much a finger contrasts with what is behind it, that is `above_grey` above zero where
-    /// nothing is known of that: root mean square over the blocks, with the sign of the mean.
+    /// Contrast of a finger whose level is `above_grey`, relative to the known background if there
+    /// is one: root mean square over the blocks, with the sign of the mean.
     pub fn contrast_grey(&self, above_grey: f64) -> f64 {
         let (mut sum, mut squares) = (0.0, 0.0);
         for block in &self.blocks {
@@ -201,12 +202,12 @@ impl Strip {
         (squares / self.blocks.len().max(1) as f64).sqrt().copysign(sum)
     }
 
-    /// All usable pixels in the block.
+    /// Number of usable pixels in all blocks.
     pub fn pixels(&self) -> usize {
         self.blocks.iter().map(|b| b.pixels).sum()
     }
 
-    /// Collects the pixels of a flank near where the sketch has it and where it is bare.
+    /// Collects the pixels of a flank near the sketch, where the flank is visible.
     pub fn gather(
         &mut self,
         image: &GrayView<'_>,
@@ -233,7 +234,7 @@ impl Strip {
         self.fill();
     }
 
-    /// Collects the witnesses of a flank.
+    /// Collects the background pixels of a flank.
     fn gather_background(
         &mut self,
         image: &GrayView<'_>,
@@ -267,8 +268,8 @@ impl Strip {
         }
     }
 
-    /// Tells how the background behind each block is lit: 1, what a shadow leaves, or 0 if what is
-    /// there is not the background.
+    /// Estimates the illumination of the background behind each block: 1, the fraction left by a
+    /// shadow, or 0 where the background is absent.
     fn background_light(&mut self, noise_grey: f32) {
         let Self { blocks, background_pixels, ratios, .. } = self;
         for block in blocks {
@@ -295,8 +296,8 @@ impl Strip {
         }
     }
 
-    /// Finds the usable pixels of the strip: along the straight part up to the middle of the round
-    /// end, and about a part of that.
+    /// Collects the usable pixels of the strip: along the straight part up to the centre of the
+    /// round end, and along a part of the round end.
     fn add_pixel(
         &mut self,
         image: &GrayView<'_>,
@@ -340,7 +341,7 @@ impl Strip {
             });
         }
         if let (Some(end), Some(radius)) = (sketch.round_end_px, sketch.end_radius_px()) {
-            // The middle itself belongs to the straight part.
+            // The centre itself belongs to the straight part.
             let p = [from_px.max(end).next_up(), to_px.min(end + options.cap * radius)];
             if p[1] > p[0] {
                 let band = Band { p, v: [0.0, radius + outer] };
@@ -354,14 +355,14 @@ impl Strip {
         blocks.resize(blocks_seen as usize, Block::default());
     }
 
-    /// Tells the blocks where they are.
+    /// Assigns the blocks their abscissae.
     fn divide(&mut self, from_px: f64, block_px: f64) {
         for (k, block) in self.blocks.iter_mut().enumerate() {
             (block.p, block.background_light) = (from_px + (k as f64 + 0.5) * block_px, 1.0);
         }
     }
 
-    /// Finds what is known to be behind the pixels, and forgets those behind which nothing is.
+    /// Adds the known background to the pixels, and drops those without one.
     fn uncover(&mut self, known: &KnownBackground<'_>, outward: Vector2<f64>) {
         let Self { blocks, gathered, .. } = self;
         gathered.retain_mut(|s| {
@@ -381,7 +382,7 @@ impl Strip {
         });
     }
 
-    /// Puts the blocks that have pixels side by side.
+    /// Arranges the blocks that have pixels in groups.
     fn group(&mut self) {
         let Self { blocks, groups, chunks, gathered, usable, .. } = self;
         for s in &*gathered {
@@ -399,7 +400,7 @@ impl Strip {
             block.slot = slot;
             block.behind /= block.pixels as f64;
         }
-        // What was seen says by now where it goes.
+        // From here on a pixel's block is an index among the lanes.
         for s in &mut *gathered {
             s.block = blocks[s.block].slot;
         }

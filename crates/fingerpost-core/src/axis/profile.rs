@@ -1,4 +1,4 @@
-//! What a camera records of a finger near one flank, and how that changes.
+//! Model of the grey levels near one flank, and its derivatives.
 //!
 //! A pixel lies y outside the edge of its flank. With blur s, depth z = −y / s and
 //! Mₖ(z) = E\[(z + Z)₊ᵏ\], its grey level is
@@ -8,18 +8,19 @@
 //! α = a + a₁ p        β = B + b + b₁ p
 //! ```
 //!
-//! a is the finger's brightness at the flank and b that of what is behind it, a₁ and b₁ their change
-//! along the finger. A diffuse cylinder of half-width W has l √(1 − (1 − depth/W)²) + c depth / W on
-//! top, for light from the camera and from the side; l has its first term. B is the known background
-//! or zero. It is known as the camera blurs it, and the finger covers it before: to second order in
-//! its derivatives B′, B″ outward, E\[B(y + s Z); outside\] = B Φ(−z) + B′ s φ + ½ B″ s² z φ.
+//! a is the level of the finger at the flank and b that of the background; a₁ and b₁ are their
+//! changes along the finger. A diffuse cylinder of half-width W adds l √(1 − (1 − depth/W)²) + c
+//! depth / W for light from the camera and from the side; the model has the first term in l of its
+//! expansion. B is the known background or zero. The background is known as the camera blurs it,
+//! whereas the finger covers it before the blur: to second order in its derivatives B′, B″ outward,
+//! E\[B(y + s Z); outside\] = B Φ(−z) + B′ s φ + ½ B″ s² z φ.
 //!
-//! Beyond e, the middle of the round end, the outline is a circle of radius R: with u = p − e the
-//! distance is √(u² + (y + R)²) − R. Blur moves a curved edge inwards, by s² / 2R where it is a
-//! circle, and by E\[(u + s Z)₊²\] / 2R − u₊² / 2R about the place where the circle begins.
+//! Beyond e, the centre of the round end, the outline is a circle of radius R: with u = p − e the
+//! distance is √(u² + (y + R)²) − R. Blur moves a curved edge inwards, by s² / 2R on the circle,
+//! and by E\[(u + s Z)₊²\] / 2R − u₊² / 2R near its start.
 //!
-//! The profile of the blurred step is exact for a Gaussian point spread function on square pixels up
-//! to its fourth moment, with s² the blur's variance plus 1/12 px².
+//! The profile of the blurred step is exact for a Gaussian point spread function on square pixels
+//! up to its fourth moment, with s² the blur's variance plus 1/12 px².
 
 #![expect(
     clippy::inline_always,
@@ -33,10 +34,10 @@
 use super::blur::BlurTable;
 use super::pixels::{Chunk, LANES, Lanes};
 
-/// How the grey level of a pixel changes with what its block depends on, and one column more for
-/// what stands on the right side of equations.
+/// Derivatives of a pixel's grey level by the parameters of its block, and one more column for the
+/// right side of the equations.
 pub const COLUMNS: usize = 8;
-/// By the place of the edge, outward \[grey levels / px\].
+/// By the position of the edge, outward \[grey levels / px\].
 pub const EDGE: usize = 0;
 /// By the inside level a, and by the background level b.
 pub const INSIDE: usize = 1;
@@ -46,12 +47,12 @@ pub const BLUR: usize = 3;
 /// By the slope c and by the limb l.
 pub const RAMP: usize = 4;
 pub const LIMB: usize = 5;
-/// The right side: what the pixel shows beyond what the model says \[grey levels\].
+/// The right side: the residual of the pixel against the model \[grey levels\].
 pub const RIGHT: usize = 6;
-/// By the middle of the round end \[grey levels / px\]; the last one, and nothing clear of the end.
+/// By the centre of the round end \[grey levels / px\]; zero clear of the end. The last column.
 pub const END: usize = 7;
 
-/// What the pixels of some blocks depend on: what stands in lanes, block by block.
+/// Parameters of the pixels of some blocks; those in lanes differ from block to block.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Profile {
     /// Edge at v = e₀ + e₁ p + e₂ p² \[px\].
@@ -71,7 +72,7 @@ pub struct Profile {
     pub half_width: Lanes,
 }
 
-/// What the shading of some blocks goes by: √(2 s / W) and 1 / W.
+/// Factors of the shading of some blocks: √(2 s / W) and 1 / W.
 #[derive(Debug, Clone, Copy)]
 pub struct Shading {
     root: Lanes,
@@ -87,20 +88,22 @@ pub struct RoundEnd {
     pub radius: f32,
 }
 
-/// So many standard deviations of the blur before it, the round end is not felt.
+/// Distance before the round end beyond which its effect is negligible \[standard deviations of the
+/// blur\].
 pub const CLEAR: f64 = 4.5;
-/// The middle of the round end, from where no direction is outward, is kept this far away, in radii.
+/// Lower bound on the distance from the centre of the round end, in radii: no direction is outward
+/// there.
 const LEAST_RANGE: f32 = 0.1;
 
-/// What the model says of some pixels.
+/// Predictions of the model for some pixels.
 #[derive(Debug, Clone, Copy)]
 pub struct Prediction {
     pub grey: Lanes,
-    /// Its derivatives, by column; that of the right side is left to be filled.
+    /// The derivatives, by column; the column of the right side is filled later.
     pub columns: [Lanes; COLUMNS],
 }
 
-/// How far outside its edge a pixel lies, and how that distance changes.
+/// A pixel's distance outside its edge, and the derivatives of that distance.
 #[derive(Default)]
 struct Distance {
     y: Lanes,
@@ -108,13 +111,13 @@ struct Distance {
     by_flank: Lanes,
     by_u: Lanes,
     by_blur: Lanes,
-    /// How `by_flank`, the cosine of the outline's lean, changes in turn.
+    /// Derivatives of `by_flank`, the cosine of the outline's inclination.
     by_flank_twice: Lanes,
     by_flank_and_u: Lanes,
 }
 
 impl Profile {
-    /// What is the same for all pixels of the blocks.
+    /// The factors common to all pixels of the blocks.
     #[inline(always)]
     pub fn shading(&self) -> Shading {
         let (mut root, mut per_width) = ([0.0; LANES], [0.0; LANES]);
@@ -137,7 +140,7 @@ impl Profile {
         y
     }
 
-    /// What pixels clear of the round end record.
+    /// Prediction for pixels clear of the round end.
     #[inline(always)]
     pub fn straight(&self, shading: &Shading, table: BlurTable, chunk: &Chunk) -> Prediction {
         let y = self.beyond_flank(chunk);
@@ -175,7 +178,7 @@ impl Profile {
         Prediction { grey, columns }
     }
 
-    /// What pixels near the round end record.
+    /// Prediction for pixels near the round end.
     #[inline(always)]
     pub fn round(
         &self,
@@ -203,7 +206,8 @@ impl Profile {
             let (slope, curvature) = (chunk.background_slope[i], chunk.background_curvature[i]);
             let outside = chunk.background[i] + self.outside[i] + self.outside_change * p;
             let step = self.inside[i] + self.inside_change * p - outside;
-            // The ramp goes by the distance from the flank, which blur mixes along its own normal.
+            // The ramp depends on the distance from the flank, whereas the blur acts along the
+            // outline's normal.
             let lean = s * d.by_flank[i];
             let rise = lean * density - from_flank[i] * share;
             let behind = slope * s + 0.5 * curvature * s * s * z[i];
@@ -259,14 +263,14 @@ impl RoundEnd {
     }
 }
 
-// The profile is private, and what it must agree with are its own derivatives.
+// The profile is private; the tests compare its derivatives with differences.
 #[cfg(test)]
 mod tests {
     use super::*;
     use std::array::from_fn;
 
-    /// Step of the differences, and what they may be off by: rounding of grey levels to single
-    /// precision over the step, and its fourth power.
+    /// Step of the differences, and their tolerance: rounding of grey levels to single precision
+    /// over the step, and its fourth power.
     const STEP: f32 = 0.05;
     const TOLERANCE: f32 = 4e-3;
 
@@ -349,7 +353,7 @@ mod tests {
 
     #[test]
     fn derivatives_about_the_round_end() {
-        // Not astride its middle, where the second derivative of the outline jumps.
+        // Not across its centre, where the second derivative of the outline is discontinuous.
         for p in [18.0, 21.5, 25.2, 27.5] {
             check(p, |profile, end, chunk| {
                 profile.round(&profile.shading(), BlurTable::new(), chunk, end)

@@ -1,15 +1,17 @@
-//! The axis of a finger that is seen by its shading, where one of its flanks does not show.
+//! The axis of a finger from its shading, where one of its flanks has no contrast.
 //!
-//! Before a table as bright as one side of it, a finger lit from the other shows where it turns from
-//! the light, and not where it ends: its edges lie on half of it, and so does the line between them. But
-//! a round body is shaded as one, and that tells how wide it is and where its middle lies.
+//! Before a table as bright as one side of the finger, a finger lit from the other side has an edge
+//! at the terminator instead of the occluding contour. Both edges then lie on one half of the
+//! finger, and so does their bisector. The shading across a round body determines its width and its
+//! middle nevertheless.
 //!
-//! A [`RoundFinger`] is the straight, tapered body whose shading ([`shading`](super::shading)) explains
-//! the profiles across the finger best. Its levels are eliminated (variable projection: Golub & Pereyra
-//! 1973, The differentiation of pseudo-inverses and nonlinear least squares problems whose variables
-//! separate); what is left, the axis, the half-width and its taper, the blur, and where the light comes
-//! from at every profile, is found by Levenberg–Marquardt with a robust cost, from several bodies that
-//! share either flank with what is known, and once more about the best of them.
+//! A [`RoundFinger`] is the straight, tapered body whose shading ([`shading`](super::shading)) fits
+//! the profiles across the finger best. Its levels are eliminated (variable projection: Golub &
+//! Pereyra 1973, The differentiation of pseudo-inverses and nonlinear least squares problems whose
+//! variables separate). The remaining unknowns are the axis, the half-width and its taper, the
+//! blur, and the direction of light at every profile. They are found by Levenberg–Marquardt with a
+//! robust cost, from several initial bodies that share either flank with the given one, and once
+//! more from the best of them.
 
 use super::shading::{Profile, Residuals, Section};
 use crate::geometry::shape_space::Axis;
@@ -18,39 +20,41 @@ use crate::image::frame::Frame;
 use crate::{Error, Result};
 use nalgebra::{Cholesky, SMatrix, SVector};
 
-/// Profiles along the finger, and where the first and the last are \[units behind the tip\].
+/// Number of profiles along the finger, and distances of the first and the last behind the tip
+/// \[units\].
 const PROFILES: usize = 8;
 const FIRST: f64 = 1.1;
 const LAST: f64 = 6.0;
 
-/// Growth of a finger's half-width towards the tip, and its standard deviation.
+/// Prior of the growth of a finger's half-width towards the tip: mean and standard deviation.
 const TAPER: [f64; 2] = [-0.05, 0.02];
-/// Standard deviation of the logarithm of a picture's blur, which is mostly about 1 px.
+/// Prior standard deviation of the logarithm of the blur, about 1 px.
 const LOG_BLUR_SIGMA: f64 = 0.3;
-/// By how much the light's angle differs from profile to profile: a finger is no cylinder \[rad\].
+/// Standard deviation of the change of the light's angle between neighbouring profiles: a finger is
+/// no cylinder \[rad\].
 const LIGHT_SIGMA_RAD: f64 = 0.3;
-/// Residuals are alike from place to place: as many as there are count as so many.
+/// The residuals count as this many independent ones, because neighbours correlate.
 const INDEPENDENT: f64 = 40.0;
 
-/// Bodies to start from: how far aside and how wide \[half-widths that are known\].
+/// Initial bodies: lateral offset and half-width \[given half-widths\].
 const STARTS: [[f64; 2]; 7] =
     [[0.0, 1.0], [-0.25, 1.25], [0.25, 1.25], [-0.5, 1.5], [0.5, 1.5], [-0.8, 1.8], [0.8, 1.8]];
-/// Where light may come from at first \[rad\].
+/// Initial directions of light \[rad\].
 const FIRST_LIGHTS_RAD: [f64; 4] = [-1.3, -0.5, 0.5, 1.3];
-/// So many of the starts are followed, those that explain most, for so many iterations.
+/// Number of initial bodies that are optimised, those of least cost, and iterations for each.
 const TRIED: usize = 3;
 const ITERATIONS: usize = 6;
-/// Iterations about the best.
+/// Iterations from the best of them.
 const LAST_ITERATIONS: usize = 12;
-/// A step that gains less than this part of the cost is the last.
+/// Convergence: an iteration reduces the cost by less than this fraction.
 const SETTLED: f64 = 1e-3;
-/// Steps that gain nothing are shortened so often.
+/// Attempts with increasing damping per iteration.
 const SHORTENED: usize = 4;
-/// Differences that derivatives are taken over, in every unknown of a section.
+/// Step of the forward differences in every number of a section.
 const DIFFERENCE: f64 = 1e-3;
 
-/// Unknowns: offset and slope of the axis, half-width and its growth, the logarithm of the blur, and
-/// the light's angle at every profile.
+/// Unknowns: offset and slope of the axis, half-width and its growth, the logarithm of the blur,
+/// and the light's angle at every profile.
 const UNKNOWNS: usize = 5 + PROFILES;
 const OFFSET: usize = 0;
 const SLOPE: usize = 1;
@@ -58,16 +62,16 @@ const HALF_WIDTH: usize = 2;
 const GROWTH: usize = 3;
 const LOG_BLUR: usize = 4;
 const LIGHT: usize = 5;
-/// From where to where each may be; the last is that of every light.
+/// Bounds of each unknown; the last pair is that of every light.
 const BOUNDS: [[f64; 2]; LIGHT + 1] =
     [[-1.3, 1.3], [-0.25, 0.25], [0.5, 2.2], [-0.3, 0.3], [-0.7, 1.5], [-2.2, 2.2]];
-/// No section is slimmer, whatever the taper \[units\].
+/// Lower bound on a section's half-width, whatever the taper \[units\].
 const SLIMMEST: f64 = 0.2;
 
 type Vector = SVector<f64, UNKNOWNS>;
 type Matrix = SMatrix<f64, UNKNOWNS, UNKNOWNS>;
 
-/// The finger whose shading, as a round body's, explains best what is seen about an axis.
+/// The round body whose shading fits the image about an axis best.
 ///
 /// ```
 /// use fingerpost_core::nalgebra::Point2;
@@ -75,8 +79,8 @@ type Matrix = SMatrix<f64, UNKNOWNS, UNKNOWNS>;
 /// use fingerpost_core::geometry::shape_space::Axis;
 /// use fingerpost_core::{Frame, GrayView};
 ///
-/// // A round finger along u that tapers to its tip, 16 px wide and about v = 60 at u = 110, lit from
-/// // above. Its lower flank is as dark as the table: what shows are the upper 13 px.
+/// // A round finger along u that tapers to its tip, 16 px wide and about v = 60 at u = 110, lit
+/// // from above. Its lower flank is as dark as the table: only the upper 13 px are visible.
 /// let pixel = |i: usize| {
 ///     let (u, v) = ((i % 160) as f64, (i / 160) as f64);
 ///     let y = (v - 60.0) / (8.0 - 0.05 * (u - 110.0));
@@ -97,22 +101,22 @@ type Matrix = SMatrix<f64, UNKNOWNS, UNKNOWNS>;
 /// ```
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RoundFinger {
-    /// How far beside the anchor of the given axis its own runs, along that one's normal \[px\].
+    /// Offset of the fitted axis from the anchor of the given one, along the latter's normal
+    /// \[px\].
     pub offset_px: f64,
-    /// By how much its axis is turned against the given one \[rad\].
+    /// Angle of the fitted axis minus that of the given one \[rad\].
     pub turn_rad: f64,
-    /// Half its width at the anchor \[px\].
+    /// Half-width at the anchor \[px\].
     pub half_width_px: f64,
-    /// How much what is seen differs from it: a robust sum over all pixels of profiles across it, in no
-    /// unit.
+    /// Robust cost of the fit over all pixels of the profiles across the finger, dimensionless.
     pub misfit: f64,
-    /// The same of the body about the given axis that explains most.
+    /// The least such cost of a body about the given axis.
     pub misfit_about_given: f64,
 }
 
 impl RoundFinger {
-    /// Fits it to what is seen about `axis` of a finger that is `half_width_px` wide, from the middle to
-    /// where edges show. `None` where the profiles across it are not all in the picture.
+    /// Fits a body to the image about `axis`. `half_width_px` is the distance from the axis to the
+    /// visible edges. `None` where the profiles are not entirely inside the image.
     ///
     /// # Errors
     /// When a number is not finite, the tip is the anchor, or the half-width is not positive.
@@ -125,13 +129,15 @@ impl RoundFinger {
     }
 
     fn fitted(frame: &Frame<'_>, axis: &Axis, ahead_px: f64, half_width_px: f64) -> Option<Self> {
-        // Half a finger is seen too slim: no unit is shorter than half the usual one's width.
+        // If only half of the finger is visible, the given width is too small: the unit is at least
+        // twice the usual half-width for this length.
         let unit_px = half_width_px.max(2.0 * USUAL_HALF_WIDTH * ahead_px);
         let known = half_width_px / unit_px;
         let about =
             Self::best_start(&ObservedProfiles::of(frame, axis, ahead_px, unit_px, known)?, known)?;
 
-        // What is seen about an axis that is aside ends too near on one side.
+        // Profiles about a laterally displaced axis end too near on one side; take them anew about
+        // the fitted one.
         let (lateral, turn_rad) = (about[OFFSET], about[SLOPE].atan());
         let middle = axis.anchor + axis.normal() * (lateral * unit_px);
         let middle = Axis::of_finger(middle, axis.angle_rad + turn_rad, ahead_px);
@@ -154,7 +160,7 @@ impl RoundFinger {
         })
     }
 
-    /// The body that explains most of those that the likeliest starts lead to.
+    /// The body of least cost among those optimised from the best initial ones.
     fn best_start(observed: &ObservedProfiles, known: f64) -> Option<Vector> {
         let mut starts = STARTS.map(|start| observed.first(start.map(|part| part * known)));
         starts.sort_by(|one, other| one.0.total_cmp(&other.0));
@@ -171,16 +177,15 @@ enum Axes {
     Held,
 }
 
-/// What is seen about an axis, in units of about a half-width.
+/// Profiles across an axis, in units of about a half-width.
 struct ObservedProfiles {
     profiles: [(f64, Profile); PROFILES],
-    /// How many residuals count as one that is independent of the others: so much more than each of them
-    /// does what is known beforehand count.
+    /// Number of residuals that count as one independent residual; the prior is multiplied by it.
     redundancy: f64,
 }
 
 impl ObservedProfiles {
-    /// What is seen about an axis whose finger is about `half_width` units wide.
+    /// The profiles across an axis, for a finger of `half_width` units.
     fn of(
         frame: &Frame<'_>,
         axis: &Axis,
@@ -202,7 +207,8 @@ impl ObservedProfiles {
         Some(observed)
     }
 
-    /// A body aside the axis and of a width, under the light that explains it best, after its cost.
+    /// The cost of a body of given offset and half-width under the best of the initial lights, and
+    /// its unknowns.
     fn first(&self, [offset, half_width]: [f64; 2]) -> (f64, Vector) {
         let lit = FIRST_LIGHTS_RAD.map(|light| {
             let mut x = Vector::from_element(light);
@@ -214,7 +220,7 @@ impl ObservedProfiles {
         lit.iter().fold(lit[0], |best, &one| if one.0 < best.0 { one } else { best })
     }
 
-    /// The least cost that is found from there, and where.
+    /// Minimises the cost from x; returns the least cost found and its unknowns.
     fn minimise(&self, mut x: Vector, iterations: usize, axes: Axes) -> (f64, Vector) {
         let (mut cost, mut damping) = (self.cost(&x), 1e-2);
         for _ in 0..iterations {
@@ -249,7 +255,7 @@ impl ObservedProfiles {
         (cost, x)
     }
 
-    /// How much what is seen differs from a body, and the body from what is known of fingers.
+    /// The cost: robust misfit to the profiles, plus the prior.
     fn cost(&self, x: &Vector) -> f64 {
         let differs = |(j, (p, profile)): (usize, &(f64, Profile))| {
             let residuals = profile.residuals(&section(x, j, *p));
@@ -265,7 +271,7 @@ impl ObservedProfiles {
         let (mut hessian, mut gradient) = (Matrix::zeros(), Vector::zeros());
         for (j, &(p, ref profile)) in self.profiles.iter().enumerate() {
             let (squares, slopes) = normal_equations(profile, &section(x, j, p));
-            // Which unknown moves which number of the section, and by how much.
+            // The unknown, the number of the section that it changes, and the derivative.
             let moves = [
                 (OFFSET, 0, 1.0),
                 (SLOPE, 0, p),
@@ -296,8 +302,8 @@ impl ObservedProfiles {
     }
 }
 
-/// Squares and slopes of a profile's cost in the four numbers of a section: its middle, half-width,
-/// light and blur.
+/// Normal matrix and gradient of a profile's cost in the four numbers of a section: its middle,
+/// half-width, light and blur.
 fn normal_equations(profile: &Profile, at: &Section) -> ([[f64; 4]; 4], [f64; 4]) {
     let Section { middle, half_width, light_rad, log_blur } = *at;
     let moved: [Residuals; 4] = [
@@ -321,7 +327,7 @@ fn normal_equations(profile: &Profile, at: &Section) -> ([[f64; 4]; 4], [f64; 4]
     (squares, slopes)
 }
 
-/// The body across profile `j`, p units ahead of the anchor.
+/// The section at profile `j`, p units ahead of the anchor.
 fn section(x: &Vector, j: usize, p: f64) -> Section {
     Section {
         middle: x[OFFSET] + x[SLOPE] * p,
@@ -331,8 +337,7 @@ fn section(x: &Vector, j: usize, p: f64) -> Section {
     }
 }
 
-/// What is known beforehand: by how much an unknown, less another one, differs from what it is expected
-/// to be.
+/// A term of the prior: the difference of an unknown, minus another one if given, from its mean.
 struct Expectation {
     of: usize,
     less: Option<usize>,

@@ -1,58 +1,58 @@
-//! The levels across a finger, and how they differ from those across a shaded round body.
+//! Profiles of grey levels across a finger, and their residuals against a shaded round body.
 //!
-//! At y half-widths from its axis a round body has the normal (y, √(1 − y²)) in the plane across it.
-//! Under a distant light at the angle φ from the line of sight, beside light from everywhere, it shows
+//! At y half-widths from its axis a round body has the normal (y, √(1 − y²)) in the cross-section.
+//! Under ambient light and a distant light at the angle φ from the line of sight its level is
 //!
 //! I = a + b max(0, y sin φ + √(1 − y²) cos φ) + c y + e √(1 − y²),
 //!
-//! between a background that is linear on either side, all of it blurred. Levels are linear, and are
-//! solved for whatever the body's place, width, light and blur are: what is left are the residuals of
-//! the levels that explain the profile best.
+//! between backgrounds that are linear on either side, all of it blurred. The levels are linear
+//! parameters and are eliminated for given position, width, light and blur; the residuals are those
+//! of the best levels.
 
 use crate::geometry::shape_space::Axis;
 use crate::image::frame::Frame;
 use nalgebra::{Cholesky, Point2, SMatrix};
 
-/// Places of a profile, and how far off the axis the outermost are \[half-widths\].
+/// Number of samples of a profile, and the distance of the outermost from the axis \[half-widths\].
 const PLACES: usize = 31;
 const REACH: f64 = 2.1;
-/// Farther out something else begins soon: what is seen there counts less.
+/// Samples farther out than this have a lower weight: other objects may begin there.
 const NEAR: f64 = 1.6;
 const FAR_WEIGHT: f64 = 0.3;
-/// Rows that a profile is the mean of, and how far apart they are \[half-widths\].
+/// Number of rows averaged into a profile, and their distance \[half-widths\].
 const ROWS: usize = 5;
 const ROW_STEP: f64 = 0.18;
 
 /// Grey levels, or three channels.
 const CHANNELS: usize = 3;
-/// The levels of a body: light from everywhere, and from one side; what of the first depends on the
-/// normal; the background on either side, and its slopes.
+/// The levels of a body: ambient and directional light; two terms in the normal; the background on
+/// either side, and its slopes.
 const LEVELS: usize = 8;
 const EVERYWHERE: usize = 0;
 const ONE_SIDE: usize = 1;
-/// What holds each of them near to zero, in squares of a level that one pixel has: little of what
-/// depends on the normal and slopes that are steep are told by many pixels or not at all.
+/// Ridge of each level, in units of the square of a level that one pixel carries: the terms in the
+/// normal and steep slopes must be supported by many pixels.
 const RIDGE: [f64; LEVELS] = [1e-3, 1e-3, 1.0, 1.0, 1e-3, 1e-3, 1.0, 1.0];
-/// Slopes are changes of level over so many half-widths.
+/// Distance over which a background slope is one level \[half-widths\].
 const SLOPE: f64 = 0.65;
-/// How softly light ends where a surface turns from it, in cosines: skin lets some through.
+/// Softness of the terminator, in cosines: skin is translucent.
 const TERMINATOR: f64 = 0.15;
-/// Residuals are in parts of this \[grey levels\]: bodies are no rounder, and no smoother.
+/// Unit of the residuals \[grey levels\]: the deviation of real fingers from a smooth round body.
 const SCALE_GREY: f64 = 3.0;
-/// What is darker than without light costs in parts of this \[grey levels\].
+/// Unit of the penalty on negative levels of ambient and directional light \[grey levels\].
 const DARKER_GREY: f64 = 10.0;
 
-/// Those of the pixels, then those of the levels that may not be negative.
+/// Per channel the residuals of the pixels, then those of the two levels that may not be negative.
 const RESIDUALS: usize = CHANNELS * (PLACES + 2);
 pub(super) type Residuals = [f64; RESIDUALS];
 
-/// A body across one place of the finger.
+/// A cross-section of the body.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Section {
-    /// Its middle and half its width \[units of the profile\].
+    /// Its middle and half-width \[units of the profile\].
     pub middle: f64,
     pub half_width: f64,
-    /// Where light comes from \[rad\], 0 from where it is seen, positive from the side of the normal.
+    /// Direction of light \[rad\]: 0 from the camera, positive from the side of the normal.
     pub light_rad: f64,
     /// Logarithm of the standard deviation of the blur \[px\].
     pub log_blur: f64,
@@ -67,8 +67,8 @@ pub(super) struct Profile {
 }
 
 impl Profile {
-    /// What a frame shows across an axis, `along` units of `unit_px` ahead of its anchor; `None` where
-    /// that is not all in the picture.
+    /// The profile of a frame across an axis, `along` units of `unit_px` ahead of its anchor;
+    /// `None` where a sample is outside the image.
     pub fn of(frame: &Frame<'_>, axis: &Axis, along: f64, unit_px: f64) -> Option<Self> {
         let (e, n) = (axis.direction() * unit_px, axis.normal() * unit_px);
         let mut levels = [[0.0; CHANNELS]; PLACES];
@@ -85,12 +85,12 @@ impl Profile {
         Some(Self { levels, channels, unit_px })
     }
 
-    /// How it differs from the levels of a body that explain it best, in parts of [`SCALE_GREY`].
+    /// Residuals against the body's best levels, in units of [`SCALE_GREY`].
     pub fn residuals(&self, section: &Section) -> Residuals {
         let blur = section.log_blur.exp() / self.unit_px;
         let light = section.light_rad.sin_cos();
         let mut parts = [[0.0; LEVELS]; PLACES];
-        // Whole rows, though half would do: the compiler makes wide instructions of them.
+        // The full matrix, though half would do: the compiler vectorises it.
         let mut normal = [[0.0; LEVELS]; LEVELS];
         let mut right = [[0.0; LEVELS]; CHANNELS];
         for (((q, weight), part), levels) in places().zip(&mut parts).zip(&self.levels) {
@@ -113,7 +113,7 @@ impl Profile {
         }
         let right = SMatrix::<f64, LEVELS, CHANNELS>::from(right);
         let mut residuals = [0.0; RESIDUALS];
-        // The ridge keeps it positive definite, whatever the section.
+        // The ridge keeps it positive definite for every section.
         let Some(factor) = Cholesky::new(normal) else { return residuals };
         let best = factor.solve(&right);
         for k in 0..self.channels {
@@ -132,7 +132,7 @@ impl Profile {
     }
 }
 
-/// Where the places of a profile are, and how much they count.
+/// Positions of the samples of a profile, and their weights.
 fn places() -> impl Iterator<Item = (f64, f64)> {
     (0..PLACES).map(|i| {
         let q = REACH * (2.0 * i as f64 / (PLACES - 1) as f64 - 1.0);
@@ -140,7 +140,7 @@ fn places() -> impl Iterator<Item = (f64, f64)> {
     })
 }
 
-/// What a frame shows at a point, its colours if it has any; `None` outside the picture.
+/// The levels of a frame at a point, of all channels if it has colours; `None` outside the image.
 fn shown(frame: &Frame<'_>, at: Point2<f64>) -> Option<[f64; CHANNELS]> {
     match frame.colour() {
         Some(colour) => colour.sample_f64(at.x, at.y),
@@ -148,8 +148,8 @@ fn shown(frame: &Frame<'_>, at: Point2<f64>) -> Option<[f64; CHANNELS]> {
     }
 }
 
-/// How much of each level a place shows that lies `off` the middle of a body lit from an angle of that
-/// sine and cosine.
+/// Coefficients of the levels at the distance `off` from the middle of a body, for the sine and
+/// cosine of the light's angle.
 fn share_of_levels(off: f64, half_width: f64, (sin, cos): (f64, f64), blur: f64) -> [f64; LEVELS] {
     let left = 1.0 - step((off + half_width) / blur);
     let right = 1.0 - step((half_width - off) / blur);

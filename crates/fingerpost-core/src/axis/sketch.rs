@@ -1,6 +1,6 @@
-//! The finger as it is believed to be, in a frame of its own.
+//! The prior estimate of the finger, in a frame of its own.
 //!
-//! p runs along the finger from the middle of the stretch in use, q to the right of it, both in px.
+//! p runs along the finger from the middle of the stretch in use, q to its right, both in px.
 
 use crate::axis::{Belief, Finger, MAX_STRETCH_PX, Stretch};
 use crate::{Error, Result};
@@ -9,7 +9,7 @@ use nalgebra::{Point2, Vector2};
 /// The side σ of the right flank and of the left one: q of the flank is σ times the half-width.
 pub(super) const SIDES: [f64; 2] = [1.0, -1.0];
 
-/// Where the finger is believed to be.
+/// Estimate of the finger.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Sketch {
     /// The point p = q = 0.
@@ -21,23 +21,24 @@ pub(super) struct Sketch {
     pub taper: f64,
     /// The stretch of each flank in use, in p.
     pub flanks: [Stretch; 2],
-    /// p of the middle of the round end.
+    /// p of the centre of the round end.
     pub round_end_px: Option<f64>,
     /// Half the length of finger in use \[px\], positive.
     pub half_length_px: f64,
-    /// p of the anchor and of the tip of the axis that the sketch was made of.
+    /// p of the anchor and of the tip of the axis that the sketch was made from.
     pub anchor_px: f64,
     pub tip_px: f64,
-    /// As the finger's, but of p = 0.
+    /// The prior of a finger that may be covered, at p = 0.
     pub belief: Option<Belief>,
 }
 
 impl Sketch {
-    /// The finger in its own frame; `None` if neither flank has a stretch to look at.
+    /// The finger in its own frame; `None` if neither flank has a stretch in use or the taper
+    /// closes the finger within it.
     ///
     /// # Errors
     /// When a number is not finite, the half-width not positive, or the stretch longer than
-    /// [`MAX_STRETCH_PX`]: whatever looks along it takes as long.
+    /// [`MAX_STRETCH_PX`], which bounds the run time.
     pub fn of(finger: &Finger) -> Result<Option<Self>> {
         let Finger { axis, half_width_px, taper, flanks, round_end_px, belief } = finger;
         Error::finite("axis of the finger [px]", axis.anchor.coords.sum() + axis.tip.coords.sum())?;
@@ -109,7 +110,7 @@ impl Sketch {
         self.round_end_px.map(|e| self.half_width_at(e))
     }
 
-    /// The sketch moved onto a line and a width found in its frame.
+    /// The sketch moved onto a line and a width given in its frame.
     pub fn moved(&self, line: &FlankLines) -> Self {
         let along = (self.along + self.normal() * line.slope).normalize();
         let origin = self.origin + self.normal() * line.offset_px;

@@ -1,17 +1,17 @@
-//! Whether a finger is straight: the bisectors of its two halves, each for itself.
+//! Straightness of a finger: the angle between the bisectors of its two halves.
 //!
-//! Both flanks of a bent finger turn the same way, and with them the line midway between them. A
-//! joint that bulges, a taper and a shaded limb leave that line where it is. So the halves of the
-//! finger are taken for two straight fingers, and the angle between their axes is the bend. A half
-//! whose edges do not lie on two straight flanks about as far apart as the finger is wide tells
-//! nothing: clutter, a thumb or another finger beside it must not bend the finger.
+//! Both flanks of a bent finger turn in the same direction, and with them their bisector. A bulging
+//! joint, a taper and a shaded limb leave the bisector in place. The halves are therefore fitted as
+//! two straight fingers, and the angle between their axes is the bend. A half determines nothing if
+//! its edges do not lie on two straight flanks at about the width of the finger: clutter, a thumb
+//! or another finger beside it must not bend the finger.
 //!
-//! Where the half with the knuckle does not lie along the whole finger, it is looked for turned about
-//! the joint; and where both halves lie along it, so is what the finger may go on with beyond its
-//! round end. There a pair of edges alone would prove little: what is between them has to look like
-//! the hand.
+//! If the proximal half does not lie along the axis of the finger, it is searched for at several
+//! turns about the joint. If both halves lie along it, a continuation beyond the round end is
+//! searched for likewise. In these searches a pair of edges is weak evidence, so the pixels between
+//! them must also resemble the hand.
 //!
-//! A finger that bends towards the camera or away from it only gets shorter, and no view shows it.
+//! A bend towards the camera or away from it shortens the finger, and no view shows it.
 
 use super::bisector::{Bisector, BisectorFit, STATION_PX};
 use super::sketch::Sketch;
@@ -25,51 +25,51 @@ use crate::measure::edge_search::Cue;
 use crate::numeric::simd::Isa;
 use nalgebra::Point2;
 
-/// How far a finger is from straight, as its image shows it.
+/// The deviation of a finger from straight, in the image.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Bend {
-    /// Direction of the half with the tip minus that of the half with the knuckle \[rad\].
+    /// Direction of the distal half minus that of the proximal half \[rad\].
     pub angle_rad: f64,
-    /// Its standard deviation, by how the edges of either half scatter, and in what runs \[rad\].
+    /// Standard deviation, from the scatter of the edges of either half and its correlation
+    /// \[rad\].
     pub sigma_rad: f64,
 }
 
-/// A half of the finger that is turned against the whole has its edges this far from where they
-/// are looked for, and is short \[px\].
+/// Half-length of the search across a half, and minimum number of edges on either flank: a bent
+/// half is short and displaced \[px\].
 const HALF_LENGTH_PX: f64 = 10.0;
 const LEAST_EDGES: usize = 6;
-/// The edges of a half scatter by no more than this about its flanks, in half-widths, or \[px\]:
-/// skin is not smooth, and joints bulge.
+/// Upper bound on the scatter of a half's edges about its flanks, in half-widths, or \[px\] if that
+/// is more: skin is not smooth, and joints bulge.
 const SCATTER: f64 = 0.1;
 const SCATTER_PX: f64 = 0.25;
-/// The middle joint lies about here, in parts of the finger from the knuckle on: the half with the
-/// knuckle ends before, the one with the tip begins behind.
+/// End of the proximal half and start of the distal half, about the middle joint, as fractions of
+/// the finger from the knuckle.
 const JOINT: [f64; 2] = [0.4, 0.5];
-/// At least this part of the places along its flanks shows an edge there, and at most this part of
-/// those lies off the line: a joint is not always in the middle.
+/// Minimum fraction of the places along the flanks that have an edge, and maximum fraction of those
+/// that are off the line: a joint is not always in the middle.
 const SEEN: f64 = 0.85;
 const REJECTED: f64 = 0.35;
-/// Its width differs from the whole finger's by no more than this factor.
+/// Maximum ratio of a half's width to that of the whole finger, and inverse of the minimum.
 const WIDTH: f64 = 1.25;
 
-/// Where a part does not lie along the whole finger, or the finger does not end with it, these turns
-/// of the next part are tried \[rad\].
+/// Turns tried for the next part if a part does not lie along the whole finger, or if the finger
+/// does not end with it \[rad\].
 const TURNS_RAD: [f64; 4] = [0.45, -0.45, 0.9, -0.9];
-/// Between its flanks it looks like the hand: the pixels' votes are at least this part of those of
-/// its neighbour, looked at on these lines along it \[half-widths\].
+/// Minimum mean log-likelihood ratio of the pixels between a part's flanks, as a fraction of its
+/// neighbour's, and the lines along the part on which it is sampled \[half-widths\].
 const HAND_PART: f64 = 0.6;
 const ACROSS: [f64; 3] = [-0.6, 0.0, 0.6];
-/// The joint that the half with the knuckle is turned about is looked for at the beginning of the
-/// half with the tip and so far behind it, and that half from here to there, counted from the joint
-/// \[half-widths\].
+/// The joint of the proximal half is tried at these distances behind the start of the distal half;
+/// from the joint, the proximal half extends over `BEHIND` \[half-widths\].
 const JOINTS: [f64; 3] = [0.0, 1.2, 2.4];
 const BEHIND: [f64; 2] = [-3.0, -0.6];
-/// A finger that does not end where its round end was thought to be goes on from here to there,
-/// counted from the middle of that end \[half-widths\].
+/// Stretch of a continuation of the finger, from the centre of the supposed round end
+/// \[half-widths\].
 const AHEAD: [f64; 2] = [0.8, 3.0];
-/// Of the flanks of what may be covered, at least this part is its own.
+/// Minimum visible fraction of the flanks of a finger that may be covered.
 const OWN_PART: f64 = 0.5;
-/// The image noise that edges are found with; what counts is how they scatter \[grey levels\].
+/// Nominal image noise of the edge search; only the scatter of the edges is used \[grey levels\].
 const NOISE_GREY: f64 = 1.0;
 
 /// Measures bends; owns the buffers.
@@ -79,7 +79,7 @@ pub(super) struct Straightness {
     visible: VisibleFlanks,
 }
 
-/// What a half is looked for in, and how.
+/// The image in which a half is searched for, and the edge cue and polarity.
 struct HalfSearch<'a> {
     frame: &'a Frame<'a>,
     cue: Cue<'a>,
@@ -93,12 +93,12 @@ impl Straightness {
         Ok(Self { bisector, visible: VisibleFlanks::default() })
     }
 
-    /// The same with another instruction set.
+    /// The same measurement for another instruction set.
     pub fn with_isa(self, isa: Isa) -> Self {
         Self { bisector: self.bisector.with_isa(isa), ..self }
     }
 
-    /// The bend of a finger that is believed to be near `finger`; `None` if a half does not tell.
+    /// The bend of the finger near the estimate `finger`; `None` if a half does not determine it.
     ///
     /// # Errors
     /// Those of [`Sketch::of`], of either half.
@@ -109,7 +109,7 @@ impl Straightness {
         polarity: Polarity,
         finger: &Finger,
     ) -> Result<Option<Bend>> {
-        // The middle of where both flanks may show; on the round end no flank is straight.
+        // The stretch where both flanks may be visible; on the round end no flank is straight.
         let [right, left] = finger.flanks;
         let end_px = finger.round_end_px.unwrap_or(f64::INFINITY);
         let to_px = right.to_px.min(left.to_px).min(end_px);
@@ -139,8 +139,8 @@ impl Straightness {
         Ok(None)
     }
 
-    /// What the finger goes on with beyond its round end, if it does: a template that has slid back
-    /// lies along the part of a bent finger that is next to the knuckle.
+    /// The continuation of the finger beyond its round end, if there is one: a template that has
+    /// slid back lies along the proximal part of a bent finger.
     fn ahead(
         &mut self,
         search: &HalfSearch<'_>,
@@ -155,22 +155,22 @@ impl Straightness {
         self.turned(search, finger, &tip.sketch, end_px, [Stretch { from_px, to_px }; 2])
     }
 
-    /// One of the halves. Of a finger that may be covered in part, enough of it must be its own.
+    /// One of the halves. If the finger may be covered in part, enough of the half must be visible.
     fn half(&mut self, search: &HalfSearch<'_>, half: &Finger) -> Result<Option<BisectorFit>> {
-        // The width that is known is that of a straight finger.
+        // The prior of the width is that of a straight finger.
         let found = self.part(search, &Finger { belief: None, ..*half })?;
         let Some(found) = found else { return Ok(None) };
         if half.belief.is_none() {
             return Ok(Some(found));
         }
-        // Where the half was looked for nothing may be bare: it is bent away from there.
+        // Visibility is measured at the fitted half: a bent half lies away from the searched place.
         let seen = Sketch { belief: half.belief, ..found.sketch };
         self.visible.measure(search.frame, search.cue.appearance(), &seen);
         Ok((self.visible.least_part() >= OWN_PART).then_some(found))
     }
 
-    /// The part of the finger that is turned against another about a joint, where it looks like the
-    /// hand between its flanks. The stretches are counted from the joint.
+    /// The part of the finger that is turned against `other` about a joint and whose pixels
+    /// resemble the hand. The stretches are relative to the joint.
     fn turned(
         &mut self,
         search: &HalfSearch<'_>,
@@ -224,14 +224,14 @@ impl Straightness {
     }
 }
 
-/// The bend from the part next to the knuckle to the one next to the tip.
+/// The bend from the proximal part to the distal one.
 fn bend(knuckle: &BisectorFit, tip: &BisectorFit) -> Bend {
     let (from, to) = (knuckle.sketch.along, tip.sketch.along);
     let variance = knuckle.covariance[(1, 1)] + tip.covariance[(1, 1)];
     Bend { angle_rad: from.perp(&to).atan2(from.dot(&to)), sigma_rad: variance.sqrt() }
 }
 
-/// The places between the flanks.
+/// Sample points between the flanks.
 fn between_flanks(part: &Sketch) -> impl Iterator<Item = Point2<f64>> {
     let stations = (2.0 * part.half_length_px / STATION_PX) as usize;
     (0..=stations).flat_map(move |i| {
@@ -240,7 +240,7 @@ fn between_flanks(part: &Sketch) -> impl Iterator<Item = Point2<f64>> {
     })
 }
 
-/// Whether the flanks that were found about a sketch are those of a finger like it.
+/// Whether fitted flanks are those of a finger like the sketch.
 fn is_finger(sketch: &Sketch, fit: &BisectorFit) -> bool {
     let BisectorReport { edges, rejected, residual_px } = fit.report;
     let places: f64 = sketch.flanks.iter().map(|s| s.length_px() / STATION_PX).sum();

@@ -1,83 +1,86 @@
-//! What a finger's skin looks like, and how it lies in another frame.
+//! Registration of the finger's texture from frame to frame.
 //!
-//! Nail, creases and the shading across a finger move with it, whatever is behind it. Seen in the
-//! finger's own coordinates, s along it from the tip and d across it, they stay as they are, and a
-//! frame in which they lie elsewhere tells how the finger has moved and turned since. That is no line
-//! of its own: where the axis runs in the skin nobody knows but the edges. But it carries what many
-//! frames' edges have told from one to the next, before another background each time. The same is done
-//! for a finger and the hand behind it together ([`Area`]): all that is said here of a finger holds.
+//! Nail, creases and shading move with the finger, before any background. In the finger's own
+//! coordinates, s along it from the tip and d across it, the texture is constant, so its
+//! displacement in a frame measures the shift and turn of the finger since the patch was drawn. The
+//! texture gives no axis of its own: only the edges locate the axis within the texture. It carries
+//! the edge measurements of many frames, before different backgrounds, from one frame to the next.
+//! The same holds for the finger together with the hand behind it ([`Area`]).
 //!
-//! The model of a frame is I = g m(s, d) + o, with m the mean of the frames before, and gain and
-//! offset of the light free. It is fitted by Gauss–Newton over a shift along the finger, one across
-//! it and a turn about the middle, every cell weighted by Tukey's biweight and by how much it has
-//! varied so far: what is no skin but background, or a reflection, varies as the finger moves and
-//! soon has no say. A finger without texture or shading determines nothing, and its covariance says so:
-//! the sandwich of what each block of cells contributes, for cells share pixels, compression mixes what
-//! it stores, and skin that has changed has changed all over.
+//! The model of a frame is I = g m(s, d) + o, with m the mean of the previous frames and gain g and
+//! offset o of the illumination free. It is fitted by Gauss–Newton over a shift along the finger, a
+//! shift across it and a turn about the middle. Every cell is weighted by Tukey's biweight and by
+//! the inverse of its variance to date: cells that show background or a reflection vary as the
+//! finger moves and soon lose their weight. A finger without texture or shading determines nothing,
+//! and the covariance shows it. The covariance is the sandwich over blocks of cells, because cells
+//! share pixels, compression correlates neighbours, and skin changes over wide areas at once.
 //!
-//! Source: Lucas & Kanade 1981, An iterative image registration technique; the weights by what each
-//! cell has varied are those of independent Gaussians. Liang & Zeger 1986, Longitudinal data analysis
-//! using generalized linear models, §2: the covariance by clusters that are independent.
+//! Source: Lucas & Kanade 1981, An iterative image registration technique; the inverse-variance
+//! weights are those of independent Gaussians. Liang & Zeger 1986, Longitudinal data analysis using
+//! generalized linear models, §2: the covariance from independent clusters.
 
 use crate::geometry::shape_space::Axis;
 use crate::image::gray::GrayView;
 use nalgebra::{Matrix2, SMatrix, SVector};
 
-/// Cells across half of the finger; they are at least one pixel wide.
+/// Cells across half of the finger; a cell is at least one pixel wide.
 const CELLS_ACROSS: f64 = 8.0;
-/// A cell is so many times as long as wide: skin changes less along a finger.
+/// Length of a cell over its width: texture changes less along a finger.
 const ELONGATION: f64 = 2.0;
-/// Cells reach so far across, in half-widths: the edge of a finger that is seen too slim lies there.
+/// Half-width of the patch \[half-widths of the finger\]: beyond 1, because the edge of a finger
+/// whose width is underestimated lies there.
 const ACROSS: f64 = 1.1;
-/// The finger is looked at over so much at most, in half-widths.
+/// Upper bound on the length of finger in the patch \[half-widths\].
 const LONGEST: f64 = 10.0;
-/// What is behind it of the hand is looked at from so far behind the tip to so far, in lengths of the
-/// finger, and so far across, in half-widths: an index finger is at one edge of its hand or the other.
+/// The hand behind the finger: distance behind the tip where it begins and where it ends \[lengths
+/// of the finger\], and reach to either side \[half-widths\]. An index finger lies at one edge of
+/// its hand or at the other, so both sides are included.
 const BEHIND: f64 = 1.1;
 const HAND_LENGTH: f64 = 1.6;
 const HAND_ACROSS: f64 = 4.0;
-/// The cells of a hand are so many times as large as those of a finger.
+/// Cell size of a hand over that of a finger.
 const COARSER: usize = 2;
-/// Room for the cells of any finger and of any hand.
+/// Capacity for the cells of a finger or of a hand.
 const ROWS: usize = 48;
 const COLUMNS: usize = 44;
 
-/// What a cell is expected to vary by at first, and at least \[grey levels²\].
+/// Initial variance of a cell, and its lower bound (`LEAST_VARIANCE`) \[grey levels²\].
 const FIRST_VARIANCE: f32 = 6.0;
-/// The same behind the finger: whether that is its hand is yet to be seen.
+/// Initial variance behind the finger, where the cells may not show the hand \[grey levels²\].
 const FIRST_VARIANCE_BEHIND: f32 = 100.0;
 const LEAST_VARIANCE: f32 = 2.0;
-/// Part of a frame that is learned once some are known.
+/// Learning rate once 1 / frames is below it.
 const RATE: f32 = 0.05;
 /// Tukey's cutoff \[robust standard deviations\].
 const CUTOFF: f32 = 4.685;
-/// Median of χ² of one degree of freedom.
+/// Median of χ² with one degree of freedom.
 const MEDIAN: f32 = 0.455;
-/// Cells do not scatter by less than this part of what they have varied by, in squares.
+/// Lower bound on the robust variance of the cells, in units of their own variances.
 const LEAST_SCALE: f32 = 0.25;
-/// A frame that scatters by more than this, in squares, shows something else.
+/// Upper bound on the same; above it the frame does not show the patch.
 const MOST_SCALE: f32 = 9.0;
-/// And so does one whose shading is stronger or weaker by more than this factor: before white paper,
-/// which lights its dark side, a finger shows half as much of it as before wood.
+/// Upper bound on the gain, and its inverse the lower bound. Before white paper, which lights the
+/// dark side, the shading of a finger has half the amplitude that it has before wood.
 const MOST_GAIN: f32 = 4.0;
-/// As many of the cells have to lie in the picture and to agree.
+/// Fraction of the cells that must lie in the image, and that must agree with the patch.
 const LEAST_SEEN: f64 = 0.6;
-/// Rows and columns of a block of a finger's cells, beyond which they count as independent: on footage
-/// that was compressed their residuals correlate by 0.7 and 0.5 from cell to cell, by 0.1 over four.
+/// Rows and columns of a block of a finger's cells; blocks count as independent. On compressed
+/// footage residuals of adjacent cells correlate by 0.7 and 0.5, over four cells by 0.1.
 const BLOCK: [usize; 2] = [4, 6];
-/// Beside what was known before, so many of a finger's cells count as one.
+/// Number of a finger's cells that count as one independent measurement beside the prior.
 const CORRELATION: f64 = 9.0;
-/// Weighted residuals grow on average at least like so much of the residuals.
+/// Lower bound on Σ ψ′ / Σ w.
 const LEAST_SLOPE: f32 = 0.2;
 
-/// The tip is known this well along the finger, and the rest this badly \[px, px, rad\].
+/// Standard deviations of the shift along, the shift across and the turn \[px, px, rad\]. The first
+/// is that of the predicted tip; the others damp each step.
 const PRIOR_SIGMAS: [f64; 3] = [1.0, 3.0, 0.1];
-/// Settled when an iteration moves no cell by more than this \[px\]; one that still moves by more
-/// than [`LOOSE_PX`] after the last has not found it.
+/// Convergence: no cell moves by more than this in an iteration \[px\]. If one still moves by more
+/// than [`LOOSE_PX`] in the last iteration, the registration fails.
 const SETTLED_PX: f64 = 0.04;
 const LOOSE_PX: f64 = 0.4;
 const ITERATIONS: usize = 6;
-/// Levels are told from here, the middle of the range \[grey levels\].
+/// Origin of the grey levels, the middle of their range.
 const MIDDLE_GREY: f32 = 128.0;
 
 /// Unknowns: shift along, shift across, turn, gain, offset.
@@ -89,22 +92,23 @@ type Information = SMatrix<f64, UNKNOWNS, UNKNOWNS>;
 struct Equations {
     information: Information,
     right: Vector,
-    /// What the right side varies by: the sum of squares of what blocks of cells contribute to it.
+    /// Covariance of the right side: the sum over blocks of cells of the outer products of their
+    /// contributions.
     scatter: Information,
-    /// How many cells agree with what is expected.
+    /// Number of cells with non-zero weight.
     agreeing: f64,
 }
 
-/// What of a hand a skin is.
+/// Area of the hand that a patch covers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Area {
-    /// A finger.
+    /// The finger.
     Finger,
-    /// A finger, and what is behind it of its hand.
+    /// The finger and the part of the hand behind it.
     Hand,
 }
 
-/// A finger's skin, learned frame by frame.
+/// The texture of a finger, learned frame by frame.
 #[derive(Debug, Clone)]
 pub(crate) struct TexturePatch {
     area: Area,
@@ -113,22 +117,23 @@ pub(crate) struct TexturePatch {
     /// Size of a cell \[px\].
     along_px: f64,
     across_px: f64,
-    /// The columns in use of each row, from and to.
+    /// First column and end column in use, per row.
     used: Vec<[usize; 2]>,
     cells: usize,
-    /// Row by row, from the tip on: levels about [`MIDDLE_GREY`], and their variances.
+    /// Row by row from the tip: mean levels relative to [`MIDDLE_GREY`], and their variances.
     mean: Vec<f32>,
     variance: Vec<f32>,
-    /// The frame that is being looked at; NaN outside of it.
+    /// Levels of the current frame; NaN outside of it.
     now: Vec<f32>,
     squares: Vec<f32>,
     frames: f32,
 }
 
-/// How the skin lies in a frame.
+/// Pose of the texture in a frame.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct TexturePose {
-    /// The axis that was drawn on the skin when it was first seen, told at the skin's middle.
+    /// The axis that was assigned to the texture when the patch was drawn, with its anchor at the
+    /// patch's middle.
     pub axis: Axis,
     /// Covariance of its offset there \[px\] and of its angle \[rad\].
     pub covariance: Matrix2<f64>,
@@ -137,8 +142,8 @@ pub(crate) struct TexturePose {
 }
 
 impl TexturePose {
-    /// The same turned to an angle \[rad\] that is known besides, with a variance that is no more: the
-    /// offset moves along as far as its error goes with that of the angle.
+    /// The pose conditioned on an angle \[rad\] from another source whose variance does not exceed
+    /// the pose's own. The offset moves by its regression on the angle.
     pub fn turned_to(&self, angle_rad: f64, variance: f64) -> Self {
         let Axis { anchor, tip, angle_rad: own_rad } = self.axis;
         let own = self.covariance[(1, 1)];
@@ -152,7 +157,7 @@ impl TexturePose {
 }
 
 impl TexturePatch {
-    /// None yet.
+    /// An empty patch.
     pub fn empty(area: Area) -> Self {
         let cells = ROWS * COLUMNS;
         Self {
@@ -171,9 +176,9 @@ impl TexturePatch {
         }
     }
 
-    /// Draws an axis on the skin that an image shows there, over a length back from its tip; the
-    /// half-width is that at its anchor, and grows with the taper towards the tip. Whether the image
-    /// shows enough of it.
+    /// Draws the patch from an image along an axis, over a length back from its tip. The half-width
+    /// is given at the anchor and grows with the taper towards the tip. Returns whether the image
+    /// shows enough cells.
     pub fn draw(
         &mut self,
         image: &GrayView<'_>,
@@ -189,7 +194,7 @@ impl TexturePatch {
             Area::Finger => (finger_px, f64::INFINITY),
             Area::Hand => (HAND_LENGTH * finger_px, BEHIND * finger_px),
         };
-        // One more on every side, for the slopes.
+        // One more on every side, for the gradients.
         self.rows = ((length_px / self.along_px) as usize + 3).min(ROWS);
         self.columns = COLUMNS - 1;
         let ahead_px = (axis.tip - axis.anchor).dot(&axis.direction());
@@ -227,13 +232,13 @@ impl TexturePatch {
             >= LEAST_SEEN * self.cells.max(1) as f64
     }
 
-    /// An axis told at the skin's middle.
+    /// The axis with its anchor at the patch's middle.
     pub fn middle_of(&self, axis: &Axis) -> Axis {
         let tip = axis.anchor + axis.direction() * (axis.tip - axis.anchor).dot(&axis.direction());
         Axis { anchor: tip + axis.direction() * self.middle_px(), tip, ..*axis }
     }
 
-    /// How many times as large its cells are as those of a finger.
+    /// Cell size over that of a finger's patch.
     fn coarser(&self) -> usize {
         match self.area {
             Area::Finger => 1,
@@ -241,7 +246,7 @@ impl TexturePatch {
         }
     }
 
-    /// So many of its cells count as one.
+    /// Number of cells that count as one independent measurement.
     fn correlation(&self) -> f64 {
         CORRELATION / (self.coarser() * self.coarser()) as f64
     }
@@ -251,7 +256,7 @@ impl TexturePatch {
         -0.5 * self.rows.saturating_sub(1) as f64 * self.along_px
     }
 
-    /// s and d of a row and of a column \[px\].
+    /// s of a row and d of a column \[px\].
     fn s(&self, row: usize) -> f64 {
         -(row as f64) * self.along_px
     }
@@ -268,7 +273,7 @@ impl TexturePatch {
             .flat_map(move |(row, [from, to])| row * columns + from..row * columns + to)
     }
 
-    /// Samples the image where the skin would lie on an axis, and one cell around it.
+    /// Samples the image where the patch's cells lie for an axis, with a margin of one cell.
     fn sample(&mut self, image: &GrayView<'_>, at: &Axis) {
         let (e, n) = (at.direction(), at.normal());
         for row in 0..self.rows {
@@ -286,8 +291,8 @@ impl TexturePatch {
         }
     }
 
-    /// How the skin lies in an image, near where an axis would have it; `None` where the image does
-    /// not show it.
+    /// Registers the patch in an image near the predicted axis `near`; `None` where the image does
+    /// not show the patch.
     pub fn find(&mut self, image: &GrayView<'_>, near: &Axis) -> Option<TexturePose> {
         let start = self.middle_of(near);
         let (mut axis, mut light, mut along_px) = (start, [1.0, 0.0], 0.0);
@@ -322,8 +327,8 @@ impl TexturePatch {
         None
     }
 
-    /// The robust variance of what is seen about what is expected, in units of what each cell varies
-    /// by.
+    /// Robust variance of the residuals, in units of the cells' variances; `None` without cells in
+    /// the image.
     fn scale(&mut self, [gain, offset]: [f32; 2]) -> Option<f32> {
         let mut squares = std::mem::take(&mut self.squares);
         squares.clear();
@@ -339,7 +344,7 @@ impl TexturePatch {
         scale.map(|s| s.max(LEAST_SCALE))
     }
 
-    /// The normal equations of a step in such a light, where residuals scatter like this.
+    /// The normal equations of a step for a gain, an offset and a residual scale.
     fn equations(&self, [gain, offset]: [f32; 2], scale: f32) -> Equations {
         let mut sums = [[0.0_f32; UNKNOWNS + 1]; UNKNOWNS];
         let mut blocks = [[0.0_f32; UNKNOWNS]; COLUMNS * COARSER / BLOCK[1] + 1];
@@ -388,12 +393,13 @@ impl TexturePatch {
         }
         let information = Information::from_fn(|i, j| f64::from(sums[i.min(j)][i.max(j)]));
         let right = Vector::from_fn(|i, _| f64::from(sums[i][UNKNOWNS]));
-        // ψ(r) = r (1 − t²)², w = (1 − t²)²: by ψ′ the information is Σ ψ′ / Σ w of that by weights.
+        // ψ(r) = r (1 − t²)², w = (1 − t²)²: the information by ψ′ is Σ ψ′ / Σ w times that by
+        // weights.
         scatter *= f64::from(weights / slopes.max(LEAST_SLOPE * weights)).powi(2);
         Equations { information, right, scatter, agreeing }
     }
 
-    /// Learns the frame in which the skin has just been found.
+    /// Updates the patch with the frame in which it has just been registered.
     pub fn learn(&mut self, texture_pose: &TexturePose) {
         self.frames += 1.0;
         let rate = (1.0 / self.frames).max(RATE);
@@ -411,7 +417,7 @@ impl TexturePatch {
     }
 }
 
-/// The information of how well a lie is known before.
+/// Information matrix of the prior of the pose.
 fn prior() -> Information {
     let sigmas = PRIOR_SIGMAS.map(|sigma: f64| sigma.powi(-2));
     Information::from_diagonal(&Vector::from_fn(|k, _| sigmas.get(k).copied().unwrap_or_default()))

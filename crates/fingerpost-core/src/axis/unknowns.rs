@@ -1,4 +1,4 @@
-//! What is fitted, and how it spreads over the features of a block's pixels.
+//! The unknowns of the photometric fit, and their map to the features of a block's pixels.
 
 #![expect(
     clippy::inline_always,
@@ -13,9 +13,9 @@ use crate::axis::{PhotometricOptions, profile};
 use crate::numeric::simd::each;
 use nalgebra::{SMatrix, SVector};
 
-/// Unknowns of both flanks: the bisector's and the half-width's coefficients of 1, p and P₂, blur,
-/// middle of the round end and how much further it lies on the right flank, changes of the levels
-/// along the finger.
+/// Indices of the unknowns shared by both flanks: the coefficients of 1, p and P₂ of the bisector
+/// and of the half-width, the blur, the centre of the round end and its additional abscissa on the
+/// right flank, and the changes of the levels along the finger.
 pub(super) const OFFSET: usize = 0;
 pub(super) const SLOPE: usize = 1;
 pub(super) const BEND: usize = 2;
@@ -31,29 +31,32 @@ const OUTSIDE_CHANGE: usize = 10;
 const OWN: usize = 11;
 const OWN_COUNT: usize = 4;
 
-/// How many unknowns there are.
+/// Number of unknowns.
 pub(super) const UNKNOWNS: usize = OWN + 2 * OWN_COUNT;
 pub(super) type Vector = SVector<f64, UNKNOWNS>;
 pub(super) type Information = SMatrix<f64, UNKNOWNS, UNKNOWNS>;
 
-/// Where the sketch is believed \[px\], and its slope and taper.
+/// Prior standard deviations about the sketch: offset and half-width \[px\], slope and taper, blur
+/// \[px\] and centre of the round end \[px\].
 const LINE_SIGMA_PX: f64 = 3.0;
 const WIDTH_SIGMA_PX: f64 = 2.0;
 const SLOPE_SIGMA: f64 = 0.1;
 pub(super) const BLUR_SIGMA_PX: f64 = 1.0;
 const END_SIGMA_PX: f64 = 1.0;
-/// A sphere off the optical axis is seen as an ellipse, longer by 1 / cos of the angle between them
-/// in the direction away from the axis. Unless that is along the finger or across it, the round end
-/// begins earlier on one flank than on the other: by about this part of its radius.
+/// Prior standard deviation of the skew of the round end, in radii. A sphere off the optical axis
+/// projects to an ellipse, longer by 1 / cos of the angle from the optical axis, in the direction
+/// away from it. Unless that direction is along or across the finger, the round end begins at
+/// different abscissae on the two flanks.
 const END_SKEW_SIGMA: f64 = 0.01;
-/// Contrasts below this are taken for it when shading is weighed against them \[grey levels\].
+/// Lower bound on the contrast that scales the priors of shading \[grey levels\].
 pub(super) const LEAST_CONTRAST_GREY: f64 = 10.0;
 
-/// A finger's edge may be as dark as what is behind it; this far inside, it shows \[px\].
+/// Depth inside the edge at which the contrast is taken \[px\]: the edge of a finger may be as dark
+/// as the background.
 const SHADED_PX: f64 = 2.0;
 
-/// What a flank depends on: a coefficient of its edge, the blur, …, each of them one feature times
-/// one function of p.
+/// The parameters of one flank (edge coefficients, levels, blur, …). The derivative by a slot is
+/// one feature times one function of p.
 const SLOTS: usize = 11;
 const SLOT_FEATURE: [usize; SLOTS] = [
     EDGE,
@@ -69,8 +72,8 @@ const SLOT_FEATURE: [usize; SLOTS] = [
     profile::END,
 ];
 
-/// The unknowns that a flank sees, and the slots of them: the edge is σ times the bisector plus the
-/// half-width.
+/// The unknowns on which a flank depends, and their slots. The edge of flank σ is σ times the
+/// bisector plus the half-width.
 const OBSERVED: usize = OWN + OWN_COUNT;
 const OBSERVED_SLOT: [usize; OBSERVED] = [0, 1, 2, 0, 1, 2, 7, 10, 10, 4, 6, 3, 5, 8, 9];
 
@@ -86,8 +89,8 @@ fn observed_sign(seen: usize, flank: usize) -> f64 {
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Unknowns(pub Vector);
 
-/// How the slots change at some blocks: a slot's factor, one of these or 1, times its feature is its
-/// derivative.
+/// Functions of p at some blocks. The derivative by a slot is its feature times one of these, or
+/// times 1.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Factors {
     p: Doubles,
@@ -96,7 +99,7 @@ pub(super) struct Factors {
 }
 
 impl Factors {
-    /// Of blocks whose middles are at p, with half the length in use h.
+    /// For blocks with middles at p, and half the length in use h.
     #[inline(always)]
     pub fn at(p: &Doubles, h: f64) -> Self {
         let per_length = 1.0 / h;
@@ -104,7 +107,7 @@ impl Factors {
         Self { p: *p, bend: each(|i| 1.5 * t[i] * t[i] - 0.5), t }
     }
 
-    /// Some number times the factors of all slots.
+    /// The factors of all slots times a.
     #[inline(always)]
     fn times(&self, a: &Doubles) -> [Doubles; SLOTS] {
         let by = |factor: &Doubles| -> Doubles { each(|i| a[i] * factor[i]) };
@@ -114,7 +117,7 @@ impl Factors {
 }
 
 impl Unknowns {
-    /// On the sketch, with the given inside and background level of either flank.
+    /// Initial values: the sketch, with the given inside and background level of either flank.
     pub fn on(sketch: &Sketch, levels: [[f64; 2]; 2], blur_px: f64) -> Self {
         let mut x = Vector::zeros();
         x[HALF_WIDTH] = sketch.half_width_px;
@@ -142,24 +145,24 @@ impl Unknowns {
         self.0[BLUR]
     }
 
-    /// The middle of the round end as a flank has it.
+    /// Centre of the round end on a flank.
     pub fn end_px(&self, flank: usize) -> f64 {
         self.0[END] + SIDES[flank] * self.0[END_SKEW]
     }
 
-    /// Finger minus background at a flank \[grey levels\].
+    /// Contrast at a flank, finger minus background \[grey levels\].
     pub fn contrast_grey(&self, flank: usize) -> f64 {
         self.0[OWN + flank * OWN_COUNT] - self.0[OWN + flank * OWN_COUNT + 1]
     }
 
-    /// Finger minus background at a flank, [`SHADED_PX`] inside the edge \[grey levels\].
+    /// Contrast at a flank, finger minus background, [`SHADED_PX`] inside the edge \[grey levels\].
     pub fn shaded_contrast_grey(&self, sketch: &Sketch, flank: usize) -> f64 {
         let depth = SHADED_PX / sketch.half_width_px;
         let own = OWN + flank * OWN_COUNT;
         self.contrast_grey(flank) + self.0[own + 2] * depth + self.0[own + 3] * (2.0 * depth).sqrt()
     }
 
-    /// What blocks of a flank look like whose middles are at p, and whose levels and edges deviate by
+    /// The profile of blocks of a flank with middles at p, whose levels and edges deviate by
     /// `effects`: inside, outside, edge.
     #[inline(always)]
     pub fn profile(
@@ -190,7 +193,7 @@ impl Unknowns {
         }
     }
 
-    /// How far a step moves the flanks anywhere in use, at most \[px\].
+    /// Upper bound on the motion of the flanks in use by a step \[px\].
     pub fn motion_px(step: &Vector, half_length_px: f64) -> f64 {
         step[OFFSET].abs()
             + step[HALF_WIDTH].abs()
@@ -198,7 +201,7 @@ impl Unknowns {
     }
 }
 
-/// What a step of the unknowns changes in the slots of a flank.
+/// A step of the unknowns, in the slots of a flank.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct FlankStep([f64; SLOTS]);
 
@@ -211,7 +214,7 @@ impl FlankStep {
         Self(slots)
     }
 
-    /// What it changes in the features of blocks, column by column.
+    /// Changes of the features of blocks by the step, column by column.
     pub fn changes(&self, factors: &Factors) -> [Doubles; COLUMNS] {
         let Factors { p, bend, t } = factors;
         let [e0, e1, e2, a, a1, b, b1, blur, ramp, limb, end] = self.0;
@@ -229,15 +232,16 @@ impl FlankStep {
     }
 }
 
-/// What the unknowns are expected to be, and how surely: normal distributions, each by itself.
+/// The prior of the unknowns: independent normal distributions.
 pub(super) struct Prior {
     pub mean: Vector,
-    /// One by variance.
+    /// Inverse variances.
     pub information: Vector,
 }
 
 impl Prior {
-    /// About where the search starts; of a hand that is known, about its width and taper.
+    /// The prior about the initial values; width and taper of a known hand are those of its
+    /// [`Belief`](crate::axis::Belief).
     pub fn about(
         start: &Unknowns,
         sketch: &Sketch,
@@ -264,12 +268,12 @@ impl Prior {
     }
 }
 
-/// Normal equations of one flank, in the upper triangle of its slots, and their right side.
+/// Normal equations of one flank, in the upper triangle of its slots, with their right side.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct FlankEquations([[f64; SLOTS + 1]; SLOTS]);
 
 impl FlankEquations {
-    /// Adds those of blocks, which are those of their features.
+    /// Adds the equations of blocks, from those of their features.
     #[inline(always)]
     pub fn add(&mut self, block_weight: &Doubles, factors: &Factors, equations: &Equations) {
         let weighted = factors.times(block_weight);
@@ -289,12 +293,12 @@ impl FlankEquations {
         }
     }
 
-    /// Adds them to those of all unknowns.
+    /// Adds them to the equations of all unknowns.
     pub fn spread(&self, flank: usize, information: &mut Information, right: &mut Vector) {
         for (a, &i) in OBSERVED_SLOT.iter().enumerate() {
             let (row, sign) = (observed_unknown(a, flank), observed_sign(a, flank));
             right[row] += sign * self.0[i][SLOTS];
-            // The lower half, which is all that is looked at.
+            // The lower triangle alone, which the Cholesky factorisation reads.
             for (b, &j) in OBSERVED_SLOT.iter().enumerate().skip(a) {
                 information[(observed_unknown(b, flank), row)] +=
                     sign * observed_sign(b, flank) * self.0[i.min(j)][i.max(j)];

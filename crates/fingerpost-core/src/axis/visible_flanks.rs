@@ -1,29 +1,28 @@
-//! The bare stretches of a finger that something covers in part.
+//! The visible stretches of a partly covered finger.
 //!
-//! What lies on a finger, or beside it and looks like it, has edges as good as the finger's own. But
-//! where a flank is bare, what is inside of it looks like the hand and what is outside like what has
-//! been behind that; the rest is left out, with what is next to it.
+//! An object on a finger, or beside it with similar pixels, has edges as good as the finger's own.
+//! Where a flank is visible, the pixels inside resemble the hand and those outside the background.
+//! All other places are left out, with a margin.
 
 use super::sketch::{SIDES, Sketch};
 use crate::appearance::histogram::HistogramModel;
 use crate::image::frame::Frame;
 
-/// From one look at a flank to the next \[px\].
+/// Distance between tests along a flank \[px\].
 const STEP_PX: f64 = 1.0;
-/// What is this near to a place that is covered is not bare \[px\]: a block of pixels, and the reach
-/// of the kernels that find edges.
+/// Margin about a covered place \[px\]: a block of pixels, and the reach of the edge kernels.
 const MARGIN_PX: f64 = 3.0;
 
-/// Where the flanks of a sketch are covered.
+/// The covered places along the flanks of a sketch.
 #[derive(Debug, Clone, Default)]
 pub(super) struct VisibleFlanks {
-    /// The places that were looked at and are not bare, in p.
+    /// The tested places that are covered, in p.
     covered: [Vec<f64>; 2],
-    /// How many were looked at.
+    /// Number of tested places.
     refined: [usize; 2],
 }
 
-/// One of the flanks, as far as it is bare.
+/// The visibility of one flank.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct VisibleFlank<'a> {
     /// 0 right, 1 left.
@@ -32,7 +31,8 @@ pub(super) struct VisibleFlank<'a> {
 }
 
 impl VisibleFlanks {
-    /// Looks along the flanks of a sketch, if its finger may be covered; all of another one is bare.
+    /// Tests the flanks of a sketch, if its finger may be covered; otherwise all of it counts as
+    /// visible.
     pub fn measure(
         &mut self,
         frame: &Frame<'_>,
@@ -60,7 +60,7 @@ impl VisibleFlanks {
         }
     }
 
-    /// The part of the places that were looked at that is bare, on the flank where it is less, 0–1.
+    /// Visible fraction of the tested places, on the flank where it is smaller, 0–1.
     pub fn least_part(&self) -> f64 {
         let parts = self.covered.iter().zip(self.refined);
         let visible = parts.map(|(covered, all)| 1.0 - covered.len() as f64 / all.max(1) as f64);
@@ -74,12 +74,12 @@ impl VisibleFlanks {
 }
 
 impl VisibleFlank<'_> {
-    /// Whether some of it is not bare.
+    /// Whether a part of it is covered.
     pub fn is_partly_covered(&self) -> bool {
         !self.covered.is_empty()
     }
 
-    /// Whether it is bare about p.
+    /// Whether it is visible about p.
     pub fn is_visible(&self, p: f64) -> bool {
         self.covered.iter().all(|covered| (covered - p).abs() > MARGIN_PX)
     }

@@ -1,20 +1,20 @@
 //! Quadratic and cubic B-spline curves in the plane, open and closed.
 //!
-//! [`BSpline`] is the basis alone: degree, knots and whether it closes. The control points come in
-//! as an argument, because every deformation of a contour moves them and leaves the basis as it
-//! is: whoever samples one contour again and again evaluates [`BSpline::basis`] once per sample
-//! and [blends](BasisRow::blend) it with whatever control points the moment has.
+//! [`BSpline`] is the basis alone: degree, knots and whether it closes. The control points are an
+//! argument, because every deformation of a contour moves them and leaves the basis unchanged. To
+//! sample one contour repeatedly, evaluate [`BSpline::basis`] once per sample and
+//! [blend](BasisRow::blend) it with the current control points.
 //!
 //! The basis functions follow from the Cox–de Boor recursion in the triangular form that never
 //! divides by an empty knot span, their derivatives from differences of the functions of lower
-//! degree. A knot repeated `degree` times makes a corner. A closed B-spline is an open one on knots
-//! that continue periodically, its control points taken modulo their number.
+//! degree. A knot repeated `degree` times makes a corner. A closed B-spline is an open one on
+//! periodically continued knots, with control points taken modulo their number.
 //!
-//! [`BSpline::fit`] finds control points for an ordered outline by linear least squares;
-//! [`BSpline::arc_length`] finds parameters at given lengths along the curve.
+//! [`BSpline::fit`] fits control points to an ordered outline by linear least squares;
+//! [`BSpline::arc_length`] computes parameters at given lengths along the curve.
 //!
-//! Sources: C. de Boor, *A Practical Guide to Splines*, chapters IX, X and XIII; L. Piegl and
-//! W. Tiller, *The NURBS Book*, algorithms A2.1 to A2.3 and section 9.4.
+//! Sources: C. de Boor, *A Practical Guide to Splines*, chapters IX, X and XIII; L. Piegl and W.
+//! Tiller, *The NURBS Book*, algorithms A2.1 to A2.3 and section 9.4.
 
 mod arc_length;
 mod fit;
@@ -26,18 +26,18 @@ use nalgebra::{Point2, Vector2};
 
 use crate::{Error, Result};
 
-/// Basis functions that are not zero at one parameter, for the highest degree.
+/// Number of non-zero basis functions at one parameter, for the highest degree.
 const MAX_ORDER: usize = 4;
 
-/// Knots may lie this much closer together than they are large, and no more: a parameter then has
-/// five digits left to tell where in the span it is.
+/// Minimum knot span relative to the knots' magnitude: a parameter then has five digits left for
+/// its position in the span.
 const MIN_RELATIVE_SPAN: f64 = 1e-10;
 
-/// The most control points of a uniform B-spline: far more than a contour has any use for, and still
-/// knots that fit into memory.
+/// Maximum number of control points of a uniform B-spline: far above any use for a contour, with
+/// knots that still fit into memory.
 const MAX_CONTROL_POINTS: usize = 1 << 20;
 
-/// Knot spans lie between these two, so that no second derivative of a basis function overflows.
+/// Range of the knot spans, within which no second derivative of a basis function overflows.
 const SPAN_RANGE: (f64, f64) = (1e-100, 1e100);
 
 /// The degree of a B-spline's polynomial pieces.
@@ -69,7 +69,7 @@ impl TryFrom<usize> for Degree {
     }
 }
 
-/// A B-spline basis: degree, knots, open or closed. It has no shape until control points give it one.
+/// A B-spline basis: degree, knots, open or closed. Control points give it a shape.
 ///
 /// ```
 /// use fingerpost_core::geometry::bspline::{BSpline, Degree};
@@ -90,9 +90,9 @@ pub struct BSpline {
     degree: Degree,
     closed: bool,
     control_point_count: usize,
-    /// Non-decreasing; of a closed B-spline with `degree` knots more on either side of its period.
-    /// Basis function i lives on [knots[i], knots[i + degree + 1]], and the domain starts at
-    /// knots[degree].
+    /// Non-decreasing; for a closed B-spline with `degree` knots more on either side of its period.
+    /// Basis function i is non-zero on `[knots[i], knots[i + degree + 1]]`, and the domain starts
+    /// at `knots[degree]`.
     knots: Vec<f64>,
 }
 
@@ -100,9 +100,9 @@ impl BSpline {
     /// An open B-spline on a full knot vector: n + degree + 1 knots for n control points. The
     /// domain runs from knot `degree` to knot n.
     ///
-    /// Clamp it, with the first and the last knot occurring degree + 1 times, and the curve starts
-    /// at the first control point and ends at the last. Inner knots may repeat `degree` times,
-    /// which makes a corner through a control point.
+    /// On clamped knots, whose first and last occur degree + 1 times, the curve starts at the first
+    /// control point and ends at the last. Inner knots may repeat `degree` times, which makes a
+    /// corner at a control point.
     ///
     /// # Errors
     ///
@@ -119,9 +119,9 @@ impl BSpline {
     }
 
     /// An open B-spline that starts at the first control point and ends at the last:
-    /// [`open`](Self::open) on `breaks` with the first and the last of them repeated as often as
-    /// that takes. Give inner knots as often as they occur, the two ends once:
-    /// `breaks.len() + degree − 1` control points.
+    /// [`open`](Self::open) on `breaks` with the first and the last repeated to multiplicity degree
+    /// + 1. Inner knots are given with their multiplicity, the two ends once: `breaks.len() +
+    /// degree − 1` control points.
     ///
     /// # Errors
     ///
@@ -160,8 +160,8 @@ impl BSpline {
     /// A closed B-spline on the knots of one period: n + 1 knots for n control points, the last a
     /// period after the first. Control point i acts from knot i − degree to knot i + 1.
     ///
-    /// Any knot may repeat `degree` times, which makes a corner; the first and the last are the
-    /// same knot of the curve, so there the repeats of both count together.
+    /// Any knot may repeat `degree` times, which makes a corner. The first and the last are the
+    /// same knot of the curve, so their multiplicities add.
     ///
     /// # Errors
     ///
@@ -185,7 +185,7 @@ impl BSpline {
         Self::closed(degree, &knots)
     }
 
-    /// The B-spline, if its domain has an inside and its knots are equal or usefully apart.
+    /// Checks that the domain is not empty and that the knots are equal or sufficiently apart.
     fn with_spans_checked(
         degree: Degree,
         closed: bool,
@@ -214,36 +214,35 @@ impl BSpline {
         self.degree
     }
 
-    /// Whether the curve ends where it starts.
+    /// Whether the curve is closed.
     #[must_use]
     pub fn is_closed(&self) -> bool {
         self.closed
     }
 
-    /// The number of control points that the curve needs.
+    /// The number of control points of the curve.
     #[must_use]
     pub fn control_point_count(&self) -> usize {
         self.control_point_count
     }
 
-    /// The knots as [`open`](Self::open) or [`closed`](Self::closed) takes them.
+    /// The knots in the form taken by [`open`](Self::open) or [`closed`](Self::closed).
     #[must_use]
     pub fn knots(&self) -> &[f64] {
         if self.closed { self.domain_knots() } else { &self.knots }
     }
 
-    /// First and last parameter of the curve. A closed curve takes any other parameter as well and
-    /// repeats itself after the domain's length.
+    /// First and last parameter of the curve. A closed curve is periodic and takes any parameter.
     #[must_use]
     pub fn domain(&self) -> (f64, f64) {
         let last_span = self.knots.len() - self.degree.order();
         (self.knots[self.degree as usize], self.knots[last_span])
     }
 
-    /// The basis functions that are not zero at parameter `t`, with their derivatives.
+    /// The non-zero basis functions at parameter `t`, with their derivatives.
     ///
     /// At a knot the derivatives are those from the right, at the end of an open curve those from
-    /// the left; this matters where a derivative jumps.
+    /// the left; this matters where a derivative is discontinuous.
     ///
     /// # Errors
     ///
@@ -280,7 +279,7 @@ impl BSpline {
     fn parameter_in_domain(&self, t: f64) -> Result<f64> {
         let t = Error::finite("the parameter of a B-spline", t)?;
         let (start, end) = self.domain();
-        // A parameter in the domain stays as it is: rounding must not push it across its knot.
+        // A parameter in the domain is unchanged: rounding must not move it across its knot.
         if t >= start && (t < end || (t <= end && !self.closed)) {
             Ok(t)
         } else if self.closed {
@@ -290,8 +289,8 @@ impl BSpline {
         }
     }
 
-    /// The knot span i with knots[i] ≤ t < knots[i + 1]; at the end of the domain the last that is
-    /// not empty. `t` lies in the domain.
+    /// The knot span i with `knots[i] ≤ t < knots[i + 1]`; at the end of the domain the last
+    /// non-empty one. `t` lies in the domain.
     fn span(&self, t: f64) -> usize {
         let knots = self.domain_knots();
         let starts_before = if t < self.domain().1 {
@@ -302,7 +301,7 @@ impl BSpline {
         self.degree as usize + starts_before - 1
     }
 
-    /// The polynomials of a span that is not empty, evaluated at any `t`.
+    /// The polynomials of a non-empty span, evaluated at any `t`.
     fn basis_in_span(&self, span: usize, t: f64) -> BasisRow {
         let degree = self.degree as usize;
         let (mut two_below, mut one_below, mut values) =
@@ -336,7 +335,7 @@ impl BSpline {
     }
 
     /// Derivatives of the d + 1 basis functions of degree `d` from the `d` functions of the degree
-    /// below (de Boor, X (12)). It is linear: derivatives in give the next derivatives out.
+    /// below (de Boor, X (12)). It is linear: applied to derivatives it gives the next derivatives.
     fn differentiate(&self, span: usize, d: usize, lower: [f64; MAX_ORDER]) -> [f64; MAX_ORDER] {
         let mut derivatives = [0.0; MAX_ORDER];
         for r in 0..d {
@@ -348,15 +347,15 @@ impl BSpline {
         derivatives
     }
 
-    /// The ends of the interval on which the r-th function of degree `d` − 1 at `span` is not zero.
-    /// They enclose the span, so they are never equal.
+    /// Support of the r-th function of degree `d` − 1 at `span`. It contains the span, so its ends
+    /// are never equal.
     fn support(&self, span: usize, d: usize, r: usize) -> (f64, f64) {
         (self.knots[span + r + 1 - d], self.knots[span + r + 1])
     }
 }
 
-/// The basis functions that are not zero at one parameter, with first and second derivatives by
-/// the parameter. Made by [`BSpline::basis`].
+/// The non-zero basis functions at one parameter, with first and second derivatives by the
+/// parameter. Made by [`BSpline::basis`].
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct BasisRow {
     first: usize,
@@ -368,8 +367,8 @@ pub struct BasisRow {
 }
 
 impl BasisRow {
-    /// The index of the first control point that acts here. The others follow it, on a closed
-    /// curve modulo the number of control points; see [`indices`](Self::indices).
+    /// The index of the first control point that acts here. The others follow it, on a closed curve
+    /// modulo the number of control points; see [`indices`](Self::indices).
     #[must_use]
     pub fn first(&self) -> usize {
         self.first
@@ -400,7 +399,7 @@ impl BasisRow {
         &self.second_derivatives[..self.order]
     }
 
-    /// The point of the curve that `control_points` give, with its derivatives.
+    /// The point of the curve for `control_points`, with its derivatives.
     ///
     /// # Errors
     ///
@@ -424,11 +423,11 @@ impl BasisRow {
 /// A point of a curve with its derivatives by the parameter.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct CurvePoint {
-    /// Where the curve is, in the unit of its control points.
+    /// Position, in the unit of the control points.
     pub position: Point2<f64>,
-    /// Along the tangent in the direction of growing parameter; zero at a cusp.
+    /// Along the tangent in the direction of increasing parameter; zero at a cusp.
     pub first_derivative: Vector2<f64>,
-    /// Its component across the tangent bends the curve.
+    /// Second derivative; its component across the tangent determines the curvature.
     pub second_derivative: Vector2<f64>,
 }
 
@@ -453,7 +452,7 @@ fn check_control_point_count(control_points: &[Point2<f64>], needed: usize) -> R
     }
 }
 
-/// Point `index`, or the error that a coordinate of it is not finite.
+/// Point `index`, or the error that one of its coordinates is not finite.
 fn finite_point(what: &'static str, points: &[Point2<f64>], index: usize) -> Result<Point2<f64>> {
     let point = points[index];
     match point.iter().find(|coordinate| !coordinate.is_finite()) {
@@ -462,7 +461,7 @@ fn finite_point(what: &'static str, points: &[Point2<f64>], index: usize) -> Res
     }
 }
 
-/// Finite and non-decreasing.
+/// Checks that the knots are finite and non-decreasing.
 fn check_knots(knots: &[f64]) -> Result<()> {
     if let Some(index) = knots.iter().position(|knot| !knot.is_finite()) {
         return Err(Error::NotFiniteAt { what: "knot", index, value: knots[index] });
@@ -476,7 +475,7 @@ fn check_knots(knots: &[f64]) -> Result<()> {
     }
 }
 
-/// No knot occurs more than `degree` times inside and `at_ends` times at the two ends.
+/// Checks that no knot occurs more than `degree` times inside and `at_ends` times at the two ends.
 fn check_multiplicities(knots: &[f64], degree: Degree, at_ends: usize) -> Result<()> {
     let mut start = 0;
     for equal in knots.chunk_by(|a, b| a >= b) {

@@ -1,11 +1,11 @@
-//! A curve as the tracker uses it: points at equal steps of arc length, with tangents and with
-//! normals that point out of the hand.
+//! Samples of a curve at equal steps of arc length, with tangents and with normals that point out
+//! of the hand.
 
 use super::bspline::BSpline;
 use crate::{Error, Result};
 use nalgebra::{Point2, Vector2};
 
-/// On which side of the direction of travel along a contour the hand lies, in axes like the
+/// The side of the direction of travel along a contour on which the hand lies, in axes like the
 /// image's (u right, v down): travelling towards +u, +v is to the right.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum HandSide {
@@ -25,7 +25,7 @@ impl HandSide {
         }
     }
 
-    /// The unit normal out of the hand of a unit tangent.
+    /// The unit normal out of the hand, for a unit tangent.
     #[must_use]
     pub fn outward(self, tangent: &Vector2<f64>) -> Vector2<f64> {
         match self {
@@ -42,7 +42,7 @@ pub struct ContourSample {
     pub parameter: f64,
     /// Length of the curve from its start.
     pub arc_length: f64,
-    /// Where the sample lies.
+    /// Position of the sample.
     pub position: Point2<f64>,
     /// Unit tangent in the direction of travel.
     pub tangent: Vector2<f64>,
@@ -50,12 +50,13 @@ pub struct ContourSample {
     pub normal: Vector2<f64>,
 }
 
-/// `count` samples at equal steps of arc length. Each stands in the middle of its step, so that
-/// all stand for the same length and none falls on an end.
+/// `count` samples at equal steps of arc length. Each is at the middle of its step, so all
+/// represent the same length and none falls on an end.
 ///
 /// # Errors
-/// [`Error::TooFew`] without a sample; [`Error::UnusableLength`] where the curve halts, so that a
-/// sample has no tangent; the errors of [`BSpline::arc_length`] for control points that do not suit.
+/// [`Error::TooFew`] without a sample; [`Error::UnusableLength`] where the curve has zero velocity,
+/// so that a sample has no tangent; the errors of [`BSpline::arc_length`] for unsuitable control
+/// points.
 ///
 /// ```
 /// use fingerpost_core::geometry::bspline::{BSpline, Degree};

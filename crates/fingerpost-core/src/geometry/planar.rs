@@ -10,7 +10,7 @@ use nalgebra::SMatrix;
 use nalgebra::SVector;
 use nalgebra::Vector2;
 
-/// (c): the template moves and nothing else.
+/// (c): translation alone.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Translation {
     linear: Matrix2<f64>,
@@ -122,7 +122,7 @@ impl ShapeSpace<4> for RigidShear {
 }
 
 /// (c, θ, s): rigid motion and a common scale s of the frozen size; the space of a finger alone,
-/// which has nothing to show a shear or a length.
+/// which determines neither shear nor length.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Similarity {
     size: Size,
@@ -255,7 +255,7 @@ impl ShapeSpace<6> for Affine {
     }
 }
 
-/// The image of the template under x = c + \[a b\] m: what every planar shape vector stands for.
+/// The image of the template under x = c + \[a b\] m, for every planar shape vector.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct AffineMap {
     /// Image of the template's origin, the middle of the finger \[px\].
@@ -265,7 +265,7 @@ pub struct AffineMap {
 }
 
 impl AffineMap {
-    /// The undeformed template of finger length `length_px`, its axis's tip at `tip`, pointing
+    /// The undeformed template of finger length `length_px`, with its axis's tip at `tip`, pointing
     /// along `angle_rad`.
     ///
     /// # Errors
@@ -282,17 +282,17 @@ impl AffineMap {
         Ok(Self { centre: tip - linear.column(0) * HALF_LENGTH, linear })
     }
 
-    /// Where the map puts a template point.
+    /// Image of a template point.
     #[must_use]
     pub fn transform(&self, m: &Point2<f64>) -> Point2<f64> {
         self.centre + self.linear * m.coords
     }
 
-    /// θ, and the frozen size that remains: A = R(θ) [[α, κ], [0, β]].
+    /// θ, and the remaining size and shear: A = R(θ) [[α, κ], [0, β]].
     ///
     /// # Errors
-    /// When the map mirrors or flattens the template (det A ≤ 0): a hand cannot do that in an
-    /// image, the thumb's side belongs to the template.
+    /// When the map mirrors or flattens the template (det A ≤ 0). The image of a hand is never
+    /// mirrored: the thumb's side belongs to the template.
     pub fn decompose(&self) -> Result<Decomposition> {
         let (a, b) = (self.linear.column(0), self.linear.column(1));
         let alpha = Error::within("finger scale α [px]", a.norm(), "positive", |s| s > 0.0)?;
@@ -325,7 +325,7 @@ impl Pose for AffineMap {
     fn place(&self, sample: &TemplateSample) -> PlacedSample {
         let m = &self.linear;
         let n = &sample.normal;
-        // Normals go with the cofactor matrix of A; a positive determinant keeps them outward.
+        // Normals transform by the cofactor matrix of A; a positive determinant keeps them outward.
         let normal =
             Vector2::new(m[(1, 1)] * n.x - m[(1, 0)] * n.y, m[(0, 0)] * n.y - m[(0, 1)] * n.x);
         PlacedSample { position: self.transform(&sample.position), normal: normal / normal.norm() }
@@ -348,7 +348,7 @@ pub(super) fn rigid_axis_jacobian<const D: usize>(e: &Vector2<f64>) -> SMatrix<f
     j
 }
 
-/// The size that tracking holds fixed \[px per template unit\]: α along the finger, β across.
+/// The size that is frozen in tracking \[px per template unit\]: α along the finger, β across.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Size {
     /// Scale along the finger, positive.
@@ -357,7 +357,7 @@ pub struct Size {
     pub beta: f64,
 }
 
-/// An [`AffineMap`]'s linear part as R(θ) · [[α, κ], [0, β]].
+/// The linear part of an [`AffineMap`] as R(θ) · [[α, κ], [0, β]].
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Decomposition {
     /// θ, in (−π, π].
@@ -370,8 +370,8 @@ pub struct Decomposition {
 
 /// A shape space whose every member is a planar affine map of the template.
 pub trait PlanarSpace<const D: usize>: ShapeSpace<D, Pose = AffineMap> + Sized {
-    /// The space through `map`, and the shape vector that stands for it there: what the space
-    /// holds fixed is frozen at the map's values.
+    /// The space through `map`, and the shape vector of `map` in it. Components outside the space
+    /// are frozen at the map's values.
     ///
     /// # Errors
     /// When the map mirrors or flattens the template; see [`AffineMap::decompose`].

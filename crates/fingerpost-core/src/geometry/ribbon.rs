@@ -10,18 +10,18 @@ use nalgebra::SMatrix;
 use nalgebra::SVector;
 use nalgebra::Vector2;
 
-/// The band template: finger and thumb as spheres swept along two straight spines, each band as wide
-/// as the image shows it.
+/// The band template: finger and thumb as spheres swept along two straight spines, each with its
+/// own width in the image.
 ///
-/// A planar map of a template widens a finger by the same factor that it stretches the thumb,
-/// although a finger keeps its width when it is foreshortened; that misfit turns the axis by
-/// degrees. Here the finger's width and taper and the thumb's direction, length and width are free
-/// of one another, and the axis is the spine: the silhouette of a surface of revolution.
+/// A planar map of a template scales the finger's width by the same factor as the thumb's length,
+/// although the width of a finger is not foreshortened; that misfit turns the axis by degrees. Here
+/// the finger's width and taper and the thumb's direction, length and width are independent, and
+/// the axis is the spine: the silhouette of a surface of revolution is symmetric about it.
 ///
-/// The shape vector begins with the finger's (c, θ, w, τ); `D` = 2, 3, 4 or 5 stops after the
-/// centre, the angle, the half-width or the taper, so that a fit can free them in turn. `D` = 9 adds
-/// the thumb's root, spine and half-width. With e the unit vector of pointing, n = (−e_v, e_u), s
-/// the distance along the spine from the centre, ρ a unit vector and b⊥ the side of the thumb that
+/// The shape vector begins with the finger's (c, θ, w, τ). `D` = 2, 3, 4 or 5 ends with the centre,
+/// the angle, the half-width or the taper, so that a fit can free them in turn. `D` = 9 adds the
+/// thumb's root, spine and half-width. With e the unit vector of pointing, n = (−e_v, e_u), s the
+/// distance along the spine from the centre, ρ a unit vector and b⊥ the side of the thumb that
 /// faces the fingertip:
 ///
 /// ```text
@@ -37,24 +37,24 @@ use nalgebra::Vector2;
 /// ```
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Ribbon<const D: usize> {
-    /// Where the rest of the shape vector is held.
+    /// Values of the components that are not free.
     held: RibbonVector,
     measure: BandMeasure,
 }
 
-/// What a band template's shape vector leaves open: where along the finger the samples stand.
+/// Parameters of a band template outside its shape vector.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct BandMeasure {
     /// Pixels per unit of the template's p, positive.
     pub length_px: f64,
-    /// Distance from the centre to the middle of the finger's round end \[px\].
+    /// Distance from the centre to the centre of the finger's round end \[px\].
     pub round_end_px: f64,
     /// +1 for a thumb on the right of the pointing direction, −1 for one on the left, 0 for none.
     pub side: f64,
 }
 
 impl BandMeasure {
-    /// That of a template of the given proportions, its finger `length_px` long.
+    /// The parameters for a template of the given proportions, its finger `length_px` long.
     #[must_use]
     pub fn of(proportions: &Proportions, length_px: f64) -> Self {
         Self {
@@ -64,7 +64,7 @@ impl BandMeasure {
         }
     }
 
-    /// The same finger, its thumb left out unless `has_thumb`.
+    /// The same finger, without a thumb unless `has_thumb`.
     #[must_use]
     pub fn with_thumb(&self, has_thumb: bool) -> Self {
         Self { side: if has_thumb { self.side } else { 0.0 }, ..*self }
@@ -90,7 +90,7 @@ const RIBBON_NAMES: [&str; RIBBON_DOF] = [
 ];
 
 impl<const D: usize> Ribbon<D> {
-    /// The space of the first `D` components about `held`, whose others stay as they are.
+    /// The space of the first `D` components about `held`, whose others are constant.
     ///
     /// # Errors
     /// When `held` is not finite or the length not positive.
@@ -134,7 +134,7 @@ pub fn ribbon_of(proportions: &Proportions, map: &AffineMap) -> RibbonVector {
     x
 }
 
-/// The band template as one shape vector deforms it.
+/// The band template deformed by one shape vector.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RibbonPose {
     x: RibbonVector,
@@ -162,7 +162,7 @@ impl RibbonPose {
         self.measure.round_end_px + self.half_width(self.measure.round_end_px)
     }
 
-    /// Half the finger's width at the distance `s` along its spine.
+    /// Half-width of the finger at the distance `s` along its spine.
     fn half_width(&self, s: f64) -> f64 {
         self.x[3] + self.x[4] * s
     }

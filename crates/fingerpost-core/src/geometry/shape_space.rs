@@ -1,17 +1,18 @@
-//! Which deformations of the template are allowed, and how the image contour moves with them.
+//! Shape spaces: the allowed deformations of the template, and the motion of the image contour
+//! under them.
 //!
 //! A template point m = (p, q) lies at p along the index finger (towards the tip) and q across it;
-//! the origin is the middle of the finger. In the image it stands at
+//! the origin is the middle of the finger. Its image is
 //!
 //! ```text
 //! x = c + A m,    A = [a b] = R(θ) · [[α, κ], [0, β]]
 //! ```
 //!
 //! so a = α R e₁ is the finger's basis vector, and the shear κ runs *along* the finger: the
-//! finger's axis and flanks stay parallel to `a` and keep their distance while the thumb leans.
-//! (A shear the other way would turn the index finger off its basis vector.) The spaces differ
-//! in what of (c, θ, κ, α, β) is free; all share one trait and one kind of shape vector.
-//! Every one has its first two components equal to the centre c.
+//! finger's axis and flanks stay parallel to `a` at a constant distance while the thumb leans. (The
+//! other shear would turn the index finger away from its basis vector.) The spaces differ in the
+//! free components of (c, θ, κ, α, β); all share one trait and one kind of shape vector. The first
+//! two components are always the centre c.
 //!
 //! Source: Cipolla, Hadfield & Hollinghurst 1994, section 3.2; Blake & Isard, *Active Contours*,
 //! chapter 4, for shape spaces.
@@ -22,14 +23,14 @@ use nalgebra::{Point2, SMatrix, SVector, Vector2};
 /// A sample of the contour placed in the image.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PlacedSample {
-    /// Where the sample stands \[px\].
+    /// Position of the sample \[px\].
     pub position: Point2<f64>,
-    /// Unit normal, pointing out of the hand. A band's is that of its spheres; a tapering flank is
-    /// off it by the taper's angle, which moves no edge along it.
+    /// Unit normal, pointing out of the hand. On a band it is that of its spheres; it deviates from
+    /// the normal of a tapering flank by the taper's angle, which does not move an edge along it.
     pub normal: Vector2<f64>,
 }
 
-/// The finger's axis in the image, as a shape vector has it.
+/// The finger's axis in the image for a shape vector.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Axis {
     /// A point of the axis: the middle of the visible finger \[px\].
@@ -64,9 +65,9 @@ impl Axis {
     }
 }
 
-/// The template as one shape vector deforms it: everything that the samples share, worked out once.
+/// The template deformed by one shape vector; quantities common to all samples are computed once.
 pub trait Pose {
-    /// Where a template sample stands in the image.
+    /// Position of a template sample in the image, with its normal.
     fn place(&self, sample: &TemplateSample) -> PlacedSample;
 
     /// The finger's axis.
@@ -80,17 +81,17 @@ pub trait Pose {
 
 /// An allowed family of deformations with `D` degrees of freedom.
 pub trait ShapeSpace<const D: usize> {
-    /// What each component of the shape vector is, with its unit.
+    /// Name of each component of the shape vector, with its unit.
     const NAMES: [&'static str; D];
 
-    /// The template in the image, deformed.
+    /// The deformed template in the image.
     type Pose: Pose;
 
-    /// The pose that the shape vector `x` stands for.
+    /// The pose for the shape vector `x`.
     fn pose(&self, x: &SVector<f64, D>) -> Self::Pose;
 
-    /// ∂(n·X)/∂x of a sample for the unit normal n that [`Pose::place`] gave it: how far each
-    /// component moves the contour along that normal \[px per unit\].
+    /// ∂(n·X)/∂x of a sample for the unit normal n given by [`Pose::place`]: motion of the contour
+    /// along that normal per component \[px per unit\].
     fn normal_row(
         &self,
         pose: &Self::Pose,
@@ -98,7 +99,7 @@ pub trait ShapeSpace<const D: usize> {
         normal: &Vector2<f64>,
     ) -> SVector<f64, D>;
 
-    /// ∂(offset, angle)/∂x of the axis at its anchor: the offset \[px\] along [`Axis::normal`],
-    /// the angle in radians.
+    /// ∂(offset, angle)/∂x of the axis at its anchor: the offset \[px\] along [`Axis::normal`], the
+    /// angle in radians.
     fn axis_jacobian(&self, pose: &Self::Pose) -> SMatrix<f64, 2, D>;
 }

@@ -1,16 +1,16 @@
 //! The template: a B-spline outline of the pointing hand with its pointing axis.
 //!
 //! Template coordinates (p, q): the origin is the middle of the visible index finger, p runs along
-//! its axis towards the tip, q to the right of the pointing direction as the image shows it (u
-//! right, v down). The visible finger is one unit long, so its axis runs from p = −½ at the knuckle
-//! to p = +½ at the apex, and a pose needs no more than a tip, a direction and a length in pixels.
-//! Because the axis is the basis vector of p, the fitted map's first column *is* the pointing
-//! direction (Cipolla, Hadfield & Hollinghurst 1994, section 3.2 and figure 3).
+//! its axis towards the tip, q to the right of the pointing direction in the image (u right, v
+//! down). The visible finger has unit length: its axis runs from p = −½ at the knuckle to p = +½ at
+//! the apex. A pose is therefore given by a tip, a direction and a length in pixels. The axis is
+//! the basis vector of p, so the first column of the fitted map *is* the pointing direction
+//! (Cipolla, Hadfield & Hollinghurst 1994, section 3.2 and figure 3).
 //!
-//! The pistol is an index finger and a thumb, each a band with a round end; the outline runs up
-//! the finger's outer flank, round the tip, down to the crotch (a corner: a triple knot of the
-//! cubic spline) and round the thumb. The hand itself is left out: it differs from one person to
-//! the next.
+//! The pistol is an index finger and a thumb, each a band with a round end. The outline runs up the
+//! finger's outer flank, round the tip, down to the crotch (a corner: a triple knot of the cubic
+//! spline) and round the thumb. The rest of the hand is left out, because it differs between
+//! persons.
 
 use super::bspline::{BSpline, Degree, Parametrization, check_count};
 use super::contour::{ContourSample, HandSide};
@@ -22,7 +22,7 @@ use std::f64::consts::{FRAC_PI_2, PI};
 /// Half the visible finger: its axis runs from −½ to +½.
 pub const HALF_LENGTH: f64 = 0.5;
 
-/// Where the thumb is, seen along the pointing direction in the image.
+/// Side of the thumb, seen along the pointing direction in the image.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Thumb {
     /// Left of the finger.
@@ -36,31 +36,31 @@ pub enum Thumb {
 /// The thumb of a pistol. Lengths are in units of the visible index finger.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ThumbProportions {
-    /// Where the thumb's axis meets the finger's: p of that point, −1 to 0.5.
+    /// p of the intersection of the thumb's axis with the finger's, −1 to 0.5.
     pub base: f64,
     /// Angle between the two axes \[rad\], 0.5 to 2.
     pub angle_rad: f64,
-    /// Length of the thumb's axis from there to its apex, 0.3 to 2.
+    /// Length of the thumb's axis from the intersection to its apex, 0.3 to 2.
     pub length: f64,
-    /// Half the thumb's width, 0.03 to 0.4.
+    /// Half-width of the thumb, 0.03 to 0.4.
     pub half_width: f64,
-    /// Part of the thumb's far flank that the outline follows back from the tip, 0 to 1.
+    /// Fraction of the thumb's far flank that the outline follows back from the tip, 0 to 1.
     pub far_flank: f64,
 }
 
 /// The shape of a pistol or of a finger alone. Lengths are in units of the visible index finger.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Proportions {
-    /// Half the finger's width, 0.03 to 0.4.
+    /// Half-width of the finger, 0.03 to 0.4.
     pub half_width: f64,
-    /// Where the outline begins on the finger's flank, p from −0.5 to 0.3: nearer to the knuckle
-    /// the folded fingers hide the flank.
+    /// Start of the outline on the finger's flank, p from −0.5 to 0.3; nearer to the knuckle the
+    /// folded fingers occlude the flank.
     pub flank_start: f64,
     /// The thumb, and its side; a finger alone has none.
     pub thumb: Option<(HandSide, ThumbProportions)>,
 }
 
-/// Half the width of the usual finger, in visible lengths.
+/// Half-width of the usual finger, in visible lengths.
 pub(crate) const USUAL_HALF_WIDTH: f64 = 0.115;
 
 impl Proportions {
@@ -105,16 +105,16 @@ pub struct TemplateSample {
     pub normal: Vector2<f64>,
     /// The limb it lies on.
     pub limb: Limb,
-    /// Where on the limb's spine its normal starts: p on the finger, on the thumb the part of the
-    /// way from its root to the centre of its round tip.
+    /// Foot of its normal on the limb's spine: p on the finger; on the thumb the fraction of the
+    /// distance from its root to the centre of its round tip.
     pub along: f64,
-    /// The unit normal by the limb's own axes: along it, and across it. Across the finger is q;
+    /// The unit normal in the limb's own axes: along it, and across it. Across the finger is q;
     /// across the thumb is towards the fingertip.
     pub radial: Vector2<f64>,
 }
 
-/// The parts of a hand's outline that have to be seen, each for its own reason: the flanks give the
-/// line, the tip holds the template from sliding along it, the thumb does so too.
+/// Parts of a hand's outline with different functions: the flanks determine the line, and tip and
+/// thumb the position along it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Part {
     /// The finger's flank on the left of the pointing direction.
@@ -155,19 +155,19 @@ pub struct Template {
     control_points: Vec<Point2<f64>>,
     hand: HandSide,
     thumb: Thumb,
-    /// The parameter where the outline leaves the finger for the thumb, if it has one.
+    /// The parameter where the outline passes from the finger to the thumb, if it has one.
     crotch: Option<f64>,
-    /// What a pistol was made from; a traced outline has no bands.
+    /// The proportions of a pistol; `None` for a traced outline.
     proportions: Option<Proportions>,
 }
 
-/// Length of outline per control point of a pistol, in finger lengths and at most in half-widths of
-/// its slimmer limb: the round tips, the sharpest turns, get about four knots each and the spline
-/// stays within 0.002 of them.
+/// Length of outline per control point of a pistol, in finger lengths, and its upper bound in
+/// half-widths of the slimmer limb. Each round tip has about four knots, and the spline stays
+/// within 0.002 of it.
 const KNOT_STEP: f64 = 0.08;
 const KNOT_STEP_IN_HALF_WIDTHS: f64 = 0.8;
-/// Control points that follow a traced outline of finger and thumb and not the jitter of its
-/// pixels: about a dozen round each limb. A default for [`Template::from_outline`].
+/// Number of control points that follow a traced outline of finger and thumb but not its pixel
+/// noise: about a dozen round each limb. A default for [`Template::from_outline`].
 pub const TRACED_CONTROL_POINTS: usize = 24;
 /// Outline points per control point of the least-squares fit.
 const POINTS_PER_CONTROL_POINT: usize = 8;
@@ -176,7 +176,8 @@ impl Template {
     /// Index finger and up-turned thumb of the usual hand; the finger alone for [`Thumb::None`].
     ///
     /// # Errors
-    /// None for these proportions; the signature is that of [`with_proportions`](Self::with_proportions).
+    /// None for these proportions; the signature is that of
+    /// [`with_proportions`](Self::with_proportions).
     ///
     /// ```
     /// use fingerpost_core::geometry::template::{Template, Thumb};
@@ -192,8 +193,8 @@ impl Template {
     /// A pistol of given proportions.
     ///
     /// # Errors
-    /// When a proportion is not finite or outside its documented range, or when the thumb leaves
-    /// no crotch because it begins above the finger's tip.
+    /// When a proportion is not finite or outside its documented range, or when the thumb begins
+    /// beyond the finger's tip, so that there is no crotch.
     pub fn with_proportions(proportions: &Proportions) -> Result<Self> {
         let pieces = pistol_outline(proportions)?;
         let mirror = match proportions.thumb {
@@ -229,7 +230,7 @@ impl Template {
             breaks.extend((1..=spans as usize).map(|k| start + k as f64 / spans * piece.length()));
             if i + 1 < pieces.len() {
                 crotch = breaks.last().copied();
-                // The crotch: three knots in one place make a corner.
+                // The crotch: a triple knot makes a corner.
                 let corner = breaks[breaks.len() - 1];
                 breaks.extend([corner, corner]);
             }
@@ -242,7 +243,7 @@ impl Template {
     }
 
     /// The pistol of the same kind with the dimensions of a band template's shape vector: the
-    /// waiting template moulded to a hand; without its thumb unless `has_thumb`.
+    /// initial template adapted to a hand. It has no thumb unless `has_thumb`.
     ///
     /// # Errors
     /// [`Error::Unsupported`] for a traced outline; those of
@@ -267,8 +268,8 @@ impl Template {
 
     /// A template from a traced outline and its pointing axis.
     ///
-    /// `outline` are at least `control_points` points in order along the contour, in any unit and
-    /// in axes like the image's; `hand` is the side of that order on which the hand lies; `axis`
+    /// `outline` has at least `control_points` points in order along the contour, in any unit and
+    /// in axes like the image's. `hand` is the side of that order on which the hand lies. `axis`
     /// leads from the finger's knuckle to its tip, in the same unit.
     ///
     /// # Errors
@@ -294,7 +295,7 @@ impl Template {
                 Point2::new(d.dot(&e), e.perp(&d))
             })
             .collect();
-        // Before a spline is made of as many control points as somebody asks for.
+        // Checked before a spline with the requested number of control points is allocated.
         check_count("outline points", outline.len(), control_points)?;
         let spline = BSpline::open_uniform(Degree::Cubic, control_points)?;
         let control_points = spline.fit(&points, Parametrization::ChordLength)?.control_points;
@@ -314,19 +315,19 @@ impl Template {
         self.hand
     }
 
-    /// Where the thumb is; `None` for a finger alone and for a traced outline.
+    /// Side of the thumb; `None` for a finger alone and for a traced outline.
     #[must_use]
     pub fn thumb(&self) -> Thumb {
         self.thumb
     }
 
-    /// What the template was made from, unless it was traced.
+    /// The proportions of the template, unless it was traced.
     #[must_use]
     pub fn proportions(&self) -> Option<&Proportions> {
         self.proportions.as_ref()
     }
 
-    /// `along` and `radial` of a sample; a traced outline is taken as it is, its spine the axis.
+    /// `along` and `radial` of a sample; for a traced outline the spine is the axis.
     fn limb_coordinates(&self, s: &ContourSample, limb: Limb) -> (f64, Vector2<f64>) {
         let Some(Proportions { half_width, thumb, .. }) = &self.proportions else {
             return (s.position.x, s.normal);
@@ -361,8 +362,8 @@ impl Template {
     }
 }
 
-/// Where on a band's spine the normal of a point starts, in units of `unit`, and that normal; the
-/// band's round end has its middle at `end`.
+/// Foot of a point's normal on a band's spine, in units of `unit`, and that normal; the centre of
+/// the band's round end is at `end`.
 fn on_band(along: f64, across: f64, end: f64, unit: f64) -> (f64, Vector2<f64>) {
     if along <= end {
         (along / unit, Vector2::new(0.0, across.signum()))
@@ -374,13 +375,13 @@ fn on_band(along: f64, across: f64, end: f64, unit: f64) -> (f64, Vector2<f64>) 
 /// The pointing axis of a traced outline, in the outline's unit.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct OutlineAxis {
-    /// Where the visible finger begins.
+    /// Start of the visible finger.
     pub knuckle: Point2<f64>,
-    /// Where it ends: the apex.
+    /// Its end: the apex.
     pub tip: Point2<f64>,
 }
 
-/// A smooth piece of an outline: straight lines and arcs, each beginning where the last ended.
+/// A smooth piece of an outline: straight lines and arcs, each beginning at the end of the last.
 #[derive(Debug, Default)]
 struct Piece {
     segments: Vec<Segment>,
@@ -409,7 +410,7 @@ impl Segment {
         }
     }
 
-    /// The point at a part of the segment, 0–1.
+    /// The point at a fraction of the segment, 0–1.
     fn at(&self, part: f64) -> Point2<f64> {
         match self {
             Self::Line { from, to } => from + (to - from) * part,
@@ -467,7 +468,7 @@ fn pistol_outline(proportions: &Proportions) -> Result<Vec<Piece>> {
     let (sin, cos) = angle_rad.sin_cos();
     let (along, near) = (Vector2::new(cos, sin), Vector2::new(sin, -cos) * w2);
     let base = Point2::new(base, 0.0);
-    // The near flank meets the finger's inner one, q = w, at the crotch.
+    // The thumb's near flank intersects the finger's inner one, q = w, at the crotch.
     let crotch = base + along * ((w + w2 * cos) / sin) + near;
     let end = base + along * (length - w2);
     Error::within("crotch", crotch.x, "below the finger's round tip", |p| p < tip.x)?;

@@ -1,11 +1,11 @@
-//! One captured frame: its grey image, and its colours where the camera has them.
+//! A captured frame: its grey image, and its colours where the camera has them.
 
 use super::gray::{GrayView, pixel_data};
 use crate::{Error, Result};
 use nalgebra::{Point2, Vector2, Vector3};
 
-/// A borrowed view of interleaved 8-bit colours, three channels in any order that does not change
-/// from frame to frame. Never copies.
+/// A borrowed view of interleaved 8-bit colours: three channels, in an order that is the same in
+/// all frames. Never copies.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct ColourView<'a> {
     data: &'a [u8],
@@ -36,10 +36,10 @@ impl<'a> ColourView<'a> {
     }
 
     /// The grey levels (ITU-R BT.601 luma) of an image whose channels are blue, green and red, row
-    /// after row without padding; the bits of OpenCV's conversion.
+    /// after row without padding; bit-identical to OpenCV's conversion.
     ///
     /// ```
-    /// use fingerpost_core::frame::ColourView;
+    /// use fingerpost_core::image::frame::ColourView;
     /// let red = ColourView::new(&[0, 0, 255], 1, 1, 3)?;
     /// assert_eq!(red.luma(), [76]);
     /// # Ok::<(), fingerpost_core::Error>(())
@@ -50,11 +50,11 @@ impl<'a> ColourView<'a> {
         (0..self.height).filter_map(|y| self.row(y)).flat_map(levels).collect()
     }
 
-    /// Whether the channels differ anywhere by more than videos round; a monochrome camera's
-    /// pictures come with three that do not.
+    /// Whether the channels differ anywhere by more than the rounding of videos. Images of a
+    /// monochrome camera may have three equal channels.
     ///
     /// ```
-    /// use fingerpost_core::frame::ColourView;
+    /// use fingerpost_core::image::frame::ColourView;
     /// assert!(!ColourView::new(&[90, 91, 94], 1, 1, 3)?.has_colours());
     /// assert!(ColourView::new(&[90, 91, 95], 1, 1, 3)?.has_colours());
     /// # Ok::<(), fingerpost_core::Error>(())
@@ -75,7 +75,7 @@ impl<'a> ColourView<'a> {
         self.data.get(at..at + 3)?.try_into().ok()
     }
 
-    /// The bilinear values of the three channels at (u, v), as [`GrayView::sample_f64`] has them.
+    /// The bilinear values of the three channels at (u, v), as for [`GrayView::sample_f64`].
     #[must_use]
     pub fn sample_f64(&self, u: f64, v: f64) -> Option<[f64; 3]> {
         let (right, bottom) = ((self.width - 1) as f64, (self.height - 1) as f64);
@@ -87,7 +87,8 @@ impl<'a> ColourView<'a> {
         let mut channels = [0.0; 3];
         for (below, part_v) in [(0, 1.0 - fraction_v), (1, fraction_v)] {
             for (right, part_u) in [(0, 1.0 - fraction_u), (1, fraction_u)] {
-                // The last column and the last row have none beyond, and give it no part.
+                // The last column and the last row have none beyond, and the weight of that is
+                // zero.
                 let at = ((x + right).min(self.width - 1), (y + below).min(self.height - 1));
                 for (channel, level) in channels.iter_mut().zip(self.pixel(at.0, at.1)?) {
                     *channel += part_u * part_v * f64::from(level);
@@ -97,7 +98,7 @@ impl<'a> ColourView<'a> {
         Some(channels)
     }
 
-    /// The mean colour of those of some pixels that lie in the image; `None` if none does.
+    /// The mean colour of the pixels that lie in the image; `None` if none does.
     pub(crate) fn mean(&self, pixels: impl Iterator<Item = SidedPixel>) -> Option<Vector3<f64>> {
         let colours = pixels.filter_map(|p| self.pixel(p.x as usize, p.y as usize));
         let (sum, count) = colours.fold((Vector3::zeros(), 0.0), |(sum, count), colour| {
@@ -113,8 +114,8 @@ impl<'a> ColourView<'a> {
     }
 }
 
-/// A grey picture's channels differ by no more than this once a video has been decoded
-/// \[grey levels\].
+/// Maximum difference of the channels of a grey image after a video has been decoded \[grey
+/// levels\].
 const SAME_GREY: u8 = 3;
 
 /// The weights of BT.601 in 2⁻¹⁵, rounded so that they add up to one.
@@ -129,19 +130,19 @@ fn luma(blue: u8, green: u8, red: u8) -> u8 {
     ((sum + (1 << (LUMA_SHIFT - 1))) >> LUMA_SHIFT) as u8
 }
 
-/// Channels of a chromaticity add up to this \[grey levels\], as those of a middle grey do.
+/// Sum of the channels of a chromaticity \[grey levels\], that of a middle grey.
 pub(crate) const CHROMATICITY_SUM: f64 = 384.0;
-/// What is darker, three channels together, has less of all of them: rounding would be most of it
-/// \[grey levels\].
+/// Lower bound on the sum of the three channels \[grey levels\]: in darker pixels rounding would
+/// dominate the chromaticity, so it is reduced in proportion.
 const DARKEST_SUM: u32 = 24;
 
-/// A colour as bright as a middle grey: its chromaticity.
+/// The chromaticity: the colour scaled to the brightness of a middle grey.
 pub(crate) fn chromaticity(colour: [u8; 3]) -> Vector3<f64> {
     let sum = colour.iter().map(|&channel| u32::from(channel)).sum::<u32>();
     Vector3::from(colour.map(f64::from)) * (CHROMATICITY_SUM / f64::from(sum.max(DARKEST_SUM)))
 }
 
-/// What one view captured at one time.
+/// The images that one view captured at one time.
 #[derive(Debug, Clone, Copy)]
 pub struct Frame<'a> {
     gray: GrayView<'a>,
@@ -155,11 +156,11 @@ impl<'a> Frame<'a> {
         Self { gray, colour: None }
     }
 
-    /// A frame with its colours; edges are measured in `gray`, the hand is told from what is
-    /// behind it by `colour`.
+    /// A frame with its colours. Edges are measured in `gray`; `colour` distinguishes the hand from
+    /// its background.
     ///
     /// # Errors
-    /// [`Error::SizesDiffer`] when the two are not of one size.
+    /// [`Error::SizesDiffer`] when the two differ in size.
     pub fn coloured(gray: GrayView<'a>, colour: ColourView<'a>) -> Result<Self> {
         let (g, c) = ((gray.width(), gray.height()), (colour.width, colour.height));
         if g == c {
@@ -188,7 +189,7 @@ impl<'a> From<GrayView<'a>> for Frame<'a> {
     }
 }
 
-/// A pixel, which may lie outside the frame, and whether it is the hand's.
+/// A pixel, which may lie outside the frame, and whether it belongs to the hand.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct SidedPixel {
     pub x: u32,
@@ -197,21 +198,21 @@ pub(crate) struct SidedPixel {
 }
 
 impl SidedPixel {
-    /// Its middle; one left of the frame, or above it, wraps round to what no frame has.
+    /// Its centre; coordinates left of the frame or above it wrap to values outside every frame.
     pub fn middle(&self) -> Point2<f64> {
         Point2::new(f64::from(self.x as i32), f64::from(self.y as i32))
     }
 
-    /// The pixel nearest to a place; none outside of all frames.
+    /// The pixel nearest to a place; `None` outside all frames.
     #[inline]
     pub fn at(u: f64, v: f64, is_hand: bool) -> Option<Self> {
-        // Through i32, which a float becomes in fewer instructions.
+        // Through i32, to which a float converts in fewer instructions.
         let whole = |x: f64| (x + 0.5) as i32 as u32;
         (u > -0.5 && v > -0.5).then(|| Self { x: whole(u), y: whole(v), is_hand })
     }
 
-    /// The pixels nearest to places 1 px apart on a ray, from so far from its beginning on; outside of
-    /// all frames they have coordinates that no frame has.
+    /// The pixels nearest to places 1 px apart on a ray, from a given distance from its origin on.
+    /// Outside of all frames their coordinates are outside every frame.
     #[inline]
     pub fn along(
         from: Point2<f64>,
@@ -220,7 +221,7 @@ impl SidedPixel {
         last_px: f64,
         is_hand: bool,
     ) -> impl ExactSizeIterator<Item = Self> + Clone {
-        // Fixed point, 32.32: what is negative has the largest whole part when it is read unsigned.
+        // Fixed point, 32.32: a negative number read as unsigned has the largest whole part.
         const ONE: f64 = (1_u64 << 32) as f64;
         let fixed = |x: f64| (x * ONE) as i64;
         let first = from + direction * first_px;

@@ -1,11 +1,12 @@
-//! A grey image that belongs to somebody else.
+//! A borrowed grey image.
 //!
 //! [`GrayView`] borrows 8-bit pixels row by row, with any stride, and never copies them: a frame
-//! from a camera, a file or a `NumPy` array is sampled where it lies. The centre of the top-left
-//! pixel is (0, 0), u runs right, v runs down; values between pixel centres are bilinear.
+//! from a camera, a file or a `NumPy` array is sampled in place. The centre of the top-left pixel
+//! is (0, 0), u runs right, v runs down; values between pixel centres are bilinear.
 //!
 //! There is no border policy. The image is defined on [0, width − 1] × [0, height − 1], the hull of
-//! the pixel centres; outside it there is `None`, because an invented pixel makes an invented edge.
+//! the pixel centres. Outside it the value is `None`, because extrapolated pixels would create
+//! edges.
 
 use std::fmt;
 use std::ops::{Add, Mul, Sub};
@@ -35,7 +36,7 @@ pub struct GrayView<'a> {
 }
 
 impl<'a> GrayView<'a> {
-    /// The longest side in px: up to here every pixel coordinate is exact in `f32`.
+    /// Maximum side in px: up to here every pixel coordinate is exact in `f32`.
     pub const MAX_SIDE: usize = 1 << f32::MANTISSA_DIGITS;
 
     /// A view of `width` × `height` pixels in `data`, `stride` bytes from one row to the next.
@@ -122,9 +123,9 @@ impl<'a> GrayView<'a> {
 
     /// The bilinear value at (u, v), in grey levels 0..=255.
     ///
-    /// `None` outside [0, width − 1] × [0, height − 1] and for NaN. On a pixel centre it is that
-    /// pixel, exactly; elsewhere it is rounded in `f32`, to about 10⁻⁵ grey levels plus what the
-    /// rounding of the coordinates costs (10⁻⁴ px at u = 2000).
+    /// `None` outside [0, width − 1] × [0, height − 1] and for NaN. At a pixel centre it equals
+    /// that pixel exactly. Elsewhere it is rounded in `f32`, to about 10⁻⁵ grey levels plus the
+    /// effect of rounding the coordinates (10⁻⁴ px at u = 2000).
     #[must_use]
     #[inline]
     pub fn sample_f32(&self, u: f32, v: f32) -> Option<f32> {
@@ -150,15 +151,15 @@ impl<'a> GrayView<'a> {
 
     /// The top-left corner of the cell of four pixels that holds pixel (x, y): the last column and
     /// the last row close the cell before them. (`i32` holds [`MAX_SIDE`](Self::MAX_SIDE), and a
-    /// float becomes one in a single instruction, unlike `usize`.)
+    /// float converts to it in a single instruction, unlike to `usize`.)
     #[inline]
     fn cell(&self, x: i32, y: i32) -> (usize, usize) {
         let (last_x, last_y) = (self.width.saturating_sub(2), self.height.saturating_sub(2));
         ((x as usize).min(last_x), (y as usize).min(last_y))
     }
 
-    /// The pixels at (x, y), (x + 1, y), (x, y + 1), (x + 1, y + 1); in an image of one column or
-    /// one row, where the fraction between two is 0, the only one stands for both.
+    /// The pixels at (x, y), (x + 1, y), (x, y + 1), (x + 1, y + 1). In an image of one column or
+    /// one row, where the fraction is 0, the existing pixel stands for both.
     #[inline]
     fn corners(&self, x: usize, y: usize) -> Option<[u8; 4]> {
         let right = usize::from(self.width > 1);
@@ -173,11 +174,11 @@ impl<'a> GrayView<'a> {
     }
 }
 
-/// The bytes of an image of pixels of so many bytes each, from the first pixel to the last.
+/// The bytes of an image with pixels of `BYTES` bytes each, from the first pixel to the last.
 ///
 /// # Errors
 ///
-/// Those of [`GrayView::new`], with rows of as many bytes as their pixels have.
+/// Those of [`GrayView::new`], with rows of the width times `BYTES` bytes.
 pub(crate) fn pixel_data<const BYTES: usize>(
     data: &[u8],
     width: usize,

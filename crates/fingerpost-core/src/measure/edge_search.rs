@@ -1,7 +1,7 @@
 //! Edge search along the normals of a contour.
 //!
-//! Every search line samples the image at whole pixels along an outward normal, correlates the
-//! profile with the derivative of a Gaussian and reports where the response peaks, to a fraction
+//! Every search line samples the image at whole pixels along an outward normal and correlates the
+//! profile with the derivative of a Gaussian. The offset is the peak of the response, to a fraction
 //! of a pixel. With kernel scale s, edge blur σ_b, S² = s² + σ_b², contrast A and white noise σ_n
 //! the offset of the peak has the variance
 //!
@@ -27,7 +27,7 @@ use lanes::{Lanes, Peak, Scoring, Starts};
 use nalgebra::Vector2;
 use std::f64::consts::PI;
 
-/// How edges are looked for.
+/// Options of the edge search.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SearchOptions {
     /// Scale s of the derivative of Gaussian \[px\], 0.5–8.
@@ -36,7 +36,7 @@ pub struct SearchOptions {
     pub blur_px: f64,
     /// Standard deviation σ_n of the image noise \[grey levels\], 0.1–64.
     pub noise_grey: f64,
-    /// The least contrast that counts as an edge \[grey levels\], 0–255.
+    /// Minimum contrast of an edge \[grey levels\], 0–255.
     pub min_contrast_grey: f64,
 }
 
@@ -46,20 +46,20 @@ impl Default for SearchOptions {
     }
 }
 
-/// What a search line looks for.
+/// The edge cue: which place on a search line is measured.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Cue<'a> {
     /// The strongest edge.
     Edges,
-    /// The edge that best separates the hand from what is behind it.
+    /// The edge that best separates the hand from its background.
     HandEdges(&'a HistogramModel),
-    /// The place where the pixels' votes change sides, edge or none: coarse, but the same from any
-    /// distance and under any motion blur.
+    /// The place where the log-likelihood ratio of the pixels changes sign, with or without an
+    /// edge. It is coarse, but independent of distance and motion blur.
     LogRatio(&'a HistogramModel),
 }
 
 impl<'a> Cue<'a> {
-    /// What is known of the hand's looks.
+    /// The appearance model of the hand, if the cue has one.
     pub(crate) fn appearance(self) -> Option<&'a HistogramModel> {
         match self {
             Self::Edges => None,
@@ -68,32 +68,31 @@ impl<'a> Cue<'a> {
     }
 }
 
-/// Samples keep this far from the image's border, so that rounding to fixed point, of the first
-/// coordinate and of every step, cannot put one outside \[px\].
+/// Margin of the samples from the image's border \[px\]: rounding the first coordinate and every
+/// step to fixed point must not put a sample outside.
 const BORDER_MARGIN_PX: f64 = 1.0 / 64.0;
 
 /// A derivative of a Gaussian.
 #[derive(Debug, Clone)]
 struct Kernel {
-    /// Weights at +1, +2, … px, out to 3 s, times 2¹⁶; the weight at −k is the opposite, at 0 it is
-    /// zero. They sum to one, so a sharp step of contrast A answers with A.
+    /// Weights at +1, +2, … px, up to 3 s, times 2¹⁶; the weight at −k is the negative, at 0 it is
+    /// zero. They sum to one, so the response to a sharp step of contrast A is A.
     weights: Vec<u16>,
-    /// The least answer that counts \[1/128 grey level\].
+    /// Minimum response of an edge \[1/128 grey level\].
     least: i16,
-    /// The contrast of a blurred step that answers with one unit.
+    /// Contrast of a blurred step with a response of one unit.
     contrast_per_answer: f64,
-    /// Var(offset) of the module's head times the squared contrast.
+    /// The variance of the offset (see the module) times the squared contrast, for unit noise.
     variance_at_one_grey: f64,
 }
 
-/// A coarse kernel is this much larger than the fine one.
+/// Scale of the coarse kernel over that of the fine one.
 const COARSE: f64 = 2.5;
-/// Lines that are searched side by side: 16-bit numbers in a vector of AVX2, and in one of the
-/// baseline.
+/// Number of lines searched together: 16-bit lanes of an AVX2 vector, and of a baseline vector.
 const WIDE: usize = 2 * NARROW;
 const NARROW: usize = BASELINE_LANES;
 
-/// The kernels, and the buffers that a search reuses: nothing is allocated while searching.
+/// The kernels and the reused buffers of a search: searching allocates nothing.
 #[derive(Debug, Clone)]
 pub struct EdgeSearch {
     kernels: [Kernel; 2],
@@ -132,8 +131,8 @@ impl EdgeSearch {
         })
     }
 
-    /// The same search with another instruction set than the processor's widest: slower, with the
-    /// same results to the last bit.
+    /// The same search with another instruction set than the processor's widest: slower, with
+    /// bit-identical results.
     #[must_use]
     pub fn with_isa(self, isa: Isa) -> Self {
         Self { isa, ..self }
@@ -148,9 +147,9 @@ impl EdgeSearch {
     /// Searches every line for `cue`; `measurements` is refilled, one entry a line, in the same
     /// order.
     ///
-    /// Lines of one length and polarity are searched side by side, if no more than one other length is
-    /// in between. A line that leaves the image is searched alone, as far as it is inside, which takes
-    /// several times as long; an image of one row or one column has no edges.
+    /// Lines of one length and polarity are searched together, if at most one other length lies
+    /// between them. A line that leaves the image is searched alone, on its part inside, which
+    /// takes several times as long. An image of one row or one column has no edges.
     ///
     /// # Errors
     /// When a line's half-length is not finite, not positive or above [`MAX_HALF_LENGTH_PX`], or
@@ -185,7 +184,7 @@ impl EdgeSearch {
     }
 }
 
-/// Refuses a frame that no search takes: coordinates are 16.16 fixed point, places in memory 32 bits.
+/// Refuses a frame too large for the search: coordinates are 16.16 fixed point, addresses 32 bits.
 pub(crate) fn check_size(frame: &Frame<'_>) -> Result<()> {
     let image = frame.image();
     let (width, height) = (image.width(), image.height());
@@ -199,7 +198,7 @@ pub(crate) fn check_size(frame: &Frame<'_>) -> Result<()> {
     Ok(())
 }
 
-/// The whole pixels that a line reaches to either side.
+/// Whole pixels of a line on either side.
 fn whole_half_length(half_length_px: f64) -> Result<i32> {
     Error::within("search half-length [px]", half_length_px, "positive and at most 128", |l| {
         l > 0.0 && l <= MAX_HALF_LENGTH_PX as f64
@@ -208,7 +207,7 @@ fn whole_half_length(half_length_px: f64) -> Result<i32> {
     Ok(whole + i32::from(f64::from(whole) < half_length_px))
 }
 
-/// Refuses a line that begins or leads nowhere.
+/// Refuses a sample that is not finite.
 fn check_sample(PlacedSample { position, normal }: &PlacedSample) -> Result<()> {
     if !(position.x + position.y + normal.x + normal.y).is_finite() {
         Error::finite("search position [px]", position.x + position.y)?;
@@ -217,7 +216,7 @@ fn check_sample(PlacedSample { position, normal }: &PlacedSample) -> Result<()> 
     Ok(())
 }
 
-/// The whole offsets of a line's samples, both ends included.
+/// First and last whole offset of a line's samples.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct Span {
     from: i32,
@@ -229,20 +228,20 @@ impl Span {
         (self.to - self.from + 1) as usize
     }
 
-    /// Whether the kernel fits at zero and at three places or more.
+    /// Whether the kernel fits at offset zero and at three offsets or more.
     fn holds_answers(self, reach: i32) -> bool {
         let (first, last) = (self.from + reach, self.to - reach);
         last - first >= 2 && first <= 0 && last >= 0
     }
 }
 
-/// Lines to be searched side by side.
+/// Lines to be searched together.
 #[derive(Debug, Clone, Copy)]
 struct Batch<const N: usize> {
-    /// What all of them have in common: at which offsets their samples are, and what edges they look for.
+    /// The offsets of their samples and the polarity, common to all of them.
     key: (Span, Polarity),
     starts: Starts<N>,
-    /// Which lines they are.
+    /// Indices of the lines.
     lines: [usize; N],
     count: usize,
 }
@@ -267,10 +266,10 @@ impl<const N: usize> Batch<N> {
     }
 }
 
-/// What all lines of one search share.
+/// State common to all lines of one search.
 struct Pass<'a> {
     kernel: &'a Kernel,
-    /// Var(offset) of the module's head times the squared contrast.
+    /// Variance of the offset (see the module) times the squared contrast.
     variance_px2: f64,
     isa: Isa,
     image: &'a GrayView<'a>,
@@ -279,8 +278,8 @@ struct Pass<'a> {
 }
 
 impl Pass<'_> {
-    /// Searches all lines, those that can be side by side. The measurement of a line that leaves the
-    /// image says so.
+    /// Searches all lines in batches. The measurement of a line that leaves the image is
+    /// `OutOfImage`.
     fn measure_all<const N: usize>(
         &self,
         lanes: &mut Lanes<N>,
@@ -288,7 +287,7 @@ impl Pass<'_> {
         measurements: &mut [EdgeMeasurement],
     ) -> Result<()> {
         let reach = self.kernel.reach() as i32;
-        // Along a contour, lengths that a motion asks for go to and fro between two.
+        // Along a contour the lengths required by a motion often alternate between two.
         let [mut one, mut another] =
             [Batch::<N>::of((Span { from: 0, to: 0 }, Polarity::Unknown)); 2];
         let (mut open, mut other) = (&mut one, &mut another);
@@ -316,7 +315,7 @@ impl Pass<'_> {
         Ok(())
     }
 
-    /// Searches those lines that leave the image as far as they are inside.
+    /// Searches the lines that leave the image on their parts inside.
     fn measure_visible(
         &self,
         alone: &mut Lanes<1>,
@@ -339,7 +338,7 @@ impl Pass<'_> {
         Ok(())
     }
 
-    /// Searches the lines of a batch, if there are any, and notes what they find.
+    /// Searches the lines of a batch, if there are any, and stores their measurements.
     fn measure<const N: usize>(
         &self,
         lanes: &mut Lanes<N>,
@@ -354,7 +353,8 @@ impl Pass<'_> {
         }
     }
 
-    /// What the last search found on line `j`; nothing where the line leaves the image.
+    /// The measurement of line `j` by the last search; `OutOfImage` where the line leaves the
+    /// image.
     #[inline]
     fn found<const N: usize>(
         &self,
@@ -390,8 +390,8 @@ impl Pass<'_> {
         })
     }
 
-    /// The most likely place of the contour if every pixel votes for itself: the votes inside it,
-    /// less those outside, are largest where the sum from the inner end is.
+    /// The maximum-likelihood position of the contour for independent pixels: the maximum of the
+    /// log-likelihood ratio summed from the inner end.
     fn log_ratio_change<const N: usize>(
         &self,
         lanes: &Lanes<N>,
@@ -412,7 +412,7 @@ impl Pass<'_> {
     }
 }
 
-/// A batch's way through the lanes, for any instruction set.
+/// The search of one batch, for any instruction set.
 struct Search<'a, const N: usize> {
     pass: &'a Pass<'a>,
     lanes: &'a mut Lanes<N>,
@@ -456,37 +456,38 @@ impl Kernel {
         let least = (options.min_contrast_grey / contrast_per_answer).ceil();
         Self {
             weights: (1..=reach).map(|k| (unit * raw(k)).round() as u16).collect(),
-            // Of no contrast at all there is no edge.
+            // Without contrast there is no edge.
             least: least.max(1.0) as i16,
             contrast_per_answer,
             variance_at_one_grey: 0.75 * PI.sqrt() * blurred_scale_px.powi(6) / scale_px.powi(5),
         }
     }
 
-    /// What lanes look for.
+    /// The kernel in the form that the lanes take.
     fn looking_for(&self, polarity: Polarity) -> lanes::Kernel<'_> {
         lanes::Kernel { weights: &self.weights, least: self.least, polarity }
     }
 
-    /// How many pixels it covers on either side.
+    /// Pixels covered on either side.
     fn reach(&self) -> usize {
         self.weights.len()
     }
 
-    /// The contrast of a blurred step that answers with `answer`.
+    /// Contrast of a blurred step with the response `answer`.
     fn contrast(&self, answer: i16) -> f64 {
         f64::from(answer) * self.contrast_per_answer
     }
 }
 
-/// An edge whose two sides vote less differently than this is not the hand's; votes go to ±3.
+/// Minimum difference of the mean log-likelihood ratios on the two sides of the hand's edge; the
+/// ratio of a pixel is within ±3.
 const MIN_SEPARATION: f32 = 1.0;
-/// How well a change of votes tells where the contour is \[px²\].
+/// Variance of the offset of a change of the log-likelihood ratio \[px²\].
 const LOG_RATIO_VARIANCE_PX2: f64 = 1.0;
-/// What an e-fold of strength adds to the score of an edge, in units of separation.
+/// Increase of an edge's score for a response e times as strong, in units of separation.
 const STRENGTH_WEIGHT: f32 = 0.5;
 
-/// What lines whose pixels vote believe.
+/// Scoring of edges where an appearance model is known.
 const SCORING: Scoring =
     Scoring { min_separation: MIN_SEPARATION, strength_weight: STRENGTH_WEIGHT };
 
@@ -505,12 +506,13 @@ fn visible_span(image: &GrayView<'_>, sample: &PlacedSample, half: i32) -> Optio
             to = to.min(a.max(b));
         }
     }
-    // Where nothing is visible the ends may be infinite.
+    // If no sample is visible, the ends may be infinite.
     let (from, to) = (from.min(1.0).ceil(), to.max(-1.0).floor());
     Some(Span { from: from as i32, to: to as i32 })
 }
 
-/// The peak of the parabola through three neighbours, from the middle one \[samples\], in ±1/2.
+/// Peak of the parabola through three neighbours, relative to the middle one \[samples\], within
+/// ±1/2.
 fn parabola_peak(answers: [i16; 3]) -> f64 {
     let [before, at, after] = answers.map(f64::from);
     let curvature = before - 2.0 * at + after;

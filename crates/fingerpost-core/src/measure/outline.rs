@@ -1,62 +1,62 @@
-//! Straight edges of outlines, such as the sides of a sheet of paper: located to part of a pixel
-//! over their whole length, and lines fitted to them that what covers a part does not pull aside.
+//! Straight edges of outlines, such as the sides of a sheet of paper: localisation to a fraction of
+//! a pixel over their whole length, and robust lines through them.
 //!
-//! [`edges_along`] walks along a path that lies near the edge. Pixels of a short stretch of it are
-//! taken together, each at its own distance s from the path, and correlated with the derivative of
-//! a Gaussian at x, `R(x) = Σ I(s) K(s − x)`; the edge is where |R| is largest, as in
-//! [`search`](mod@crate::measure::edge_search). The kernel moves, not the pixels: nothing is interpolated, so that
-//! no place in the pixel grid is preferred. [`fit_line`] finds the line that most of them lie on and
-//! solves for it by iterated least squares with biweights (Huber & Ronchetti 2009, section 7.6 for
-//! the covariance).
+//! [`edges_along`] follows a path near the edge. The pixels of a short stretch of it, each at its
+//! own distance s from the path, are correlated with the derivative of a Gaussian at x, `R(x) = Σ
+//! I(s) K(s − x)`; the edge is the maximum of |R|, as in
+//! [`edge_search`](mod@crate::measure::edge_search). The kernel is shifted instead of the pixels:
+//! without interpolation no position in the pixel grid is preferred. [`fit_line`] finds the line
+//! with the largest consensus and refines it by iterated least squares with biweights (Huber &
+//! Ronchetti 2009, section 7.6 for the covariance).
 
 use nalgebra::{Matrix2, Point2, Vector2};
 
 use crate::image::gray::GrayView;
 use crate::{Error, Result};
 
-/// σ of the derivative of a Gaussian [px]: about the blur of a camera's edge, which is optimal, and
-/// wide enough that pixels sample it (the alias is below 10⁻¹²).
+/// σ of the derivative of a Gaussian \[px\]: about the blur of a camera's edge, which is optimal,
+/// and wide enough to be sampled by pixels (aliasing is below 10⁻¹²).
 const KERNEL_SIGMA_PX: f64 = 1.2;
 
-/// Where the kernel is taken to end, in σ: 10⁻⁴ of its peak.
+/// Reach of the kernel, in σ: it has fallen to 10⁻⁴ of its peak.
 const KERNEL_REACH: f64 = 4.5;
 
-/// Stretches of a path that are told apart, at least, and their length at most [px].
+/// Minimum number of stretches of a path, and their maximum length \[px\].
 const STRETCHES: f64 = 32.0;
 const LONGEST_STRETCH_PX: f64 = 8.0;
 
-/// Newton steps to the top of |R|; it converges within two from the nearest whole pixel.
+/// Newton steps to the maximum of |R|; it converges within two from the nearest whole pixel.
 const NEWTON_STEPS: usize = 4;
 
-/// Edges further from a line than this are not of it [px], or than so many standard deviations, if
-/// that is more: faint edges are not known better.
+/// Inlier threshold of the distance from a line: \[px\], in median standard deviations if that is
+/// more, and its upper bound \[px\].
 const AGREES_PX: f64 = 0.75;
 const AGREES_SIGMAS: f64 = 5.0;
 const MOST_AGREES_PX: f64 = 2.0;
 
-/// Points between which lines are tried, at most.
+/// Maximum number of points between which lines are tried.
 const MOST_TRIED: usize = 40;
 
 /// Tukey's constant, 95 % efficient for normal errors.
 const BIWEIGHT: f64 = 4.685;
 
-/// The least scale of residuals relative to what is expected of them: an exact line has one too.
+/// Lower bound on the scale of the residuals relative to the given one, for exact lines.
 const LEAST_SCALE: f64 = 1e-3;
 
-/// Noise of pixels [levels], and what edges are off a line by besides [px]: paper is not straight.
-/// Only the ratio of both matters, for the weights; the scale of the residuals is measured.
+/// Pixel noise \[levels\], and roughness of cut edges \[px\]. Only their ratio matters, for the
+/// weights; the scale of the residuals is measured.
 const NOISE_LEVELS: f64 = 2.0;
 const ROUGHNESS_PX: f64 = 0.03;
 
 const MOST_ITERATIONS: usize = 20;
 
-/// Neighbours whose residuals are alike are asked how many edges count as one, up to this far.
+/// Maximum lag in the estimate of the residuals' correlation.
 const MOST_LAGS: usize = 12;
 
-/// Points without which there is no line and no scale.
+/// Minimum number of points for a line and a scale.
 const LEAST_POINTS: usize = 5;
 
-/// Which way an edge steps across its path, whose normal is its direction turned by +90°, from +u
+/// Sign of the step across a path. The normal of the path is its direction turned by +90°, from +u
 /// towards +v.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Polarity {
@@ -78,56 +78,56 @@ impl Polarity {
     }
 }
 
-/// One stretch of an edge.
+/// The edge of one stretch.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct EdgePoint {
-    /// Where it is [px].
+    /// Position \[px\].
     pub position: Point2<f64>,
-    /// Its distance from the path, along the normal [px].
+    /// Distance from the path, along the normal \[px\].
     pub offset_px: f64,
-    /// The step of grey levels across it, positive if it rises along the normal.
+    /// Step of grey levels across the edge, positive if it rises along the normal.
     pub contrast: f64,
-    /// Standard deviation of the offset by noise of 2 grey levels and by the roughness of cut edges
-    /// [px].
+    /// Standard deviation of the offset, from noise of 2 grey levels and the roughness of cut edges
+    /// \[px\].
     pub sigma_px: f64,
 }
 
 /// A line through edges.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LineFit {
-    /// A point of the line, in the middle of its edges [px].
+    /// A point of the line, in the middle of its edges \[px\].
     pub point: Point2<f64>,
-    /// Its direction [rad], from the first edge towards the last.
+    /// Its direction \[rad\], from the first edge towards the last.
     pub angle_rad: f64,
-    /// Covariance of the offset at the point along the normal [px] and the angle [rad].
+    /// Covariance of the offset at the point along the normal \[px\] and the angle \[rad\].
     pub covariance: Matrix2<f64>,
-    /// The part of the edges that lie on it, 0 to 1.
+    /// Fraction of the edges that are inliers, 0 to 1.
     pub share: f64,
-    /// Which edges lie on it.
+    /// Whether each edge is an inlier.
     pub inliers: Vec<bool>,
-    /// Root mean square of their residuals [px].
+    /// Root mean square of the inliers' residuals \[px\].
     pub rms_px: f64,
 }
 
 /// The pixels of one stretch: distance from the path along the scan, and grey level.
 type Stretch = Vec<(f64, f64)>;
 
-/// Locates an edge along a path.
+/// Localises an edge along a path.
 ///
 /// Each stretch of the path gives the strongest edge within reach, or none. Rows or columns are
-/// scanned, whichever cross the path more steeply; parts of the path outside the image, or so near
-/// to its border that the kernel is, give none.
+/// scanned, whichever cross the path more steeply. Parts of the path outside the image, or within
+/// the kernel's reach of its border, give none.
 ///
 /// # Arguments
 ///
-/// - `path`: the corners of a polyline, 2 or more [px]; a part without length has no edges.
-/// - `reach_px`: how far from the path edges are looked for, 0.5 to 100 [px].
-/// - `least_contrast`: the least step of an edge [grey levels].
+/// - `path`: the corners of a polyline, 2 or more \[px\]; a part without length has no edges.
+/// - `reach_px`: maximum distance of an edge from the path, 0.5 to 100 \[px\].
+/// - `least_contrast`: minimum step of an edge \[grey levels\].
 ///
 /// # Errors
 ///
-/// [`Error::OutOfRange`] for another reach, [`Error::NotFinite`] for a path or contrast that is
-/// not.
+/// [`Error::OutOfRange`] for another reach, [`Error::NotFinite`] for a path or contrast that is not
+/// finite.
 pub fn edges_along(
     image: &GrayView<'_>,
     path: &[Point2<f64>],
@@ -160,7 +160,7 @@ struct Scan<'a> {
     length_px: f64,
     /// Whether columns are scanned: the path runs along rows.
     by_columns: bool,
-    /// Reach along the scan [px].
+    /// Reach along the scan \[px\].
     reach_px: f64,
 }
 
@@ -174,7 +174,7 @@ impl<'a> Scan<'a> {
         Self { image, from, along, length_px, by_columns, reach_px }
     }
 
-    /// The path's coordinate from scan to scan, and what changes it by one.
+    /// The path's coordinate that selects a scan, and its change per px along the path.
     fn axis(&self) -> (f64, f64) {
         if self.by_columns { (self.from.x, self.along.x) } else { (self.from.y, self.along.y) }
     }
@@ -203,7 +203,8 @@ impl<'a> Scan<'a> {
         }
     }
 
-    /// Collects the pixels of a stretch; the place along the path of their middle, if there are.
+    /// Collects the pixels of a stretch; returns the mean position of its scans along the path, if
+    /// there are any.
     fn gather(&self, from_px: f64, to_px: f64, pixels: &mut Stretch) -> Option<f64> {
         pixels.clear();
         let (begin, step) = self.axis();
@@ -213,7 +214,7 @@ impl<'a> Scan<'a> {
         let (first, end) = (low.ceil().max(0.0), high.min(last));
         let (mut scans, mut middle_px) = (0.0, 0.0);
         let mut at = first;
-        // Half open: the next stretch has the scan on its border.
+        // Half open: the scan on a border belongs to the next stretch.
         while at < end {
             let along_px = (at - begin) / step;
             if self.scan(at as usize, along_px, pixels) {
@@ -251,7 +252,7 @@ impl<'a> Scan<'a> {
         polarity: Polarity,
         least_contrast: f64,
     ) -> Option<EdgePoint> {
-        // Along the scan, coordinates rise as along the normal or against it.
+        // Coordinates along the scan increase with the normal or against it.
         let steepness = if self.by_columns { self.along.x } else { -self.along.y };
         let sense = steepness.signum();
         let mean = pixels.iter().map(|(_, level)| level).sum::<f64>() / pixels.len() as f64;
@@ -274,7 +275,7 @@ impl<'a> Scan<'a> {
     }
 }
 
-/// R at x, per row or column: the step of grey levels there.
+/// R at x, normalised to the step of grey levels there.
 fn response(pixels: &[(f64, f64)], mean: f64, x: f64) -> f64 {
     let (mut sum, mut scale) = (0.0, 0.0);
     for (s, level) in pixels {
@@ -288,7 +289,7 @@ fn response(pixels: &[(f64, f64)], mean: f64, x: f64) -> f64 {
     if scale > 0.0 { sum / scale } else { 0.0 }
 }
 
-/// The top of |R| near x: where, how high, and its standard deviation by noise of 1 grey level.
+/// The maximum of |R| near x: position, height, and standard deviation for noise of 1 grey level.
 fn summit(pixels: &[(f64, f64)], mean: f64, from: f64) -> Option<(f64, f64, f64)> {
     let mut x = from;
     let mut sigma = 0.0;
@@ -314,10 +315,11 @@ fn summit(pixels: &[(f64, f64)], mean: f64, from: f64) -> Option<(f64, f64, f64)
     Some((x, response(pixels, mean, x), sigma))
 }
 
-/// Fits the line that most edges lie on; `None` for fewer than five, or if they lie on none.
+/// Fits the line with the largest consensus; `None` for fewer than five points, or without
+/// consensus.
 ///
-/// The covariance is that of the residuals: edges that err alike side by side, as those of a rough
-/// or bent edge do, count as fewer.
+/// The covariance is estimated from the residuals. Correlated residuals of neighbours, as on a
+/// rough or bent edge, reduce the effective number of edges.
 ///
 /// # Arguments
 ///
@@ -326,7 +328,7 @@ fn summit(pixels: &[(f64, f64)], mean: f64, from: f64) -> Option<(f64, f64, f64)
 /// # Errors
 ///
 /// [`Error::OutOfRange`] for a standard deviation that is not positive, or another number of them;
-/// [`Error::NotFinite`] for points that are not.
+/// [`Error::NotFinite`] for points that are not finite.
 pub fn fit_line(points: &[Point2<f64>], sigmas_px: &[f64]) -> Result<Option<LineFit>> {
     if points.len() != sigmas_px.len() {
         let value = sigmas_px.len() as f64;
@@ -346,14 +348,14 @@ pub fn fit_line(points: &[Point2<f64>], sigmas_px: &[f64]) -> Result<Option<Line
     Ok(solve(points, sigmas_px, at, along, agrees_px))
 }
 
-/// How far edges are from a line at most that are of it [px].
+/// The inlier threshold \[px\].
 fn agrees_px(sigmas_px: &[f64]) -> f64 {
     let mut sigmas = sigmas_px.to_vec();
     sigmas.sort_unstable_by(f64::total_cmp);
     (AGREES_SIGMAS * sigmas[sigmas.len() / 2]).clamp(AGREES_PX, MOST_AGREES_PX)
 }
 
-/// The line through two of the points that most lie on.
+/// The line through two of the points with the least truncated squared residual.
 fn best_line(points: &[Point2<f64>], agrees_px: f64) -> Option<(Point2<f64>, Vector2<f64>)> {
     let stride = points.len().div_ceil(MOST_TRIED);
     let tried: Vec<_> = points.iter().step_by(stride).collect();
@@ -376,12 +378,12 @@ fn best_line(points: &[Point2<f64>], agrees_px: f64) -> Option<(Point2<f64>, Vec
     best
 }
 
-/// The part of a vector along the normal of a direction, which is turned by +90° from it.
+/// Component of a vector along the normal of a direction, which is turned by +90° from it.
 fn across(along: Vector2<f64>, v: Vector2<f64>) -> f64 {
     along.x * v.y - along.y * v.x
 }
 
-/// One point in the frame of the line: place along it, distance, standard deviation and weight.
+/// A point in the frame of the line: abscissa, distance, standard deviation and weight.
 struct Entry {
     x: f64,
     y: f64,
@@ -389,7 +391,7 @@ struct Entry {
     weight: f64,
 }
 
-/// Solves for the line by iterated least squares from one that most points lie on.
+/// Refines a line with a large consensus by iterated least squares.
 fn solve(
     points: &[Point2<f64>],
     sigmas_px: &[f64],
@@ -437,7 +439,7 @@ fn weighted(entries: &[Entry]) -> Option<(f64, f64)> {
     Some(((sy - slope * sx) / n, slope))
 }
 
-/// Sets the biweights by the residuals, and returns their scale.
+/// Sets the biweights from the residuals; returns their scale.
 fn reweigh(entries: &mut [Entry], offset: f64, slope: f64, agrees_px: f64) -> Option<f64> {
     let residual = |e: &Entry| e.y - offset - slope * e.x;
     let mut near: Vec<f64> = entries
@@ -449,7 +451,7 @@ fn reweigh(entries: &mut [Entry], offset: f64, slope: f64, agrees_px: f64) -> Op
         return None;
     }
     near.sort_unstable_by(f64::total_cmp);
-    // Two of the residuals are spent on the line.
+    // Two degrees of freedom are spent on the line.
     let spent = near.len() as f64 / (near.len() as f64 - 2.0);
     let scale = (1.4826 * near[near.len() / 2] * spent.sqrt()).max(LEAST_SCALE);
     for e in entries.iter_mut() {
@@ -459,7 +461,7 @@ fn reweigh(entries: &mut [Entry], offset: f64, slope: f64, agrees_px: f64) -> Op
     Some(scale)
 }
 
-/// What is told of a line that has converged.
+/// The result for a converged line.
 fn report(
     entries: &[Entry],
     at: Point2<f64>,
@@ -476,7 +478,8 @@ fn report(
     let by_z = slopes.iter().sum::<f64>() / count;
     let scatter = slopes.iter().zip(&inliers).filter(|(_, is)| **is);
     let scatter = scatter.map(|(slope, _)| (slope - by_z).powi(2)).sum::<f64>() / count;
-    // Of few points: Huber's factor for weights, and the variance of Student's distribution.
+    // Corrections for few points: Huber's factor for weights, and the variance of Student's
+    // distribution.
     let few = (1.0 + 2.0 / count * scatter / by_z.powi(2)).powi(2) * (count - 2.0) / (count - 4.0);
     let (mut n, mut sx) = (0.0, 0.0);
     for e in entries.iter().filter(|e| e.weight > 0.0) {
@@ -516,7 +519,8 @@ fn biweight_slope(z: f64) -> f64 {
     if square < 1.0 { (1.0 - square) * (1.0 - 5.0 * square) } else { 0.0 }
 }
 
-/// How many edges err as one: 1 + 2 Σ ρ over lags, as far as neighbours are significantly alike.
+/// Variance factor of correlated edges: 1 + 2 Σ ρ over lags, up to the first insignificant
+/// correlation.
 fn alike(psi: &[f64], inliers: &[bool]) -> f64 {
     let values: Vec<f64> =
         psi.iter().zip(inliers).filter(|(_, is)| **is).map(|(v, _)| *v).collect();

@@ -1,9 +1,9 @@
-//! A natural logarithm without tables or branches, so that lanes of it run side by side.
+//! A natural logarithm without tables or branches, which vectorises in lanes.
 
 /// ln x of a normal positive x, to 2 · 10⁻⁷ of max(1, |ln x|).
 ///
-/// x = 2ᵉ m with m in [√½, √2), and ln m = 2 artanh s with s = (m − 1)/(m + 1): |s| < 0.172, so
-/// four terms of the series leave less than 4 · 10⁻⁸.
+/// x = 2ᵉ m with m in [√½, √2), and ln m = 2 artanh s with s = (m − 1)/(m + 1): |s| < 0.172, so the
+/// remainder after four terms of the series is below 4 · 10⁻⁸.
 #[inline(always)]
 pub(crate) fn ln(x: f32) -> f32 {
     const ROOT_HALF: i32 = 0x3f35_04f3;

@@ -1,4 +1,4 @@
-//! Arithmetic that gives the same bits under every instruction set.
+//! Arithmetic with bit-identical results under every instruction set.
 
 pub(crate) mod logarithm;
 pub mod simd;

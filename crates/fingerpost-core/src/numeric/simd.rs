@@ -1,12 +1,12 @@
-//! One source, compiled for several instruction sets, and the choice among them at run time; and
-//! loads from many places, their bounds checked together.
+//! One source compiled for several instruction sets, selected at run time; and loads from many
+//! addresses with a common bounds check.
 //!
-//! The lanes are plain loops over arrays, which the compiler turns into vector instructions; which
-//! ones it may use is decided by the function that they are inlined into. There is one such
-//! function per instruction set here.
+//! The lanes are plain loops over arrays, which the compiler turns into vector instructions. The
+//! instructions available to it are determined by the function that they are inlined into. There is
+//! one such function per instruction set here.
 //!
-//! All unsafe code of the crate is in this file: a call that needs the processor to have what it
-//! has just been found to have, and loads that need their places to be inside.
+//! All unsafe code of the crate is in this file: calls that require processor features that were
+//! detected before, and loads that require addresses inside a slice.
 
 #![expect(
     clippy::inline_always,
@@ -15,19 +15,19 @@
 
 use std::fmt;
 
-/// An instruction set that searches can be compiled for. All give the same bits.
+/// An instruction set for which searches are compiled. All give the same bits.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Isa {
     /// One line at a time: the reference for the others.
     Scalar,
-    /// What every processor of the architecture has: SSE2 on x86-64, NEON on AArch64.
+    /// The minimum of the architecture: SSE2 on x86-64, NEON on AArch64.
     Baseline,
     /// AVX2 on x86-64.
     Avx2,
 }
 
 impl Isa {
-    /// The widest that this processor has.
+    /// The widest of this processor.
     #[must_use]
     pub fn detect() -> Self {
         #[cfg(target_arch = "x86_64")]
@@ -46,7 +46,7 @@ impl Isa {
         }
     }
 
-    /// All that this processor has.
+    /// All instruction sets of this processor.
     pub fn available() -> impl Iterator<Item = Self> {
         [Self::Scalar, Self::Baseline, Self::Avx2].into_iter().filter(|isa| isa.is_available())
     }
@@ -66,13 +66,13 @@ impl fmt::Display for Isa {
 
 /// Work that is compiled for every instruction set.
 pub(crate) trait Work {
-    /// Does it. Implementations, and all that they call, are `#[inline(always)]`, or they would be
-    /// compiled for the baseline alone.
+    /// Performs the work. Implementations, and all functions they call, are `#[inline(always)]`;
+    /// otherwise they would be compiled for the baseline alone.
     fn run(self);
 }
 
 impl Isa {
-    /// Does `work` with this instruction set, or with the baseline where the processor lacks it.
+    /// Performs `work` with this instruction set, or with the baseline if the processor lacks it.
     #[inline]
     pub(crate) fn run(self, work: impl Work) {
         match self {
@@ -82,8 +82,8 @@ impl Isa {
                     unsafe_code,
                     reason = "AVX2 saves a third of a search; see the benchmark `ratios`"
                 )]
-                // SAFETY: `avx2` is unsafe to call only on a processor without AVX2; this one has
-                // it, as the guard of this arm has just made sure.
+                // SAFETY: `avx2` is unsafe to call only on a processor without AVX2; the guard of
+                // this arm has just checked that this one has it.
                 unsafe {
                     avx2(work);
                 }
@@ -110,10 +110,10 @@ pub(crate) fn each<T: Copy + Default, const N: usize>(of: impl Fn(usize) -> T) -
     lanes
 }
 
-/// As many 16-bit lanes as the baseline's vectors have.
+/// Number of 16-bit lanes of the baseline's vectors.
 pub(crate) const BASELINE_LANES: usize = 8;
 
-/// How the pixels of an image lie in memory.
+/// Layout of an image's pixels in memory.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Layout {
     /// Bytes from one row to the next.
@@ -122,23 +122,23 @@ pub(crate) struct Layout {
     pub pitch: u32,
 }
 
-/// Where the samples of lines lie in memory: lane j of every vector belongs to line j.
+/// Addresses of the samples of lines: lane j of every vector belongs to line j.
 #[derive(Debug, Clone)]
 pub(crate) struct Places<const N: usize> {
     places: Vec<[u32; N]>,
-    /// No place is beyond this.
+    /// Upper bound on all addresses.
     furthest: u64,
 }
 
 impl<const N: usize> Places<N> {
-    /// Room for so many samples of every line.
+    /// Capacity for `samples` samples of every line.
     pub fn with_capacity(samples: usize) -> Self {
         Self { places: Vec::with_capacity(samples), furthest: 0 }
     }
 
-    /// Sets the places of `samples` samples of every line, at least one, from `start` on and `step`
-    /// apart, in (column, row) of 16.16 fixed point. Where one of them is negative or not below
-    /// 32768, nothing will be read.
+    /// Sets the addresses of `samples` samples of every line, at least one, from `start` on and
+    /// `step` apart, in (column, row) of 16.16 fixed point. If a coordinate is negative or not
+    /// below 32768, nothing will be read.
     #[inline(always)]
     pub fn locate(
         &mut self,
@@ -165,7 +165,7 @@ impl<const N: usize> Places<N> {
         });
     }
 
-    /// Sets all places, sample by sample, by what `places` makes of the columns and rows.
+    /// Sets all addresses, sample by sample; `places` computes them from columns and rows.
     #[inline(always)]
     fn walk(
         &mut self,
@@ -175,15 +175,15 @@ impl<const N: usize> Places<N> {
     ) {
         for sample in &mut self.places {
             *sample = places(&x, &y);
-            // The mask changes nothing of what is not negative. It keeps the compiler from working
-            // on several samples of one line at once, lane after lane.
+            // The mask leaves non-negative coordinates unchanged. It keeps the compiler from
+            // processing several samples of one line at once, lane after lane.
             x = each(|j| x[j].wrapping_add(dx[j]) & i32::MAX);
             y = each(|j| y[j].wrapping_add(dy[j]) & i32::MAX);
         }
     }
 
-    /// What is about the places, sample by sample, in `bytes` whose rows are `stride` apart; none
-    /// if one of them may be too near to the end.
+    /// The pixels about the addresses, sample by sample, in `bytes` with rows `stride` apart;
+    /// `None` if an address may be too near to the end.
     #[inline(always)]
     pub fn cells<'a>(&'a self, bytes: &'a [u8], stride: usize) -> Option<Cells<'a, N>> {
         self.read_by(bytes, stride, 2)
@@ -196,7 +196,7 @@ impl<const N: usize> Places<N> {
         has_sse2_alone.then(|| self.read_by(bytes, stride, 4).map(WideCells))?
     }
 
-    /// Cells of which so many bytes may be read from every place on.
+    /// Cells of which `reach` bytes may be read from every address on.
     #[inline(always)]
     fn read_by<'a>(&'a self, bytes: &'a [u8], stride: usize, reach: u64) -> Option<Cells<'a, N>> {
         let lower = bytes.get(stride..)?;
@@ -204,8 +204,8 @@ impl<const N: usize> Places<N> {
         all_inside.then_some(Cells { places: self.places.iter(), upper: bytes, lower })
     }
 
-    /// Replaces every place by the four bytes that begin there, the first one lowest; beyond the
-    /// end of `bytes` there are zeros.
+    /// Replaces every address by the four bytes that begin there, the first one lowest; zeros
+    /// beyond the end of `bytes`.
     #[inline(always)]
     pub fn read_words(&mut self, bytes: &[u8]) {
         let furthest = std::mem::replace(&mut self.furthest, u64::MAX);
@@ -218,14 +218,14 @@ impl<const N: usize> Places<N> {
         }
         for place in self.places.as_flattened_mut() {
             #[expect(unsafe_code, reason = "as for cells")]
-            // SAFETY: place + 4 ≤ furthest + 4 ≤ bytes.len(), as was checked. No place is left
-            // that `furthest` was true of, and it says so from now on.
+            // SAFETY: place + 4 ≤ furthest + 4 ≤ bytes.len(), as was checked. Afterwards no address
+            // is left that `furthest` bounds, and it is reset accordingly.
             let four = unsafe { bytes.as_ptr().add(*place as usize).cast::<[u8; 4]>().read() };
             *place = u32::from_le_bytes(four);
         }
     }
 
-    /// What was read; these are no places any more.
+    /// The words that were read; the addresses have been overwritten.
     #[inline(always)]
     pub fn words_mut(&mut self) -> &mut [[u32; N]] {
         self.furthest = u64::MAX;
@@ -233,10 +233,11 @@ impl<const N: usize> Places<N> {
     }
 }
 
-/// For every sample the two bytes that begin at its places, the first one lowest, and the two that
-/// begin a row later.
+/// For every sample the two bytes at its address, the first one lowest, and the two bytes a row
+/// later.
 pub(crate) struct Cells<'a, const N: usize> {
-    /// No place is nearer to the end of `lower`, which is no longer than `upper`, than 2.
+    /// Every address is at least 2 bytes before the end of `lower`, which is no longer than
+    /// `upper`.
     places: std::slice::Iter<'a, [u32; N]>,
     upper: &'a [u8],
     lower: &'a [u8],
@@ -256,8 +257,8 @@ impl<const N: usize> Iterator for Cells<'_, N> {
                     unsafe_code,
                     reason = "checked one by one, the loads make a search a quarter longer"
                 )]
-                // SAFETY: places[j] + 2 ≤ lower.len() ≤ upper.len(), as `Places::cells` has made
-                // sure. An array of bytes needs no alignment.
+                // SAFETY: places[j] + 2 ≤ lower.len() ≤ upper.len(), as checked by `Places::cells`.
+                // An array of bytes needs no alignment.
                 let pair = unsafe { pair.read() };
                 u16::from_le_bytes(pair)
             });
@@ -266,7 +267,7 @@ impl<const N: usize> Iterator for Cells<'_, N> {
     }
 }
 
-/// The same where no place is nearer to the end of `lower` than 4.
+/// The same with every address at least 4 bytes before the end of `lower`.
 pub(crate) struct WideCells<'a, const N: usize>(Cells<'a, N>);
 
 impl<const N: usize> Iterator for WideCells<'_, N> {
@@ -280,8 +281,8 @@ impl<const N: usize> Iterator for WideCells<'_, N> {
         let mut cells = [[0; N]; 2];
         for (cells, bytes) in cells.iter_mut().zip([*upper, *lower]) {
             #[expect(unsafe_code, reason = "an iteration takes a fifth less time with SSE2")]
-            // SAFETY: places[j] + 4 ≤ lower.len() ≤ upper.len(), as `Places::wide_cells` has made
-            // sure. Every x86-64 has SSE2.
+            // SAFETY: places[j] + 4 ≤ lower.len() ≤ upper.len(), as checked by
+            // `Places::wide_cells`. Every x86-64 has SSE2.
             unsafe {
                 *cells = sse2::pairs(bytes, places);
             }
@@ -296,7 +297,8 @@ impl<const N: usize> Iterator for WideCells<'_, N> {
     }
 }
 
-/// What takes a compiler many instructions of SSE2, in few. Wider sets have better ones, which it finds.
+/// Operations that a compiler expresses in many instructions of SSE2, in few. Wider sets have
+/// better ones, which it selects.
 #[cfg(target_arch = "x86_64")]
 mod sse2 {
     use super::Layout;
@@ -306,14 +308,14 @@ mod sse2 {
     };
     use std::mem::transmute;
 
-    /// The bytes of a row and of a column, in the upper and the lower half of a word; none where the
+    /// The bytes of a row and of a column, in the upper and the lower half of a word; `None` if the
     /// rows are too long for that.
     pub fn factors(layout: Layout) -> Option<i32> {
         let [stride, pitch] = [layout.stride, layout.pitch].map(i16::try_from);
         Some((i32::from(stride.ok()?) << 16) | i32::from(pitch.ok()?))
     }
 
-    /// Places in memory of columns and rows in 16.16 fixed point, of a multiple of four lines.
+    /// Addresses for columns and rows in 16.16 fixed point, of a multiple of four lines.
     #[target_feature(enable = "sse2")]
     #[inline]
     pub fn places<const N: usize>(x: &[i32; N], y: &[i32; N], factors: i32) -> [u32; N] {
@@ -329,7 +331,7 @@ mod sse2 {
         places
     }
 
-    /// The two bytes that begin at every place, the first one lowest, of a multiple of eight lines.
+    /// The two bytes at every address, the first one lowest, of a multiple of eight lines.
     ///
     /// # Safety
     /// `places[j] + 4 <= bytes.len()` of all j.
@@ -374,11 +376,12 @@ mod sse2 {
     }
 }
 
-/// A bound on the places of samples on lines, or `u64::MAX` if there is none.
+/// Upper bound on the addresses of samples on lines, or `u64::MAX` if there is none.
 ///
-/// Coordinates along a line lie between those of its ends, and so do their whole parts; the last
-/// column of the last row is beyond all. Where the ends are not negative, steps are so short that
-/// no multiple of them overflows, and the bound fits 32 bits, 32-bit arithmetic is exact.
+/// Coordinates along a line lie between those of its ends, and so do their whole parts; the address
+/// of the last column of the last row bounds all. If the ends are not negative, the steps are short
+/// enough that no multiple of them overflows, and the bound fits 32 bits, 32-bit arithmetic is
+/// exact.
 #[inline(always)]
 fn furthest<const N: usize>(
     start: &[[i32; N]; 2],
@@ -393,8 +396,8 @@ fn furthest<const N: usize>(
     for axis in 0..2 {
         let (start, step) = (&start[axis], &step[axis]);
         let end: [i32; N] = each(|j| start[j].wrapping_add(step[j].wrapping_mul(steps - 1)));
-        // What is negative has the highest bit set. A sum of two numbers that are not, of which
-        // one end is, overflows into it.
+        // Negative numbers have the highest bit set. The sum of two non-negative numbers, one of
+        // which is an end, overflows into it.
         wrong = each(|j| wrong[j] | start[j] | end[j] | (longest - step[j].saturating_abs()));
         far[axis] = each(|j| start[j].max(end[j]));
     }

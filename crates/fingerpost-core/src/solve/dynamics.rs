@@ -1,6 +1,7 @@
-//! How a hand moves between frames: a Kalman filter on the shape vector.
+//! Motion of a hand between frames: a Kalman filter on the shape vector.
 //!
-//! Every component of the shape vector goes on by itself in one of two ways, between frames at any
+//! Every component of the shape vector evolves independently over an interval T, by one of two
+//! models. With a *velocity*, changed by white acceleration of the density q \[unit²/s³\]:
 //! interval T. With a *velocity*, which white acceleration of the density q \[unit²/s³\] changes:
 //!
 //! ```text
@@ -8,12 +9,12 @@
 //! ẋ' = ẋ                      | T²/2  T    |
 //! ```
 //!
-//! As a *walk*, whose variance grows by q T (q in unit²/s). Both are exact for continuous time: two
-//! intervals one after the other do to mean and covariance what their sum does. The filter predicts
-//! the shape vector with its covariance; from it follow the length of a search line
-//! ([`Expectation::search_length`]) and how surprising a fit is ([`Innovation`]).
+//! As a *random walk*, whose variance grows by q T (q in unit²/s). Both are exact in continuous
+//! time: two successive intervals give the mean and covariance of their sum. The filter predicts
+//! the shape vector and its covariance. From these follow the half-length of a search line
+//! ([`Expectation::search_length`]) and the innovation of a fit ([`Innovation`]).
 //!
-//! The covariance is kept in blocks of position and velocity and updated in Joseph's form, which
+//! The covariance is stored in blocks of position and velocity and updated in Joseph's form, which
 //! stays positive semi-definite under rounding. Nothing is allocated.
 //!
 //! Source: Bar-Shalom, Li & Kirubarajan, *Estimation with Applications to Tracking and Navigation*,
@@ -24,44 +25,44 @@ use crate::{Error, Result};
 use nalgebra::{Cholesky, SMatrix, SVector};
 use std::f64::consts::{PI, TAU};
 
-/// How a component goes on by itself.
+/// Motion model of a component.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Course {
-    /// It keeps its velocity, but for white acceleration.
+    /// Constant velocity with white acceleration.
     Velocity {
         /// Density q of the acceleration \[unit²/s³\], 0–1e12; see [`acceleration_density`].
         density: f64,
-        /// Standard deviation of the velocity of what is seen for the first time \[unit/s\],
-        /// 0–1e6; its mean is zero.
+        /// Prior standard deviation of the velocity at the first measurement \[unit/s\], 0–1e6; its
+        /// mean is zero.
         first_sigma: f64,
     },
-    /// It drifts without a velocity.
+    /// Random walk without a velocity.
     Walk {
-        /// Growth q of the variance \[unit²/s\], 0–1e12; 0 for what never changes.
+        /// Growth q of the variance \[unit²/s\], 0–1e12; 0 for a constant.
         density: f64,
     },
 }
 
-/// What the values of a component are.
+/// Domain of a component's values.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Domain {
     /// Any number.
     Line,
-    /// An angle \[rad\]: values that differ by 2π are the same; they come out in (−π, π].
+    /// An angle \[rad\], modulo 2π; results are in (−π, π].
     Circle,
 }
 
 /// One component of a shape vector.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Component {
-    /// How it goes on.
+    /// Its motion model.
     pub course: Course,
-    /// What its values are.
+    /// The domain of its values.
     pub domain: Domain,
 }
 
-/// The density q = 2 a² τ \[unit²/s³\] of white acceleration that stands for one of root mean square
-/// `a` \[unit/s²\] that keeps its direction for about τ = `lasts_s` (Singer's model; the two agree
+/// The density q = 2 a² τ \[unit²/s³\] of the white acceleration equivalent to one of root mean
+/// square `a` \[unit/s²\] with the correlation time τ = `lasts_s` (Singer's model; the two agree
 /// over intervals longer than τ).
 #[must_use]
 pub fn acceleration_density(a: f64, lasts_s: f64) -> f64 {
@@ -74,19 +75,19 @@ pub fn acceleration_density(a: f64, lasts_s: f64) -> f64 {
 /// use fingerpost_core::solve::dynamics::{Component, Course, Domain, Dynamics, Prediction};
 /// use fingerpost_core::nalgebra::{Matrix1, Vector1};
 ///
-/// // Something at 100 px that may move at some 500 px/s, seen to ± 0.5 px.
+/// // An object at 100 px with a speed of up to about 500 px/s, measured to ± 0.5 px.
 /// let course = Course::Velocity { density: 1e5, first_sigma: 500.0 };
 /// let components = [Component { course, domain: Domain::Line }];
 /// let seen = Matrix1::new(0.25);
 /// let mut dynamics = Dynamics::start(components, 0.25, 0.0, &Vector1::new(100.0), &seen)?;
 ///
-/// // A frame later it is at 106 px: no surprise, and the velocity is known from then on.
+/// // A frame later it is at 106 px: a small innovation, which determines the velocity.
 /// let innovation = dynamics.update(0.04, &Vector1::new(106.0), &seen)?.expect("no long gap");
 /// assert!(innovation.normalised_square() < 1.0);
 /// let Prediction::Expected(next) = dynamics.predict(0.08)? else { unreachable!() };
 /// assert!((next.vector[0] - 112.0).abs() < 0.1);
 ///
-/// // After a second nobody knows where it is.
+/// // After a second the gap is too long for a prediction.
 /// assert!(matches!(dynamics.predict(1.04)?, Prediction::Lost { .. }));
 /// # Ok::<(), fingerpost_core::Error>(())
 /// ```
@@ -94,12 +95,12 @@ pub fn acceleration_density(a: f64, lasts_s: f64) -> f64 {
 pub struct Dynamics<const D: usize> {
     components: [Component; D],
     longest_gap_s: f64,
-    /// When the state was true \[s\].
+    /// Time of the state \[s\].
     time_s: f64,
     state: State<D>,
 }
 
-/// Mean and covariance of position and velocity; a walk has no velocity, and zeros in its place.
+/// Mean and covariance of position and velocity; a random walk has zeros in place of a velocity.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct State<const D: usize> {
     x: SVector<f64, D>,
@@ -109,19 +110,19 @@ struct State<const D: usize> {
     p_vv: SMatrix<f64, D, D>,
 }
 
-/// What is known before a frame is looked at.
+/// Prediction before a frame is measured.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Prediction<const D: usize> {
-    /// The shape vector as it is expected.
+    /// The predicted shape vector.
     Expected(Expectation<D>),
-    /// Too long ago: where the hand is now does not follow from where it was.
+    /// The gap is too long for a prediction.
     Lost {
-        /// How long it was not seen \[s\].
+        /// Time since the last measurement \[s\].
         gap_s: f64,
     },
 }
 
-/// A shape vector that is expected, and how sure that is.
+/// A predicted shape vector with its covariance.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Expectation<const D: usize> {
     /// The mean.
@@ -130,20 +131,20 @@ pub struct Expectation<const D: usize> {
     pub covariance: SMatrix<f64, D, D>,
 }
 
-/// A fitted shape vector minus the one that was expected.
+/// A fitted shape vector minus the predicted one.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Innovation<const D: usize> {
     /// The difference; that of an angle is in (−π, π].
     pub vector: SVector<f64, D>,
-    /// Its covariance, S: that of the expectation plus that of the fit.
+    /// Its covariance S, the sum of those of the prediction and the fit.
     pub covariance: SMatrix<f64, D, D>,
     normalised_square: f64,
 }
 
 impl<const D: usize> Innovation<D> {
-    /// νᵀ S⁻¹ ν, the innovation squared in units of its covariance: χ² distributed with `D` degrees
-    /// of freedom, `D` on average, as long as the hand moves as the model says; see
-    /// [`chi_square_quantile`] for what is too much.
+    /// νᵀ S⁻¹ ν, the normalised innovation squared: χ² distributed with `D` degrees of freedom,
+    /// mean `D`, if the hand moves according to the model; see [`chi_square_quantile`] for
+    /// thresholds.
     #[must_use]
     pub fn normalised_square(&self) -> f64 {
         self.normalised_square
@@ -151,12 +152,13 @@ impl<const D: usize> Innovation<D> {
 }
 
 impl<const D: usize> Dynamics<D> {
-    /// A filter that starts with what is seen at `time_s`; it moves with unknown velocity.
-    /// Predictions reach `longest_gap_s` far, 0.001–60.
+    /// A filter that starts with a measurement at `time_s`, with unknown velocity. Predictions are
+    /// limited to intervals of `longest_gap_s`, 0.001–60.
     ///
     /// # Errors
-    /// When a component's density or sigma or the gap is outside its documented range, anything is
-    /// not finite, and [`Error::NotPositiveDefinite`] for a covariance that is none.
+    /// When a component's density or sigma or the gap is outside its documented range, when
+    /// anything is not finite, and [`Error::NotPositiveDefinite`] for a covariance that is not
+    /// positive definite.
     pub fn start(
         components: [Component; D],
         longest_gap_s: f64,
@@ -174,21 +176,21 @@ impl<const D: usize> Dynamics<D> {
         Ok(Self { components, longest_gap_s, time_s, state })
     }
 
-    /// When the shape vector was last seen \[s\].
+    /// Time of the last measurement \[s\].
     #[must_use]
     pub fn time_s(&self) -> f64 {
         self.time_s
     }
 
-    /// The velocity of each component \[unit/s\] when it was last seen; zero for a walk.
+    /// The velocity of each component \[unit/s\] at the last measurement; zero for a random walk.
     #[must_use]
     pub fn velocity(&self) -> &SVector<f64, D> {
         &self.state.v
     }
 
-    /// The filter after a shape vector that surprised: it may have come there by a velocity that has
-    /// changed from the given one to the present, or have been taken for another one before. As
-    /// likely the one as the other, they are joined into the Gaussian of their mean and covariance.
+    /// The filter after a surprising shape vector. Either the velocity has changed from the given
+    /// one to the present one, or the previous measurement was wrong. The two hypotheses are
+    /// equally likely and are merged into the Gaussian of their mean and covariance.
     #[must_use]
     pub fn with_velocity_reset(mut self, velocity_before: &SVector<f64, D>) -> Self {
         let half = (self.state.v - velocity_before) * 0.5;
@@ -197,7 +199,7 @@ impl<const D: usize> Dynamics<D> {
         self
     }
 
-    /// The filter when what was seen last may be off by about `by`, one way or the other.
+    /// The filter if the last measurement may be off by about `by`, with either sign.
     #[must_use]
     pub fn unsure(mut self, by: &SVector<f64, D>) -> Self {
         self.state.p_xx = symmetric(&(self.state.p_xx + by * by.transpose()));
@@ -217,13 +219,13 @@ impl<const D: usize> Dynamics<D> {
         ))
     }
 
-    /// Takes the shape vector that was fitted at `time_s` and tells how much it surprises: nothing
-    /// can after a long gap, which the filter starts anew from, as it does from a surprise so great
-    /// that numbers fail.
+    /// Updates the filter with the shape vector fitted at `time_s`, and returns the innovation.
+    /// After a long gap, or an innovation too large for the arithmetic, the filter restarts and
+    /// returns `None`.
     ///
     /// # Errors
     /// When `time_s` is not finite or earlier than that of the last update, `x` is not finite or
-    /// the covariance not positive definite. The filter is as it was then.
+    /// the covariance not positive definite. The filter is unchanged then.
     pub fn update(
         &mut self,
         time_s: f64,
@@ -242,7 +244,7 @@ impl<const D: usize> Dynamics<D> {
         Ok(innovation)
     }
 
-    /// The state at a later time, unless that is too late.
+    /// The state at a later time; `None` after the longest gap.
     fn at(&self, time_s: f64) -> Result<Option<State<D>>> {
         let last = self.time_s;
         Error::within("time [s]", time_s, "at or after that of the last update", |t| t >= last)?;
@@ -266,7 +268,7 @@ impl Component {
         Ok(())
     }
 
-    /// The value of this component that stands for `x`.
+    /// The principal value of `x` in this component's domain.
     fn principal(&self, x: f64) -> f64 {
         match self.domain {
             Domain::Line => x,
@@ -276,7 +278,7 @@ impl Component {
 }
 
 impl<const D: usize> State<D> {
-    /// What is seen for the first time.
+    /// The state at a first measurement.
     fn first(
         components: &[Component; D],
         x: &SVector<f64, D>,
@@ -319,8 +321,8 @@ impl<const D: usize> State<D> {
         later
     }
 
-    /// After a measurement of the position; None where numbers fail. Joseph's form,
-    /// P' = (1 − K H) P (1 − K H)ᵀ + K R Kᵀ, for H = \[1 0\].
+    /// After a measurement of the position; `None` if the arithmetic fails. Joseph's form, P' = (1
+    /// − K H) P (1 − K H)ᵀ + K R Kᵀ, for H = \[1 0\].
     fn corrected(
         &self,
         components: &[Component; D],
@@ -351,7 +353,7 @@ impl<const D: usize> State<D> {
     }
 }
 
-/// Where an edge is looked for: a validation gate, and the limits of the search.
+/// Validation gate of the edge search, with bounds on its half-length.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Gate {
     sigmas: f64,
@@ -360,8 +362,8 @@ pub struct Gate {
 }
 
 impl Gate {
-    /// A gate that keeps an edge which moves as expected with this probability, 0.5–0.999999, in
-    /// search lines of `shortest_px` to `longest_px`, positive.
+    /// A gate that contains an edge of a hand that moves as predicted with this probability,
+    /// 0.5–0.999999, for half-lengths of `shortest_px` to `longest_px`, positive.
     ///
     /// # Errors
     /// When a value is not finite or out of its range, or the longest is less than the shortest.
@@ -377,7 +379,7 @@ impl Gate {
         Ok(Self { sigmas, shortest_px, longest_px })
     }
 
-    /// The longest search line \[px\].
+    /// Maximum half-length of a search line \[px\].
     #[must_use]
     pub fn longest_px(&self) -> f64 {
         self.longest_px
@@ -391,9 +393,9 @@ impl Gate {
 }
 
 impl<const D: usize> Expectation<D> {
-    /// Half-length of the search line of a sample that the shape vector moves by `row` =
-    /// ∂(n·X)/∂x along its normal, whose edge is then found with the variance `variance_px2`:
-    /// γ √(row P rowᵀ + variance), within the gate's limits \[px\].
+    /// Half-length of the search line of a sample: γ √(row P rowᵀ + variance), within the gate's
+    /// bounds \[px\]. `row` = ∂(n·X)/∂x is the sample's motion along its normal, and `variance_px2`
+    /// the variance of the edge measurement.
     #[must_use]
     pub fn search_length(&self, row: &SVector<f64, D>, variance_px2: f64, gate: &Gate) -> f64 {
         let variance = row.dot(&(self.covariance * row)) + variance_px2;
@@ -401,8 +403,8 @@ impl<const D: usize> Expectation<D> {
     }
 }
 
-/// The value that a χ² variable of 1–100 `degrees` of freedom stays below with this `probability`,
-/// above 0 and at most 0.999999.
+/// The quantile of the χ² distribution with 1–100 `degrees` of freedom at `probability`, above 0
+/// and at most 0.999999.
 ///
 /// # Errors
 /// When the probability or the degrees of freedom are out of range.
@@ -417,7 +419,7 @@ pub fn chi_square_quantile(probability: f64, degrees: usize) -> Result<f64> {
     let (mut low, mut high) = (0.0, 2.0 * degrees as f64 + 50.0);
     while high - low > QUANTILE_TOLERANCE * high {
         let middle = 0.5 * (low + high);
-        // The quantiles of the least probabilities are less than the least number.
+        // Quantiles of the smallest probabilities underflow.
         if middle <= low || middle >= high {
             break;
         }
@@ -428,8 +430,8 @@ pub fn chi_square_quantile(probability: f64, degrees: usize) -> Result<f64> {
 
 const QUANTILE_TOLERANCE: f64 = 1e-12;
 
-/// P(χ² ≤ x) = e^(−h) Σₙ h^(a+n) / Γ(a+n+1) with h = x/2, a = degrees/2: the series of the incomplete
-/// gamma function, whose terms are all positive.
+/// P(χ² ≤ x) = e^(−h) Σₙ h^(a+n) / Γ(a+n+1) with h = x/2, a = degrees/2: the series of the
+/// incomplete gamma function, whose terms are all positive.
 fn chi_square_cdf(x: f64, degrees: usize) -> f64 {
     let h = 0.5 * x;
     // h^a / Γ(a + 1), from a = 0 or a = 1/2 up.

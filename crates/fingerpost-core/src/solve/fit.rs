@@ -1,14 +1,14 @@
 //! Weighted least squares for the step of a shape vector.
 //!
-//! Every equation says that a step δ of the shape vector should move the contour by the measured
-//! offset along one normal: rowᵀ δ = offset, with the offset's variance. Robust weights (Tukey) are
-//! found by iterated reweighting; the scale of the residual offsets is estimated from themselves.
-//! The solver reports what the equations determine: when they leave a direction of the shape
-//! space open it says so and returns no step, instead of choosing one.
+//! An equation row · δ = offset, with the offset's variance, states that the step δ of the shape
+//! vector moves the contour by the measured offset along one normal. Tukey weights are found by
+//! iterated reweighting, and the scale of the residual offsets is estimated from them. The solver
+//! reports the rank: if the equations leave a direction of the shape space undetermined, it returns
+//! no step.
 //!
 //! The two-stage solve is that of the 1994 tracker: translation first, then the deformations from
-//! what the translation leaves over (Hollinghurst & Cipolla 1994; the *residual offsets* of
-//! section 3.3 of the paper). It is no optimum when the two are correlated.
+//! the residual offsets (Hollinghurst & Cipolla 1994; section 3.3 of the paper). It is not optimal
+//! if the two are correlated.
 //!
 //! This module never sees a pixel.
 
@@ -32,26 +32,26 @@ use crate::numeric::simd::{Isa, each};
 use crate::{Error, Result};
 use nalgebra::{SMatrix, SVector};
 
-/// How gross errors are kept from the solution.
+/// The robust loss.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Loss {
     /// Plain least squares.
     None,
-    /// Tukey's biweight: equations whose residual exceeds `cutoff` robust standard deviations have
-    /// no say. 4.685 keeps 95 % efficiency on clean Gaussian offsets. Range: above 1.
+    /// Tukey's biweight: residuals beyond `cutoff` robust standard deviations have zero weight.
+    /// 4.685 keeps 95 % efficiency for Gaussian offsets. Range: above 1.
     Tukey {
-        /// Where the weight reaches zero \[robust standard deviations\].
+        /// Residual at which the weight reaches zero \[robust standard deviations\].
         cutoff: f64,
     },
 }
 
-/// In which order the unknowns are solved for.
+/// Order in which the unknowns are solved for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Solve {
     /// All components of the shape vector at once.
     Joint,
-    /// The two components of translation first, then the others from the residual offsets, as the
-    /// 1994 tracker did.
+    /// The two components of translation first, then the others from the residual offsets, as in
+    /// the 1994 tracker.
     TwoStage,
 }
 
@@ -62,10 +62,10 @@ pub struct FitOptions {
     pub loss: Loss,
     /// Order of the solve.
     pub solve: Solve,
-    /// At most this many reweighted solutions, 1–100.
+    /// Maximum number of reweighted solutions, 1–100.
     pub max_iterations: usize,
-    /// The robust scale of the residual offsets is never taken below this \[px\], 0–10: it covers
-    /// what image noise does not, a hand that is not quite the template.
+    /// Lower bound on the robust scale of the residual offsets \[px\], 0–10. It accounts for
+    /// deviations of the hand from the template, which image noise does not contain.
     pub min_scale_px: f64,
 }
 
@@ -80,61 +80,61 @@ impl Default for FitOptions {
     }
 }
 
-/// Where the residual offsets' root mean square exceeds their robust scale this much, gross errors
-/// pull at the plain solution. The first weighting cannot trust it then, so its cutoff is so much
-/// wider.
+/// Ratio of the root mean square of the residual offsets to their robust scale beyond which the
+/// plain solution is distorted by gross errors. The cutoff of the first weighting is then wider by
+/// `FIRST_CUTOFF_FACTOR`.
 const GROSS_RMS: f64 = 1.5;
 const FIRST_CUTOFF_FACTOR: f64 = 3.0;
-/// A step is lengthened by no more than this: where gross errors abound, the loss is not convex.
+/// Upper bound on the over-relaxation of a step: with many gross errors the loss is not convex.
 const MOST_RELAXED: f64 = 1.5;
-/// Turns the median absolute deviation of a normal distribution into its standard deviation.
+/// Standard deviation of a normal distribution over its median absolute deviation.
 const MAD_TO_SIGMA: f64 = 1.4826;
-/// Reweighting has settled when the step moves by less than this part of its own sigma. The moves
-/// shrink: what is left is a thousandth of the variance on average, and next to never a fifth of
-/// the sigma (`tests/fit.rs`). A contour that is searched for again goes on from there.
+/// Convergence of the reweighting: the step moves by less than this fraction of its own sigma. The
+/// moves shrink: the remainder is a thousandth of the variance on average, and almost never a fifth
+/// of the sigma (`tests/suite/fit.rs`). A contour that is searched again continues from there.
 const SETTLED: f64 = 0.2;
 
 const SIZES: usize = 64;
 
-/// A Gaussian belief about the step, from prediction or from what cannot change.
+/// A Gaussian prior on the step.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Prior<const D: usize> {
     /// Expected step.
     pub mean: SVector<f64, D>,
-    /// Inverse covariance of the belief; zero where nothing is believed.
+    /// Inverse covariance; zero in directions without prior knowledge.
     pub information: SMatrix<f64, D, D>,
 }
 
-/// Whether the equations gave a step.
+/// Whether the equations determine a step.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Outcome {
     /// The step and its covariance are determined.
     Determined,
     /// There are fewer equations than unknowns, and no prior.
     TooFewEquations,
-    /// The equations and the prior leave `D − rank` directions of the shape space open, or hold
-    /// numbers that are none.
+    /// The equations and the prior leave `D − rank` directions of the shape space undetermined, or
+    /// contain numbers that are not finite.
     Undetermined,
 }
 
-/// What a fit found, and how well.
+/// Result of a fit.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FitReport<const D: usize> {
-    /// Whether `step` and `covariance` mean anything.
+    /// Whether `step` and `covariance` are valid.
     pub outcome: Outcome,
     /// The step δ; zero unless determined.
     pub step: SVector<f64, D>,
-    /// Σ w row rowᵀ / variance, plus the prior's.
+    /// Σ w row rowᵀ / variance, plus the prior's information.
     pub information: SMatrix<f64, D, D>,
     /// Covariance of the step, scaled by the residuals; zero unless determined.
     pub covariance: SMatrix<f64, D, D>,
-    /// How many directions of the shape space the information determines.
+    /// Number of directions of the shape space that the information determines.
     pub rank: usize,
-    /// Solutions computed until the weights settled.
+    /// Number of solutions until the weights converged.
     pub iterations: usize,
-    /// Equations given.
+    /// Number of equations.
     pub equations: usize,
-    /// Equations with more than a tenth of their full weight.
+    /// Number of equations with more than a tenth of their full weight.
     pub inliers: usize,
     /// Root mean square of the inliers' residual offsets \[px\].
     pub residual_rms_px: f64,
@@ -142,24 +142,24 @@ pub struct FitReport<const D: usize> {
     pub residual_scale_px: f64,
 }
 
-/// Solves for steps; owns the buffers, so that solving allocates nothing once they have grown.
+/// Solves for steps. It owns its buffers, so solving allocates nothing once they have grown.
 #[derive(Debug, Clone)]
 pub struct Fitter {
     options: FitOptions,
-    /// Variance of the residual offsets beyond that of the measurements.
+    /// Variance of the residual offsets in excess of the measurements' \[px²\].
     misfit_px2: f64,
     count: usize,
     weights: Vec<Lanes>,
-    /// Weights over variances: what the equations count.
+    /// Weights over variances.
     precisions: Vec<Lanes>,
     residuals: Vec<Lanes>,
-    /// Sizes of the residuals, as the upper halves of bit patterns in single precision: they have
-    /// the same order.
+    /// Absolute residuals, as the upper halves of their bit patterns in single precision, which
+    /// have the same order.
     sizes: Vec<[i16; SIZES]>,
     isa: Isa,
 }
 
-/// Equations of this many samples fit without another allocation.
+/// Capacity of the buffers without another allocation.
 const USUAL_EQUATIONS: usize = 1024;
 
 impl Fitter {
@@ -191,8 +191,8 @@ impl Fitter {
         })
     }
 
-    /// The same solver with another instruction set than the processor's widest: slower, with the
-    /// same results to the last bit.
+    /// The same solver with another instruction set than the processor's widest: slower, with
+    /// bit-identical results.
     #[must_use]
     pub fn with_isa(self, isa: Isa) -> Self {
         Self { isa, ..self }
@@ -216,16 +216,16 @@ impl Fitter {
         &self.weights.as_flattened()[..self.count]
     }
 
-    /// Whether each equation agrees with the last solution, in their order: the inliers.
+    /// Whether each equation is an inlier of the last solution, in their order.
     #[must_use]
     pub fn agreeing(&self) -> impl ExactSizeIterator<Item = bool> {
         self.weights().iter().map(|&weight| weight > INLIER_WEIGHT)
     }
 
-    /// The step that the equations, and the prior if there is one, agree on.
+    /// The step that minimises the robust loss of the equations, plus the prior if there is one.
     ///
-    /// The variances of the equations are those of their measurements; what the residual offsets
-    /// scatter beyond that is misfit of the model, the same for all, and is added to each.
+    /// The variances of the equations are those of their measurements. Scatter of the residual
+    /// offsets in excess of these is model misfit, common to all, and is added to each.
     pub fn solve<const D: usize>(
         &mut self,
         equations: &Equations<'_, D>,
@@ -234,10 +234,11 @@ impl Fitter {
         self.solve_with_scale(equations, prior, (self.options.min_scale_px, f64::INFINITY))
     }
 
-    /// [`solve`](Self::solve) with the scale of the residual offsets kept between two \[px\], none
-    /// negative; the least counts where it is above the largest. While a contour is still far from
-    /// its edges, the few that tell how far must not pass for gross errors; and where its edges are
-    /// known to lie close, gross errors must not pass for a contour that fits badly.
+    /// [`solve`](Self::solve) with the scale of the residual offsets kept between two bounds
+    /// \[px\], not negative; the lower bound prevails if it is the larger. A lower bound keeps the
+    /// few distant edges of a contour that is still far away from being rejected as gross errors.
+    /// An upper bound, where the edges are known to be close, keeps gross errors from widening the
+    /// scale.
     pub fn solve_with_scale<const D: usize>(
         &mut self,
         equations: &Equations<'_, D>,
@@ -318,7 +319,7 @@ impl Fitter {
         NormalEquations { information, right }
     }
 
-    /// Takes over what a step leaves of the offsets; its root mean square \[px\].
+    /// Updates the residuals after a step; returns their root mean square \[px\].
     fn update_residuals<const D: usize>(
         &mut self,
         equations: &Equations<'_, D>,
@@ -346,9 +347,9 @@ impl Fitter {
         MAD_TO_SIGMA * f64::from(median)
     }
 
-    /// Weighs the equations by their residual offsets, for these have such a scale \[px\]. How many
-    /// times farther than the solution of the weighted equations is the loss's least value, if it is
-    /// about what a parabola would make of it.
+    /// Weights the equations by their residual offsets for the given scale \[px\]. Returns the
+    /// relaxation factor: the distance to the loss's minimum over that to the solution of the
+    /// weighted equations, if the loss is about quadratic there.
     fn weigh<const D: usize>(&mut self, equations: &Equations<'_, D>, scale_px: f64) -> f64 {
         let limit_px = match self.options.loss {
             Loss::None => f64::INFINITY,
@@ -356,7 +357,7 @@ impl Fitter {
         };
         let Self { misfit_px2, residuals, weights, precisions, .. } = self;
         let misfit_px2 = *misfit_px2;
-        // Of a scale of zero, which exact data may have, zero residuals are within.
+        // With a scale of zero, as for exact data, zero residuals are within the limit.
         let per_limit = limit_px.recip().min(f64::MAX);
         let (mut weight, mut within) = ([0.0; LANES], [0.0; LANES]);
         let sums = (&mut weight, &mut within);
@@ -369,8 +370,8 @@ impl Fitter {
             precisions,
             sums,
         });
-        // Reweighting takes w for the slope of ψ(r) = w r, which is w (5 √w − 4) / √w. Lanes without
-        // an equation have weights of one.
+        // Reweighting takes w for the slope of ψ(r) = w r, which is w (5 √w − 4) / √w. Lanes
+        // without an equation have weights of one.
         let empty = (residuals.len() * LANES - equations.len()) as f64;
         let (weight, within) = (total(&weight) - empty, total(&within) - empty);
         let slope = 5.0 * weight - 4.0 * within;

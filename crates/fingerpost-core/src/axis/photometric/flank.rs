@@ -1,26 +1,27 @@
-//! One flank as it is fitted: its strip, its blocks, and how they are linearised.
+//! One flank of the photometric fit: its strip of pixels, its blocks, and their deviations.
 
 use crate::axis::block::{Deviations, Evidence, INSIDE_EFFECT, OUTSIDE_EFFECT};
 use crate::axis::gram::{Gram, Weighed};
 use crate::axis::pixels::{Doubles, LANES, Strip, USUAL_BLOCKS, USUAL_PIXELS};
 
-/// Blocks with something in them have too much say in the first, and their deviations in the next.
+/// Iterations before the variances are damped: outlying blocks have full weight in the first, and
+/// affect the deviations of the next.
 pub(super) const UNTRIED_ITERATIONS: usize = 3;
 
-/// One flank's pixels, and what deviates along it.
+/// The pixels of one flank, and the deviations along it.
 #[derive(Debug, Clone)]
 pub(super) struct Flank {
     pub(super) strip: Strip,
     /// Those of every group of blocks.
     pub(super) deviations: Vec<Deviations>,
-    /// What is between the pixels of a group and its equations.
+    /// Workspace: weighted features and residuals of the pixels of a group.
     pub(super) weighed: Vec<Weighed>,
     pub(super) gram: Box<Gram>,
     /// The deviations of the background's level, block by block.
     levels: Vec<f64>,
     /// Variance of each deviation from block to block, in the square of its unit.
     pub(super) variances: [f64; 3],
-    /// What runs of blocks whose edges deviate alike add to the edge's \[px²\].
+    /// Variance added to the edge by runs of blocks that deviate together \[px²\].
     pub(super) runs_px2: f64,
 }
 
@@ -37,7 +38,7 @@ impl Flank {
         }
     }
 
-    /// Before a fit to the pixels that the strip has gathered.
+    /// Resets the fit for the pixels that the strip has gathered.
     pub(super) fn begin(&mut self) {
         self.weighed.resize(self.strip.most_pixels(), Weighed::default());
         self.deviations.clear();
@@ -54,9 +55,9 @@ impl Flank {
         all.copied().skip(self.strip.first_slot())
     }
 
-    /// Takes over the variances that the evidence speaks for; by half once there are some that owe
-    /// nothing to the first look, which every block has a say in, so that they do not swing with the
-    /// deviations that depend on them.
+    /// Sets the variances to their estimates. After the first iterations, which depend on outlying
+    /// blocks with full weight, the change is halved, so that variances and deviations do not
+    /// oscillate.
     pub(super) fn adapt(&mut self, evidence: &Evidence, noise2: f64, iteration: usize) {
         let keep = if iteration <= UNTRIED_ITERATIONS { 0.0 } else { 0.5 };
         let blend = |old: &mut f64, told: f64| *old = keep * *old + (1.0 - keep) * told;
@@ -66,8 +67,8 @@ impl Flank {
         blend(&mut self.runs_px2, evidence.runs(noise2));
     }
 
-    /// Works out how much the background's changes from block to block, and the finger's deviations,
-    /// leave each edge in doubt.
+    /// Computes the variance of each block's edge due to changes of the background from block to
+    /// block and to the finger's level deviations.
     pub(super) fn watch_levels(&mut self, restlessness_px: f64, contrast_grey: f64, scale: f64) {
         let mut levels = std::mem::take(&mut self.levels);
         levels.clear();
@@ -82,7 +83,7 @@ impl Flank {
                     }
                 }
             }
-            // An edge of no contrast says nothing anyhow.
+            // Bounds the denominator: an edge without contrast carries no information anyway.
             let behind = self.strip.blocks.get(k).map_or(0.0, |b| b.behind);
             let contrast2 = (contrast_grey - behind - here).powi(2).max(9.0 * scale * scale);
             let change2 = if weight > 0.0 { sum / weight } else { 0.0 };

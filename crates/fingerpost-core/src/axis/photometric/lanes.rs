@@ -10,10 +10,12 @@ use crate::axis::sketch::Sketch;
 use crate::axis::unknowns::{Factors, FlankEquations, Unknowns};
 use crate::numeric::simd::{Work, each};
 
-/// Above this χ² per pixel a block counts less, by its square. Of clean blocks of 25 pixels, 5 % are.
+/// Threshold on χ² per pixel above which a block's weight falls by the square of the ratio. Of
+/// clean blocks of 25 pixels, 5 % exceed it.
 const MOST_CHI_SQUARED: f64 = 1.5;
 
-/// The model of one flank made linear block by block, the deviations of each eliminated.
+/// Linearisation of the model of one flank block by block, with elimination of each block's
+/// deviations.
 pub(super) struct Linearising<'a> {
     pub(super) flank: &'a mut Flank,
     pub(super) index: usize,
@@ -23,9 +25,9 @@ pub(super) struct Linearising<'a> {
     pub(super) clear_px: f64,
     pub(super) table: BlurTable,
     pub(super) weighing: Weighing,
-    /// Whether blocks are trusted anew.
+    /// Whether the weights of the blocks are updated.
     pub(super) reweighs: bool,
-    /// Where the sums go.
+    /// Outputs.
     pub(super) equations: &'a mut FlankEquations,
     pub(super) evidence: &'a mut Evidence,
     pub(super) tally: &'a mut Tally,
@@ -57,16 +59,16 @@ impl Work for Linearising<'_> {
     }
 }
 
-/// A look at all blocks of a flank.
+/// A statistic of every block of a flank.
 pub(super) struct Surveying<'a, F> {
     pub(super) strip: &'a Strip,
     pub(super) sketch: &'a Sketch,
-    /// Of a pixel so far outside the sketch's edge \[px\], its level and that of the known background
-    /// behind it: whether it counts, and what it tells.
+    /// From a pixel's distance outside the sketch's edge \[px\], its level and that of the known
+    /// background behind it: whether it counts, and its value.
     pub(super) measure: F,
-    /// Whether a block tells the mean of what its pixels tell, or the sum.
+    /// Whether a block's statistic is the mean of its pixels' values, or the sum.
     pub(super) mean: bool,
-    /// Refilled with what the blocks tell that have pixels that count.
+    /// Refilled with the statistics of the blocks that have counting pixels.
     pub(super) told: &'a mut Vec<f64>,
 }
 

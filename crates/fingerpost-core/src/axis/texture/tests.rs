@@ -1,4 +1,4 @@
-//! The skin is private to the crate, and what it must agree with is where its finger was painted.
+//! The patch is private to the crate; the tests compare its poses with the rendered finger.
 
 use super::*;
 use nalgebra::Point2;
@@ -8,20 +8,21 @@ pub(crate) const HEIGHT: usize = 120;
 const LENGTH_PX: f64 = 60.0;
 const HALF_WIDTH_PX: f64 = 8.0;
 
-/// A finger of 60 × 16 px before stripes.
+/// A rendered finger of 60 × 16 px before stripes.
 #[derive(Clone, Copy)]
 pub(crate) struct Painted {
     pub tip: Point2<f64>,
     pub angle_rad: f64,
-    /// Shading across it and creases along it \[grey levels\]; without, it is even.
+    /// Amplitude of the shading across it and the creases along it \[grey levels\]; 0 for a uniform
+    /// finger.
     pub texture: f64,
     pub gain: f64,
-    /// How its hand is turned beside it, about the finger's middle; there may be none.
+    /// Angle of its hand relative to it, about the finger's middle; `None` without a hand.
     pub hand_rad: Option<f64>,
-    /// Where the stripes behind it begin \[px\].
+    /// Phase of the stripes behind it \[px\].
     pub stripes_px: f64,
     pub noise: f64,
-    /// Its correlation reaches so many pixels to every side.
+    /// Correlation length of the noise to every side \[px\].
     pub spread_px: usize,
     pub seed: u64,
 }
@@ -58,8 +59,8 @@ impl Painted {
         140.0 + self.texture * (depth + 0.5 * crease)
     }
 
-    /// Level of the hand, from 52 px behind the tip on and 44 px across, and how far outside of it
-    /// a place is.
+    /// Level of the hand, from 52 px behind the tip and 44 px across, and the distance of a place
+    /// outside it.
     fn hand(&self, x: f64, y: f64) -> Option<[f64; 2]> {
         let axis = Axis { angle_rad: self.angle_rad + self.hand_rad?, ..self.axis() };
         let from_middle = Point2::new(x, y) - axis.anchor;
@@ -77,7 +78,7 @@ impl Painted {
             .collect()
     }
 
-    /// Noise of unit variance, a mean of as many pixels as its spread has it.
+    /// Noise of unit variance, averaged over its correlation length.
     fn unit_noise(&self) -> Vec<f64> {
         let mut state = self.seed;
         let mut normal = || {
@@ -111,7 +112,7 @@ fn drawn(painted: &Painted) -> TexturePatch {
     texture
 }
 
-/// How far a lie is from where the finger was painted: offset at its anchor and angle.
+/// Error of a pose against the rendered finger: offset at its anchor and angle.
 fn off(texture_pose: &TexturePose, painted: &Painted) -> [f64; 2] {
     let truth = painted.axis();
     [
@@ -175,7 +176,7 @@ fn the_less_texture_the_less_is_told() {
     assert!(strong < weak && weak < 0.03, "{strong} {weak}");
 }
 
-/// Squares of the errors that noise makes, of offset and angle, in those that are told of.
+/// Squared errors due to noise, of offset and angle, in units of the reported variances.
 fn squared_in_known(noise: f64, spread_px: usize) -> [f64; 2] {
     let painted = Painted { noise, spread_px, ..Painted::at([110.0, 70.0], 0.4) };
     let mut texture = drawn(&Painted { noise: 0.0, ..painted });
@@ -210,7 +211,7 @@ fn a_lie_takes_over_an_angle_as_one_more_look_at_it_would() {
     let axis = Axis::of_finger(Point2::new(40.0, 30.0), 0.3, 20.0);
     let covariance = Matrix2::new(0.04, 0.002, 0.002, 4e-4);
     let texture_pose = TexturePose { axis, covariance, gain: 1.0, offset: 0.0 };
-    // A look at the angle alone, of the same variance, halves that.
+    // A further measurement of the angle alone, of the same variance, halves the angle's.
     let (other_rad, other) = (0.33, 4e-4);
     let gain = covariance.column(1) / (covariance[(1, 1)] + other);
     let step = gain * (other_rad - axis.angle_rad);

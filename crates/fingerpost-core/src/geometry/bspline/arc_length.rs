@@ -1,17 +1,17 @@
 //! Arc length of a B-spline curve, and the parameters at given lengths.
 //!
 //! Inside a knot span the velocity is a polynomial of degree two at most, so its magnitude, the
-//! speed, is smooth but at cusps. Every span is halved until Gauss–Legendre quadrature over a
-//! piece agrees with the sum over its halves; a length is then found in its piece by Newton's
-//! method, kept inside a shrinking bracket.
+//! speed, is smooth except at cusps. Every span is halved until Gauss–Legendre quadrature over a
+//! piece agrees with the sum over its halves. A length is located in its piece by Newton's method,
+//! kept inside a shrinking bracket.
 
 use nalgebra::{Point2, Vector2};
 
 use crate::geometry::bspline::{BSpline, check_control_point_count, check_count, finite_point};
 use crate::{Error, Result};
 
-/// Nodes in (0, 1) and weights of the Gauss–Legendre rule of 8 points on [−1, 1], which holds each
-/// of them at both signs.
+/// Nodes in (0, 1) and weights of the Gauss–Legendre rule of 8 points on [−1, 1], which has each of
+/// them with both signs.
 const GAUSS_LEGENDRE: [(f64, f64); 4] = [
     (0.183_434_642_495_649_8, 0.362_683_783_378_362),
     (0.525_532_409_916_329, 0.313_706_645_877_887_3),
@@ -19,23 +19,24 @@ const GAUSS_LEGENDRE: [(f64, f64); 4] = [
     (0.960_289_856_497_536_3, 0.101_228_536_290_376_26),
 ];
 
-/// A piece and its halves agree to this part of the control polygon's length. The halves, which
-/// are kept, are better than that by far, and the pieces of a whole curve number in the hundreds.
+/// Relative difference of a piece and its halves, in units of the control polygon's length. The
+/// halves, which are kept, are far more accurate, and a curve has hundreds of pieces.
 const PIECE_TOLERANCE: f64 = 1e-13;
 
-/// A length is found to this part of the control polygon's length.
+/// Tolerance of a located length, in units of the control polygon's length.
 const LENGTH_TOLERANCE: f64 = 1e-13;
 
-/// Halvings of a span; only a cusp, where speed has a kink, needs more than a few.
+/// Maximum number of halvings of a span; only a cusp, where the speed has a kink, needs more than a
+/// few.
 const MAX_HALVINGS: u32 = 48;
 
-/// Newton steps. Bisection alone would reach the resolution of `f64` with these.
+/// Maximum number of Newton steps; bisection alone would reach the resolution of `f64` with these.
 const MAX_STEPS: u32 = 64;
 
 /// The arc length along one curve. Made by [`BSpline::arc_length`].
 ///
-/// Lengths are right to 10⁻¹⁰ of the control polygon's length, and so is the place of a parameter
-/// along the curve.
+/// Lengths, and positions of parameters along the curve, are accurate to 10⁻¹⁰ of the control
+/// polygon's length.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ArcLength {
     /// In the order of the curve.
@@ -47,12 +48,12 @@ pub struct ArcLength {
 }
 
 impl BSpline {
-    /// Measures the curve that `control_points` give.
+    /// Measures the curve of `control_points`.
     ///
     /// # Errors
     ///
-    /// [`Error::WrongCount`] and [`Error::NotFiniteAt`] for control points that the curve cannot
-    /// use, [`Error::UnusableLength`] if they all coincide or their distances overflow.
+    /// [`Error::WrongCount`] and [`Error::NotFiniteAt`] for unsuitable control points,
+    /// [`Error::UnusableLength`] if they all coincide or their distances overflow.
     ///
     /// ```
     /// use fingerpost_core::geometry::bspline::{BSpline, Degree};
@@ -93,7 +94,7 @@ impl BSpline {
         }
     }
 
-    /// The spans of the domain that are not empty.
+    /// The non-empty spans of the domain.
     fn spans(&self) -> impl Iterator<Item = usize> {
         let first = self.degree() as usize;
         let pairs = self.domain_knots().windows(2).enumerate();
@@ -129,12 +130,13 @@ impl ArcLength {
     }
 
     /// The parameter at the length `s` from the start of the domain. A closed curve takes any `s`
-    /// and goes round; where a curve halts on its way, the parameter is that at which it moves on.
+    /// and wraps around. Where a curve rests over an interval of parameters, the last of them is
+    /// returned.
     ///
     /// # Errors
     ///
-    /// [`Error::NotFinite`], and on an open curve [`Error::OutOfRange`] outside
-    /// [0, [`total`](Self::total)].
+    /// [`Error::NotFinite`], and on an open curve [`Error::OutOfRange`] outside [0,
+    /// [`total`](Self::total)].
     pub fn parameter_at(&self, s: f64) -> Result<f64> {
         let what = "the length along a curve";
         if self.closed {
@@ -145,9 +147,9 @@ impl ArcLength {
             .map(|s| self.locate(s))
     }
 
-    /// `count` parameters at equal arc length from one to the next, in rising order. The first is
-    /// the start of the domain; an open curve's last is its end, on a closed one the last is as
-    /// far from the first again.
+    /// `count` parameters at equal steps of arc length, increasing. The first is the start of the
+    /// domain. The last is its end on an open curve; on a closed one it is one step before the
+    /// first.
     ///
     /// # Errors
     ///
@@ -166,7 +168,8 @@ impl ArcLength {
         } else if s >= self.total {
             self.domain.1
         } else {
-            // Of the pieces that start at or before `s`, the last: it goes beyond, and is not empty.
+            // The last of the pieces that start at or before `s`: it extends beyond `s`, and is not
+            // empty.
             let after = self.pieces.partition_point(|piece| piece.before <= s);
             self.pieces[after - 1].locate(s, self.tolerance)
         }
@@ -189,7 +192,7 @@ impl SpanVelocity {
         velocity.x.hypot(velocity.y)
     }
 
-    /// The length from `from` to `to`, if speed is smooth there.
+    /// The length from `from` to `to`, if the speed is smooth there.
     fn length(&self, from: f64, to: f64) -> f64 {
         let (middle, half) = (0.5 * (from + to), 0.5 * (to - from));
         let pairs = GAUSS_LEGENDRE.iter().map(|&(node, weight)| {
@@ -199,7 +202,7 @@ impl SpanVelocity {
     }
 }
 
-/// A part of a span over which one application of the quadrature is exact enough.
+/// A part of a span over which one application of the quadrature is accurate enough.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Piece {
     velocity: SpanVelocity,
@@ -223,7 +226,7 @@ impl Piece {
             }
             (low, high) = if excess > 0.0 { (low, x) } else { (x, high) };
             let newton = x - excess / self.velocity.speed(x);
-            // Not a number where speed is zero; bisection then.
+            // NaN where the speed is zero; bisection then.
             x = if newton > low && newton < high { newton } else { 0.5 * (low + high) };
         }
         let SpanVelocity { start, end, .. } = self.velocity;
@@ -231,8 +234,8 @@ impl Piece {
     }
 }
 
-/// Halves a part of a span, of which the quadrature says that its length is `whole`, until that
-/// is right, and appends the pieces.
+/// Halves a part of a span, whose quadrature gives the length `whole`, until the tolerance is met,
+/// and appends the pieces.
 fn measure(
     velocity: SpanVelocity,
     (from, to): (f64, f64),

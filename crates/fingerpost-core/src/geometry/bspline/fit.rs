@@ -1,33 +1,33 @@
-//! Control points for an ordered outline, by linear least squares.
+//! Least-squares fit of control points to an ordered outline.
 //!
-//! With a parameter given to every outline point, the control points that minimise the sum of
-//! squared distances solve a linear system. It is solved by Householder QR, not by the normal
-//! equations, so that its condition counts once and not squared; the singular values of R say
-//! whether the outline determines every control point.
+//! With a parameter assigned to every outline point, the control points that minimise the sum of
+//! squared distances solve a linear system. It is solved by Householder QR instead of the normal
+//! equations, which would square its condition number. The singular values of R show whether the
+//! outline determines every control point.
 
 use nalgebra::{DMatrix, Point2};
 
 use crate::geometry::bspline::{BSpline, check_count, finite_point};
 use crate::{Error, Result};
 
-/// How the points of an outline get the parameters at which the curve shall meet them.
+/// Assignment of parameters to the points of an outline.
 ///
-/// Computed parameters run over the whole domain: from its start at the first point to its end at
-/// the last point of an open curve, or back at the first of a closed one, whose first point need
-/// not be repeated.
+/// Computed parameters cover the whole domain: from its start at the first point to its end at the
+/// last point of an open curve, or back at the first of a closed one, whose first point need not be
+/// repeated.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Parametrization<'a> {
     /// Proportional to the length of the polygon through the points. The usual choice for an
     /// outline traced at even steps.
     ChordLength,
-    /// Proportional to the sums of the square roots of the polygon's sides: gentler where long and
+    /// Proportional to the sums of the square roots of the polygon's sides: smoother where long and
     /// short sides meet at a sharp turn (Piegl and Tiller, equation 9.6).
     Centripetal,
     /// One parameter per outline point, in the domain, in any order.
     Given(&'a [f64]),
 }
 
-/// A least-squares fit and how good it is. Made by [`BSpline::fit`].
+/// A least-squares fit and its quality. Made by [`BSpline::fit`].
 #[derive(Debug, Clone, PartialEq)]
 pub struct SplineFit {
     /// The control points of the fitted curve.
@@ -39,16 +39,16 @@ pub struct SplineFit {
     pub rms_residual: f64,
     /// The largest of these distances.
     pub max_residual: f64,
-    /// The condition number of the system: how many times larger a relative error of the outline
-    /// can be in the control points. A few units when the outline covers the knots evenly.
+    /// The condition number of the system, which bounds the relative error of the control points
+    /// over that of the outline. It is a few units when the outline covers the knots evenly.
     pub condition: f64,
 }
 
 impl BSpline {
-    /// The control points with which the curve comes closest to an ordered outline: they minimise
-    /// the sum of squared distances between each outline point and the curve at its parameter.
+    /// The control points that minimise the sum of squared distances between each point of an
+    /// ordered outline and the curve at its parameter.
     ///
-    /// Repeated neighbours in the outline weigh as often as they occur.
+    /// Repeated neighbours in the outline count as often as they occur.
     ///
     /// # Errors
     ///
@@ -57,7 +57,6 @@ impl BSpline {
     /// [`Error::WrongCount`], [`Error::NotFinite`] and [`Error::OutsideDomain`] for given
     /// parameters, [`Error::UndeterminedControlPoints`] if no outline point falls where some basis
     /// function needs one (the condition of Schoenberg and Whitney, to within rounding).
-    ///
     /// ```
     /// use fingerpost_core::geometry::bspline::{BSpline, Degree, Parametrization};
     /// use fingerpost_core::nalgebra::Point2;
@@ -117,7 +116,8 @@ impl BSpline {
         }
     }
 
-    /// Parameters over the whole domain, apart in proportion to the weight of the chord between.
+    /// Parameters over the whole domain, with differences proportional to the weights of the
+    /// chords.
     fn spread(&self, outline: &[Point2<f64>], weight: fn(f64) -> f64) -> Result<Vec<f64>> {
         let chord = |a: &Point2<f64>, b: &Point2<f64>| weight((b.x - a.x).hypot(b.y - a.y));
         let mut travelled = 0.0;

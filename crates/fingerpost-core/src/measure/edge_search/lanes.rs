@@ -1,12 +1,12 @@
-//! Search lines side by side: lane j of every vector belongs to line j.
+//! Search lines in lanes: lane j of every vector belongs to line j.
 //!
-//! All of it is integer arithmetic, so every instruction set, and every number of lanes, gives the
-//! same bits. Coordinates are 16.16 fixed point; pixels are interpolated with 8 bits across and
-//! 7 bits down, to 1/128 grey level; so is the kernel's answer. On a flat picture every step is
-//! exact, and turning a line round negates its answers exactly.
+//! All arithmetic is integer, so every instruction set and every number of lanes gives the same
+//! bits. Coordinates are 16.16 fixed point. Pixels are interpolated with 8 bits across and 7 bits
+//! down, to 1/128 grey level; the kernel's response has the same unit. On a uniform image every
+//! step is exact, and reversing a line negates its responses exactly.
 //!
-//! The work is cut into passes over all samples of the lines, because what scalar loads store one
-//! by one cannot at once be loaded as a vector.
+//! The work is divided into passes over all samples of the lines, because values stored one by one
+//! cannot be reloaded as a vector immediately.
 
 #![expect(
     clippy::inline_always,
@@ -21,7 +21,7 @@ use crate::measure::edge::{Miss, Polarity};
 use crate::numeric::logarithm::ln;
 use crate::numeric::simd::{Layout, Places, each};
 
-/// The answer's and the samples' unit is a grey level over this.
+/// The unit of responses and samples is a grey level over this.
 pub(super) const ANSWER_UNIT: f64 = 128.0;
 /// One pixel in fixed point, as a power of two.
 const PIXEL_BITS: u32 = 16;
@@ -31,12 +31,12 @@ const HALF_STEP: [i32; 2] = [1 << 7, 1 << 8];
 const HALF_PIXEL: [i32; 2] = [1 << 15; 2];
 /// From these fractions on, rounded to a step of the interpolation, the next pixel is the nearest.
 const BEYOND_HALF: [u16; 2] = [(1 << 15) + HALF_STEP[0] as u16, (1 << 15) + HALF_STEP[1] as u16];
-/// The longest side of an image whose pixels have 16.16 coordinates \[px\].
+/// Maximum side of an image for 16.16 coordinates \[px\].
 pub(super) const MAX_SIDE_PX: usize = i16::MAX as usize;
-/// The longest row, so that the place of every byte fits 32 bits.
+/// Maximum length of a row, so that every byte's address fits 32 bits.
 pub(super) const MAX_STRIDE: usize = (1 << 17) - 1;
 
-/// Where lines begin and where they go, axis by axis \[px\].
+/// Origins and directions of lines, axis by axis \[px\].
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Starts<const N: usize> {
     pub positions: [[f64; N]; 2],
@@ -49,25 +49,24 @@ impl<const N: usize> Default for Starts<N> {
     }
 }
 
-/// To the nearest 2⁻¹⁶ px. (The bit pattern of 1.5 · 2³⁶ + x ends in x with 16 binary places.)
+/// Rounds to 2⁻¹⁶ px. (The bit pattern of 1.5 · 2³⁶ + x ends in x with 16 binary places.)
 #[inline(always)]
 fn fixed(x: f64) -> i32 {
     const SHIFT: f64 = (3_u64 << 35) as f64;
     (x + SHIFT).to_bits() as i32
 }
 
-/// What lines look for.
+/// The edge kernel.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Kernel<'a> {
     /// Weights at +1, +2, … px, times 2¹⁶.
     pub weights: &'a [u16],
-    /// The least answer that counts, positive \[1/128 grey level\].
+    /// Minimum response, positive \[1/128 grey level\].
     pub least: i16,
     pub polarity: Polarity,
 }
 
-/// The smallest difference of votes that makes an edge the hand's, and what an e-fold of strength
-/// adds.
+/// Minimum separation of the hand's edge, and the score of a response e times as strong.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Scoring {
     pub min_separation: f32,
@@ -77,9 +76,9 @@ pub(super) struct Scoring {
 /// The best peak of a line.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Peak {
-    /// Index of the answer, at least 1.
+    /// Index of the response, at least 1.
     pub at: usize,
-    /// The answers before it, there and after it \[1/128 grey level\].
+    /// The responses before it, at it and after it \[1/128 grey level\].
     pub answers: [i16; 3],
 }
 
@@ -88,19 +87,19 @@ pub(super) struct Peak {
 pub(super) struct Lanes<const N: usize> {
     start: [[i32; N]; 2],
     step: [[i32; N]; 2],
-    /// All bits where all samples of a line are inside the image, none elsewhere.
+    /// All bits set if all samples of a line are inside the image, none otherwise.
     inside: [i32; N],
-    /// The places of the bytes of every sample.
+    /// Addresses of the bytes of every sample.
     places: Places<N>,
-    /// The bins of the pixels nearest to the samples of a grey image.
+    /// Histogram bins of the pixels nearest to the samples of a grey image.
     bins: Vec<[u8; N]>,
     /// The kernel's weights, repeated in every lane.
     weights: Vec<[u16; N]>,
     /// Grey levels at the samples, in 1/128.
     grey: Vec<[u16; N]>,
-    /// The kernel's answers, from the first offset at which it fits.
+    /// The kernel's responses, from the first offset at which it fits.
     answers: Vec<[i16; N]>,
-    /// Sums of the votes from the inner end up to each sample.
+    /// Log-likelihood ratios summed from the inner end up to each sample.
     log_ratios: Vec<[i32; N]>,
     peaks: [i16; N],
 }
@@ -109,7 +108,7 @@ pub(super) struct Lanes<const N: usize> {
 const NONE: i16 = 0;
 
 impl<const N: usize> Lanes<N> {
-    /// Lanes of up to `samples` samples.
+    /// Lines of up to `samples` samples.
     pub fn with_capacity(samples: usize) -> Self {
         Self {
             start: [[0; N]; 2],
@@ -125,8 +124,8 @@ impl<const N: usize> Lanes<N> {
         }
     }
 
-    /// Sets `count` lines of so many samples, from an offset on, in an image of `size`. A line that
-    /// leaves the image stays at its first pixel, as do lanes without one.
+    /// Sets `count` lines of `samples` samples, from the offset `from`, in an image of `size`. A
+    /// line that leaves the image stays at its first pixel, as do unused lanes.
     #[inline(always)]
     pub fn set(
         &mut self,
@@ -142,8 +141,8 @@ impl<const N: usize> Lanes<N> {
         for (axis, &side) in size.iter().enumerate() {
             let (position, normal) = (&starts.positions[axis], &starts.normals[axis]);
             let side = side as i32 - 1;
-            // Half a step of the interpolation is added later; a start that is nearer than a step
-            // to the far side is put inside.
+            // Half a step of the interpolation is added later; a start within a step of the far
+            // side is moved inside.
             let limit = (side << PIXEL_BITS) - 2 * HALF_STEP[1];
             let side = f64::from(side);
             let near: [f64; N] = each(|j| position[j] + normal[j] * first);
@@ -151,7 +150,7 @@ impl<const N: usize> Lanes<N> {
             self.start[axis] = each(|j| fixed(near[j]).clamp(0, limit.max(0)));
             self.step[axis] = each(|j| fixed(normal[j]));
             // An image is convex: a line with both ends inside is inside. Such an end does not
-            // overflow; but rounding may have put it outside.
+            // overflow, but rounding may have put it outside.
             let ends_inside: [i64; N] =
                 each(|j| -i64::from((near[j].min(far[j]) >= 0.0) & (near[j].max(far[j]) <= side)));
             inside = each(|j| {
@@ -204,7 +203,7 @@ impl<const N: usize> Lanes<N> {
         }
     }
 
-    /// Sums up the votes along every line.
+    /// Sums the log-likelihood ratios along every line.
     #[inline(always)]
     pub fn sum_log_ratios(&mut self, log_ratio_image: &LogRatioImage<'_>) {
         match log_ratio_image.pixels {
@@ -216,7 +215,7 @@ impl<const N: usize> Lanes<N> {
             BinnedPixels::Colour(bytes, stride) => {
                 self.locate(stride, 3, HALF_PIXEL);
                 self.places.read_words(bytes);
-                // The upper halves of three bytes, the first one's in front.
+                // The upper halves of three bytes, the first in front.
                 self.sum_up(log_ratio_image.log_ratios, |word| {
                     ((word & 0xf0) << 4) | ((word >> 8) & 0xf0) | ((word >> 20) & 0xf)
                 });
@@ -225,7 +224,7 @@ impl<const N: usize> Lanes<N> {
         }
     }
 
-    /// The peak of line `j`, or why there is none.
+    /// The peak of line `j`, or the reason for its absence.
     #[inline]
     pub fn peak(&self, j: usize, kernel: &Kernel<'_>) -> Result<Peak, Miss> {
         let at = usize::from(self.peaks[j] as u16);
@@ -235,7 +234,8 @@ impl<const N: usize> Lanes<N> {
         })
     }
 
-    /// Whether line `j` answers more and more, as is wanted, up to one of its ends.
+    /// Whether the response of line `j`, in the sense of the polarity, increases up to one of its
+    /// ends.
     fn rises_to_end(&self, j: usize, kernel: &Kernel<'_>) -> bool {
         let n = self.answers.len();
         let [first, second, before_last, last] = [0, 1, n - 2, n - 1].map(|i| {
@@ -249,8 +249,8 @@ impl<const N: usize> Lanes<N> {
         (first >= kernel.least && first > second) || (last >= kernel.least && last >= before_last)
     }
 
-    /// Mean vote of the pixels inside the peak at `at` of line `j` minus that of those outside,
-    /// both over the window that the kernel covers; the edge's own pixel is of neither side.
+    /// Mean log-likelihood ratio of the pixels inside the peak at `at` of line `j` minus that of
+    /// those outside, over the kernel's window; the edge's own pixel belongs to neither side.
     #[inline]
     pub fn separation(&self, j: usize, at: usize, reach: usize) -> f32 {
         let inside = self.log_ratios[at + reach][j] - self.log_ratios[at][j];
@@ -258,8 +258,9 @@ impl<const N: usize> Lanes<N> {
         (inside - outside) as f32 / (reach as f32 * LOG_RATIO_UNIT)
     }
 
-    /// Where the sum of the votes of line `j` is largest: before which sample, and how different
-    /// the `reach` samples to either side vote, if that many there are.
+    /// The maximum of the summed log-likelihood ratio of line `j`: the index of the sample after
+    /// it, and the difference of the means over the `reach` samples on either side. `BeyondEnd`
+    /// with fewer samples.
     #[inline]
     pub fn log_ratio_change(&self, j: usize, reach: usize) -> Result<(usize, f32), Miss> {
         let (mut best, mut at) = (i32::MIN, 0);
@@ -276,7 +277,7 @@ impl<const N: usize> Lanes<N> {
         Ok((at, difference / (reach as f32 * LOG_RATIO_UNIT)))
     }
 
-    /// Places of all samples, rounded by `half`, of `pitch` bytes each.
+    /// Computes the addresses of all samples, rounded by `half`, of `pitch` bytes each.
     #[inline(always)]
     fn locate(&mut self, stride: usize, pitch: usize, half: [i32; 2]) {
         let start = |axis: usize| -> [i32; N] { each(|j| self.start[axis][j] + half[axis]) };
@@ -284,7 +285,8 @@ impl<const N: usize> Lanes<N> {
         self.places.locate([start(0), start(1)], self.step, self.grey.len(), layout);
     }
 
-    /// Grey levels at all samples, and if they `LOG_RATIO` the bins of the nearest pixels.
+    /// Interpolates grey levels at all samples and, if `LOG_RATIO`, takes the bins of the nearest
+    /// pixels.
     #[inline(always)]
     fn interpolate<const LOG_RATIO: bool>(&mut self, image: &GrayView<'_>) {
         let Self { places, start, step, grey, bins, .. } = self;
@@ -294,16 +296,18 @@ impl<const N: usize> Lanes<N> {
         } else if let Some(cells) = places.cells(bytes, stride) {
             blend::<_, LOG_RATIO>(grey, bins, cells, *start, *step);
         } else {
-            // Where there is no edge, no vote is asked for.
+            // Without a grey level there is no edge, and no log-likelihood ratio is read.
             grey.fill([0; N]);
         }
     }
 
-    /// Inside minus outside, weighted by the kernel, at every offset that the kernel fits.
+    /// Response at every offset where the kernel fits: inside minus outside, weighted by the
+    /// kernel.
     #[inline(always)]
     fn correlate(&mut self, weights: &[u16]) {
         self.answers.resize(self.grey.len() - 2 * weights.len(), [0; N]);
-        // Repeated in memory: the compiler sees a product of 16-bit numbers only in vectors of them.
+        // Repeated in memory: the compiler multiplies 16-bit numbers in vectors only if both are
+        // vectors.
         self.weights.clear();
         self.weights.extend(weights.iter().map(|&w| [w; N]));
         let (several, rest) = self.answers.as_chunks_mut::<ANSWERS>();
@@ -316,8 +320,8 @@ impl<const N: usize> Lanes<N> {
         }
     }
 
-    /// The edge to believe, among the peaks of the wanted polarity: the strongest; where the
-    /// pixels vote, the one whose sides they tell apart best.
+    /// Selects among the peaks of the given polarity: the strongest one, or with an appearance
+    /// model the one of the best score.
     #[inline(always)]
     fn choose(
         &mut self,
@@ -340,7 +344,7 @@ impl<const N: usize> Lanes<N> {
         let (mut before, mut here) = (all(first), all(second));
         for (i, after) in (1_i16..).zip(others) {
             let after = all(after);
-            // No less than before, more than after and more than the best so far.
+            // Not less than before, more than after and more than the best to date.
             let beaten: [_; N] = each(|j| (before[j] - 1).max(after[j]).max(best[j]));
             at = each(|j| if here[j] > beaten[j] { i } else { at[j] });
             best = each(|j| if here[j] > beaten[j] { here[j] } else { best[j] });
@@ -364,13 +368,14 @@ impl<const N: usize> Lanes<N> {
         for (i, (three, sums)) in (1_i32..).zip(self.answers.windows(3).zip(sums)) {
             let all = |answers: &[i16; N]| -> [i16; N] { each(|j| strength(answers[j])) };
             let (before, here, after) = (all(&three[0]), all(&three[1]), all(&three[2]));
-            // All bits of a peak: in as many as the answers have, they are compared side by side.
+            // All bits set at a peak, in lanes as wide as the responses, so that they are compared
+            // together.
             let peaks: [i16; N] = each(|j| {
                 -i16::from(
                     (here[j] >= before[j]) & (here[j] > after[j]) & (here[j] >= kernel.least),
                 )
             });
-            // Peaks are few, and those of neighbouring lines lie side by side.
+            // Peaks are few, and those of neighbouring lines have similar positions.
             if peaks == [0; N] {
                 continue;
             }
@@ -386,7 +391,8 @@ impl<const N: usize> Lanes<N> {
         self.peaks = each(|j| at[j] as i16);
     }
 
-    /// The sums of the votes of all samples, each in the bin that `bin` makes of its bytes.
+    /// Sums the log-likelihood ratios of all samples, with the bin that `bin` computes from a
+    /// sample's bytes.
     #[inline(always)]
     fn sum_up(&mut self, log_ratios: &LogRatio, bin: impl Fn(u32) -> u32) {
         let words = self.places.words_mut();
@@ -397,7 +403,7 @@ impl<const N: usize> Lanes<N> {
     }
 }
 
-/// Sums of the votes of bins, from the first sample up to each; nothing in front of that.
+/// Cumulative sums of the log-likelihood ratios of bins; the first entry is zero.
 #[inline(always)]
 fn add_up<B: Copy, const N: usize>(
     sums: &mut [[i32; N]],
@@ -414,8 +420,8 @@ fn add_up<B: Copy, const N: usize>(
     }
 }
 
-/// Grey levels of samples from `start` on and `step` apart, by the pixels that are about them, and if
-/// they `LOG_RATIO` the bins of the nearest of these.
+/// Bilinear grey levels of samples from `start` on, `step` apart; if `LOG_RATIO`, also the bins of
+/// the nearest pixels.
 #[inline(always)]
 fn blend<const N: usize, const LOG_RATIO: bool>(
     grey: &mut [[u16; N]],
@@ -448,10 +454,10 @@ fn blend<const N: usize, const LOG_RATIO: bool>(
     }
 }
 
-/// Answers that are worked out together: their sums fit the registers.
+/// Number of responses computed together: their sums fit the registers.
 const ANSWERS: usize = 4;
 
-/// The answers of a kernel to the samples from its first offset on.
+/// The responses of a kernel to the samples from its first offset on.
 #[inline(always)]
 fn correlated<const N: usize, const M: usize>(
     weights: &[[u16; N]],

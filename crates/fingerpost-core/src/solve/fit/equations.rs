@@ -1,23 +1,23 @@
-//! Weighted linear equations, kept in groups of lanes.
+//! Weighted linear equations, stored in groups of lanes.
 
 use crate::numeric::simd::each;
 use crate::{Error, Result};
 use nalgebra::SVector;
 
-/// Equations that are worked on side by side, and sizes of their residuals that are counted so.
+/// Number of equations processed together, and of residual sizes counted together.
 pub(super) const LANES: usize = 4;
 
 /// One number of each of them.
 pub(super) type Lanes = [f64; LANES];
 
-/// Some equations, lane by lane.
+/// A group of equations, lane by lane.
 pub(super) struct Group<'a, const D: usize> {
     pub(super) rows: &'a [Lanes; D],
     pub(super) offsets_px: &'a Lanes,
 }
 
 impl<const D: usize> Group<'_, D> {
-    /// How far a step moves each sample along its normal \[px\].
+    /// Motion of each sample along its normal by a step \[px\].
     #[inline(always)]
     pub(super) fn moved_by(&self, step: &SVector<f64, D>) -> Lanes {
         let mut moved = [0.0; LANES];
@@ -52,7 +52,7 @@ impl EquationBuffer {
         }
     }
 
-    /// Forgets what the buffer holds and takes equations of `D` unknowns.
+    /// Empties the buffer for equations of `D` unknowns.
     pub fn clear<const D: usize>(&mut self) -> Equations<'_, D> {
         self.count = 0;
         self.rows.clear();
@@ -61,7 +61,7 @@ impl EquationBuffer {
         Equations(self)
     }
 
-    /// Makes room for the next equations. (Apart, so that [`Equations::push`] is inlined.)
+    /// Makes room for the next equations. (Separate, so that [`Equations::push`] is inlined.)
     #[inline(always)]
     fn begin_group<const D: usize>(&mut self) {
         self.rows.extend_from_slice(&[[0.0; LANES]; D]);
@@ -70,7 +70,7 @@ impl EquationBuffer {
     }
 }
 
-/// Refuses an equation that has no meaning.
+/// Refuses an equation with numbers that are not finite, or without a positive variance.
 #[cold]
 fn check(sum_of_row: f64, offset_px: f64, variance_px2: f64) -> Result<()> {
     Error::finite("offset [px]", offset_px)?;
@@ -84,8 +84,8 @@ fn check(sum_of_row: f64, offset_px: f64, variance_px2: f64) -> Result<()> {
 pub struct Equations<'a, const D: usize>(pub(super) &'a mut EquationBuffer);
 
 impl<const D: usize> Equations<'_, D> {
-    /// Adds one: `row` = ∂(n·X)/∂x, the measured offset along the normal \[px\] and its variance
-    /// \[px²\], positive.
+    /// Adds an equation: `row` = ∂(n·X)/∂x, the measured offset along the normal \[px\] and its
+    /// variance \[px²\], positive.
     ///
     /// # Errors
     /// When a number is not finite or the variance not positive; nothing is added then.
@@ -115,19 +115,19 @@ impl<const D: usize> Equations<'_, D> {
         Ok(())
     }
 
-    /// How many there are.
+    /// Number of equations.
     #[must_use]
     pub fn len(&self) -> usize {
         self.0.count
     }
 
-    /// Whether there are none.
+    /// Whether there are no equations.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.0.count == 0
     }
 
-    /// The furthest that `step` moves any of the contour's samples along its normal \[px\].
+    /// Largest motion of a sample of the contour along its normal by `step` \[px\].
     #[must_use]
     pub fn largest_motion(&self, step: &SVector<f64, D>) -> f64 {
         // Lanes without an equation do not move.

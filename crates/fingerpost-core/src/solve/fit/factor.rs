@@ -1,4 +1,4 @@
-//! Solving the normal equations: Cholesky factor, rank, and the two stages of the paper.
+//! Solution of the normal equations: Cholesky factor, rank, and the two stages of the paper.
 
 use nalgebra::SMatrix;
 use nalgebra::SVector;
@@ -8,14 +8,14 @@ pub(super) struct NormalEquations<const D: usize> {
     pub(super) right: SVector<f64, D>,
 }
 
-/// L D Lᵀ of an information matrix. Its quotients and their chain are as few as can be: a solution
-/// waits for them.
+/// L D Lᵀ factor of an information matrix. It minimises the number of divisions and their
+/// dependency chain, which determine the latency of a solution.
 pub(super) struct Factor<const D: usize> {
-    /// Below the diagonal, L, whose diagonal are ones.
+    /// Below the diagonal, L, which has a unit diagonal.
     lower: SMatrix<f64, D, D>,
-    /// One over the pivots.
+    /// Inverse pivots.
     per_pivot: SVector<f64, D>,
-    /// The product of the pivots, each in units of its component's own information.
+    /// Product of the pivots, each in units of its component's own information.
     determinant: f64,
 }
 
@@ -85,15 +85,14 @@ impl<const D: usize> Factor<D> {
     }
 }
 
-/// The factor of an information matrix that determines all directions; otherwise, how many it
-/// does.
+/// The factor of an information matrix of full rank; otherwise its rank.
 pub(super) fn determined<const D: usize>(
     information: &SMatrix<f64, D, D>,
 ) -> Result<Factor<D>, usize> {
     let Some(factor) = Factor::of(information) else { return Err(rank(information)) };
-    // With every component scaled to unit information of its own, the eigenvalues add up to D. All
-    // but the least of them then multiply to no more than e, so the least is no less than the
-    // determinant over e, and no pivot is less than that.
+    // With every component scaled to unit information, the eigenvalues sum to D. The product of all
+    // but the least is then at most e, so the least is at least the determinant over e, and no
+    // pivot is less than that.
     if factor.determinant > std::f64::consts::E * RANK_TOLERANCE {
         return Ok(factor);
     }
@@ -103,8 +102,8 @@ pub(super) fn determined<const D: usize>(
     }
 }
 
-/// How many directions an information matrix determines: Cholesky with complete pivoting, each
-/// component in units of its own information.
+/// Rank of an information matrix: Cholesky with complete pivoting, each component in units of its
+/// own information.
 pub(super) fn rank<const D: usize>(information: &SMatrix<f64, D, D>) -> usize {
     let own = information.diagonal().map(|d| if d > 0.0 { 1.0 / d.sqrt() } else { 0.0 });
     let mut left = information.component_mul(&(own * own.transpose()));
@@ -115,14 +114,14 @@ pub(super) fn rank<const D: usize>(information: &SMatrix<f64, D, D>) -> usize {
         }
         let column = left.column(pivot).into_owned() / value.sqrt();
         left -= column * column.transpose();
-        // Rounding must not bring a used pivot back.
+        // Rounding must not restore a used pivot.
         left.row_mut(pivot).fill(0.0);
         left.column_mut(pivot).fill(0.0);
     }
     D
 }
 
-/// Translation alone, then the rest from what it leaves over. `information` has full rank.
+/// Translation alone, then the rest from the residual offsets. `information` has full rank.
 pub(super) fn two_stage<const D: usize>(normal: &NormalEquations<D>) -> SVector<f64, D> {
     let NormalEquations { information, right } = normal;
     let mut step = SVector::<f64, D>::zeros();
@@ -144,6 +143,5 @@ pub(super) fn two_stage<const D: usize>(normal: &NormalEquations<D>) -> SVector<
     step
 }
 
-/// A direction is determined if its pivot exceeds this, every component scaled to unit information
-/// of its own.
+/// Minimum pivot of a determined direction, every component scaled to unit information.
 pub(super) const RANK_TOLERANCE: f64 = 1e-9;

@@ -4,7 +4,7 @@ use super::equations::{Equations, LANES, Lanes};
 use crate::numeric::simd::{Work, each};
 use nalgebra::SVector;
 
-/// An equation with a robust weight beyond this agrees with the solution.
+/// Minimum robust weight of an inlier.
 pub(super) const INLIER_WEIGHT: f64 = 0.1;
 
 /// Sums over the equations.
@@ -18,8 +18,8 @@ pub(super) struct Statistics {
 }
 
 impl Statistics {
-    /// How much larger the residuals are than their variances say; never below one, because few
-    /// residuals that happen to be small prove no better measurement.
+    /// Variance factor: χ² of the residuals per degree of freedom. It is at least one, because a
+    /// few small residuals do not prove a better measurement.
     pub(super) fn variance_factor(&self, unknowns: usize) -> f64 {
         let freedom = self.weight - unknowns as f64;
         if freedom > 0.0 { (self.chi_squared / freedom).max(1.0) } else { 1.0 }
@@ -30,19 +30,19 @@ impl Statistics {
     }
 }
 
-/// The normal equations of weighted equations, lane by lane: their totals are taken elsewhere, or
-/// the compiler would rather keep those of one lane side by side.
+/// The normal equations of weighted equations, lane by lane. Totals are taken elsewhere, otherwise
+/// the compiler vectorises within one lane.
 pub(super) struct Accumulate<'a, const D: usize> {
     pub(super) equations: &'a Equations<'a, D>,
     pub(super) precisions: &'a [Lanes],
-    /// The matrix from the diagonal on; below it is nothing of use.
+    /// The matrix from the diagonal on; entries below it are undefined.
     pub(super) products: &'a mut [[Lanes; D]; D],
     /// The right side.
     pub(super) offsets: &'a mut [Lanes; D],
 }
 
 impl<const D: usize> Accumulate<'_, D> {
-    /// Row `a`, if the matrix has so many.
+    /// Row `a`, if the matrix has that row.
     #[expect(clippy::needless_range_loop, reason = "as indices the loops are unrolled")]
     #[inline(always)]
     fn row(&mut self, a: usize) {
@@ -64,8 +64,8 @@ impl<const D: usize> Accumulate<'_, D> {
 impl<const D: usize> Work for Accumulate<'_, D> {
     #[inline(always)]
     fn run(mut self) {
-        // The sums of one row fit the registers, those of all do not. Where the row is a constant
-        // the loops over its columns are unrolled.
+        // The sums of one row fit the registers, those of all do not. With a constant row the loops
+        // over its columns are unrolled.
         self.row(0);
         self.row(1);
         self.row(2);
@@ -90,7 +90,7 @@ pub(super) fn total(lanes: &Lanes) -> f64 {
     (lanes[0] + lanes[1]) + (lanes[2] + lanes[3])
 }
 
-/// What a step leaves of the offsets.
+/// Residual offsets after a step.
 pub(super) struct LeftOver<'a, const D: usize> {
     pub(super) equations: &'a Equations<'a, D>,
     pub(super) step: &'a SVector<f64, D>,
@@ -103,7 +103,7 @@ impl<const D: usize> Work for LeftOver<'_, D> {
     #[inline(always)]
     fn run(self) {
         let Self { equations, step, residuals, sizes, squares_px2 } = self;
-        // A copy, which nothing that is written here can change.
+        // A copy, so that no write below can alias it.
         let step = *step;
         let sizes = sizes.as_chunks_mut::<LANES>().0;
         let mut squares = [0.0; LANES];
@@ -118,8 +118,8 @@ impl<const D: usize> Work for LeftOver<'_, D> {
     }
 }
 
-/// The number at a place in the order of some numbers that are not negative, given as the upper
-/// halves of their bit patterns in single precision: to 1/256 of itself.
+/// Order statistic of non-negative numbers, given as the upper halves of their bit patterns in
+/// single precision: to 1/256 of its value.
 pub(super) struct Select<'a> {
     pub(super) sizes: &'a [i16],
     pub(super) rank: usize,
@@ -129,8 +129,8 @@ pub(super) struct Select<'a> {
 impl Work for Select<'_> {
     #[inline(always)]
     fn run(self) {
-        // By fours: sorting would guess at branches, and miss. The sign is known, so the first two
-        // fours are two.
+        // Two bits per pass: sorting would mispredict branches. The sign is known, so the first
+        // pass determines one bit.
         let [fewer, ..] = below(self.sizes, [1 << 14; 3]);
         let mut selected = i16::from(fewer <= self.rank) << 14;
         for place in [12, 10, 8, 6, 4, 2, 0] {
@@ -138,17 +138,17 @@ impl Work for Select<'_> {
             selected |=
                 fewer.iter().map(|&fewer| i16::from(fewer <= self.rank)).sum::<i16>() << place;
         }
-        // What was cut off is half of the last place on average.
+        // The truncated part is half of the last place on average.
         let bits = (u32::from(selected.cast_unsigned()) << 16) | 0x8000;
         *self.selected = if selected == 0 { 0.0 } else { f32::from_bits(bits) };
     }
 }
 
-/// How many sizes are below each of three.
+/// Number of sizes below each of three.
 #[inline(always)]
 pub(super) fn below(sizes: &[i16], [low, middle, high]: [i16; 3]) -> [usize; 3] {
     let mut all = [0; 3];
-    // As many as can be counted in 16 bits.
+    // Chunks whose counts fit 16 bits.
     for sizes in sizes.chunks(1 << 14) {
         let mut counts = [0_i16; 3];
         for &size in sizes {
@@ -161,12 +161,12 @@ pub(super) fn below(sizes: &[i16], [low, middle, high]: [i16; 3]) -> [usize; 3] 
     all
 }
 
-/// Tukey's weights, and what equations of such weights count.
+/// Tukey's weights, and the resulting weights over variances.
 pub(super) struct Weigh<'a, const D: usize> {
     pub(super) equations: &'a Equations<'a, D>,
     pub(super) misfit_px2: f64,
     pub(super) residuals: &'a [Lanes],
-    /// One over where the weight reaches zero.
+    /// Inverse of the residual at which the weight reaches zero.
     pub(super) per_limit: f64,
     pub(super) weights: &'a mut [Lanes],
     pub(super) precisions: &'a mut [Lanes],
@@ -198,7 +198,7 @@ impl<const D: usize> Work for Weigh<'_, D> {
     }
 }
 
-/// What the solution is worth.
+/// Statistics of the solution.
 pub(super) struct Tally<'a> {
     pub(super) weights: &'a [Lanes],
     pub(super) precisions: &'a [Lanes],
