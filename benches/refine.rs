@@ -10,9 +10,8 @@
 
 use criterion::{BenchmarkId, Criterion, criterion_group, criterion_main};
 use fingerpost_benches::{Scene, frames};
-use fingerpost_core::axis::{
-    Finger, KnownBackground, RefineOptions, Refiner, RoundFinger, Source, Stretch,
-};
+use fingerpost_core::axis::Stretch;
+use fingerpost_core::axis::{Finger, KnownBackground, RefineOptions, Refiner, RoundFinger, Source};
 use fingerpost_core::geometry::shape_space::Axis;
 use fingerpost_core::image::frame::Frame;
 use fingerpost_core::image::gray::GrayView;

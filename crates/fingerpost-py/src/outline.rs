@@ -4,7 +4,7 @@ use crate::arrays::{column, points, table, vector};
 use crate::errors::{invalid_input, wrong};
 use crate::image::FrameArrays;
 use crate::numbers::real;
-use fingerpost_core::measure::outline::{self, EdgePoint, LineFit, Polarity};
+use fingerpost_core::measure::outline::{self, EdgePoint, EdgePolarity, LineFit};
 use numpy::{PyArray1, PyArray2};
 use pyo3::prelude::*;
 
@@ -104,9 +104,9 @@ pub fn edges_along(
     let reach_px = real(reach_px, "reach_px")?;
     let least_contrast = real(least_contrast, "least_contrast")?;
     let polarity = match polarity.extract::<i32>() {
-        Ok(0) => Polarity::Any,
-        Ok(1) => Polarity::Rising,
-        Ok(-1) => Polarity::Falling,
+        Ok(0) => EdgePolarity::Any,
+        Ok(1) => EdgePolarity::Rising,
+        Ok(-1) => EdgePolarity::Falling,
         _ => return Err(wrong("polarity", polarity, "-1, 0 or 1")),
     };
     let edges =

@@ -32,7 +32,7 @@ use crate::image::frame::Frame;
 use crate::numeric::simd::Isa;
 use nalgebra::Vector2;
 pub use visit::CELL_PX;
-use visit::{Learning, Visits};
+use visit::{BackgroundLearning, Visits};
 
 /// Expected grey level at a place where nothing is before the background.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -519,7 +519,7 @@ impl Background {
         let skip = keep_out.map_or(0..0, |k| k.columns(y as f64, width));
         let noise = self.options.noise_grey as f32;
         let sigmas = self.options.changed_sigmas as f32;
-        let learning = Learning {
+        let learning = BackgroundLearning {
             per_gain: 1.0 / self.light.gain as f32,
             offset_grey: self.light.offset_grey as f32,
             rate: self.options.rate as f32,

@@ -19,8 +19,8 @@
     reason = "what is inlined into a function with wider instructions is compiled for them"
 )]
 
-use super::gram::{Equations, Gram};
-use super::pixels::{Doubles, Group, LANES, total};
+use super::gram::{Gram, GramEquations};
+use super::pixels::{BlockGroup, Doubles, LANES, total};
 use super::profile::{COLUMNS, EDGE, INSIDE, OUTSIDE, RIGHT};
 use crate::numeric::simd::each;
 
@@ -79,7 +79,7 @@ pub(super) struct Evidence {
 
 impl Deviations {
     /// Zero deviations for a group's blocks.
-    pub fn none(group: &Group) -> Self {
+    pub fn none(group: &BlockGroup) -> Self {
         Self {
             effects: [[0.0; LANES]; 3],
             block_weight: group.is_block,
@@ -93,7 +93,7 @@ impl Deviations {
 
     /// Weights the blocks by χ² per pixel: above `most_chi_squared` by the square of the ratio.
     #[inline(always)]
-    pub fn trust(&mut self, group: &Group, most_chi_squared: f64) {
+    pub fn trust(&mut self, group: &BlockGroup, most_chi_squared: f64) {
         self.block_weight = each(|i| {
             let block_weight = most_chi_squared / self.chi_squared[i];
             (block_weight * block_weight).min(1.0) * group.is_block[i]
@@ -106,7 +106,7 @@ impl Deviations {
     pub fn eliminate(
         &mut self,
         gram: &mut Gram,
-        group: &Group,
+        group: &BlockGroup,
         variances: &[Doubles; 3],
         noise2: f64,
         evidence: &mut Evidence,
@@ -116,8 +116,8 @@ impl Deviations {
         for k in 0..3 {
             own[k] = equations[EFFECTS[k]][EFFECTS[k]];
             lambda[k] = each(|i| {
-                let told = noise2 / own[k][i].max(LEAST_INFORMATION);
-                noise2 / variances[k][i].max(LEAST_VARIANCE * told)
+                let estimated = noise2 / own[k][i].max(LEAST_INFORMATION);
+                noise2 / variances[k][i].max(LEAST_VARIANCE * estimated)
             });
         }
         let regular = |k: usize| -> Doubles { each(|i| own[k][i] + lambda[k][i]) };
@@ -177,7 +177,7 @@ impl Deviations {
 
 /// An entry of the equations.
 #[inline(always)]
-fn entry(equations: &Equations, a: usize, b: usize) -> &Doubles {
+fn entry(equations: &GramEquations, a: usize, b: usize) -> &Doubles {
     &equations[a.min(b)][a.max(b)]
 }
 
@@ -213,7 +213,7 @@ impl Evidence {
     #[inline(always)]
     fn add(
         &mut self,
-        group: &Group,
+        group: &BlockGroup,
         block_weight: &Doubles,
         expected: &[Doubles; 3],
         inverse: &[Doubles; 3],

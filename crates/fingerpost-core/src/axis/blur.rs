@@ -22,7 +22,7 @@
     reason = "lane by lane through many arrays at once is what the compiler turns into vectors"
 )]
 
-use super::pixels::{LANES, Lanes};
+use super::pixels::{LANES, PixelLanes};
 use std::f64::consts::PI;
 use std::sync::LazyLock;
 
@@ -55,10 +55,10 @@ type Knot = [f32; 4];
 /// M₀ and M½ and their derivatives at the depth of every lane.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Moments {
-    pub step: Lanes,
-    pub step_slope: Lanes,
-    pub root: Lanes,
-    pub root_slope: Lanes,
+    pub step: PixelLanes,
+    pub step_slope: PixelLanes,
+    pub root: PixelLanes,
+    pub root_slope: PixelLanes,
 }
 
 /// The table; the reference is taken once, so that its use needs no synchronisation.
@@ -74,7 +74,7 @@ impl BlurTable {
 
     /// M₀ and M½ at depths `z` \[standard deviations of the blur\].
     #[inline(always)]
-    pub fn moments(self, z: &Lanes) -> Moments {
+    pub fn moments(self, z: &PixelLanes) -> Moments {
         let none = [0.0; LANES];
         let (mut index, mut at_knot, mut beyond) = ([0_u32; LANES], none, none);
         for i in 0..LANES {
@@ -176,7 +176,8 @@ mod tests {
         let table = BlurTable::new();
         for k in 0..500 {
             // From below the table to above it, at varying fractions of a step.
-            let z: Lanes = std::array::from_fn(|i| -6.5 + 0.0431 * k as f32 + 0.0057 * i as f32);
+            let z: PixelLanes =
+                std::array::from_fn(|i| -6.5 + 0.0431 * k as f32 + 0.0057 * i as f32);
             let found = table.moments(&z);
             for i in 0..LANES {
                 let Exact { step, root } = Exact::at(f64::from(z[i]));

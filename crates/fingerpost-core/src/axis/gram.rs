@@ -6,8 +6,8 @@
 )]
 
 use super::blur::BlurTable;
-use super::pixels::{Chunk, Doubles, LANES, Lanes};
-use super::profile::{COLUMNS, OUTSIDE, Prediction, Profile, RIGHT, RoundEnd};
+use super::pixels::{Chunk, Doubles, LANES, PixelLanes};
+use super::profile::{COLUMNS, OUTSIDE, Profile, ProfilePrediction, RIGHT, RoundEnd};
 use crate::numeric::simd::each;
 
 /// Weighting of a pixel's residual: Tukey's biweight.
@@ -20,15 +20,15 @@ pub(super) struct Weighing {
 }
 
 /// Features and residuals of some pixels, each times the root of its pixel's weight.
-pub(super) type Weighed = [Lanes; COLUMNS];
-/// Equations of the features, in their upper triangle; the right side is a column of its own.
-pub(super) type Equations = [[Doubles; COLUMNS]; COLUMNS];
+pub(super) type Weighed = [PixelLanes; COLUMNS];
+/// GramEquations of the features, in their upper triangle; the right side is a column of its own.
+pub(super) type GramEquations = [[Doubles; COLUMNS]; COLUMNS];
 
 /// Sums over the pixels of blocks.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Gram {
     /// Σ w f fᵀ, and Σ w f r.
-    pub equations: Equations,
+    pub equations: GramEquations,
     /// Number of pixels.
     pub pixels: Doubles,
     /// Σ w, Σ w² r² and Σ ψ′, for the covariance of the robust fit.
@@ -81,7 +81,7 @@ impl Gram {
 
 /// Row `A` of the equations, from its diagonal on.
 #[inline(always)]
-fn row<const A: usize>(weighed: &[Weighed], equations: &mut Equations) {
+fn row<const A: usize>(weighed: &[Weighed], equations: &mut GramEquations) {
     let mut sums = [[0.0; LANES]; COLUMNS];
     for columns in weighed {
         for b in A..COLUMNS {
@@ -96,7 +96,7 @@ fn row<const A: usize>(weighed: &[Weighed], equations: &mut Equations) {
 }
 
 #[inline(always)]
-fn doubles(lanes: &Lanes) -> Doubles {
+fn doubles(lanes: &PixelLanes) -> Doubles {
     each(|i| f64::from(lanes[i]))
 }
 
@@ -104,13 +104,13 @@ fn doubles(lanes: &Lanes) -> Doubles {
 struct PixelTally {
     per_cut: f32,
     per_noise2: f32,
-    weight: Lanes,
-    psi_squared: Lanes,
-    psi_slope: Lanes,
+    weight: PixelLanes,
+    psi_squared: PixelLanes,
+    psi_slope: PixelLanes,
     /// Σ min((r / cut)², 1).
-    capped: Lanes,
-    kept: Lanes,
-    pixels: Lanes,
+    capped: PixelLanes,
+    kept: PixelLanes,
+    pixels: PixelLanes,
     cutoff: f64,
 }
 
@@ -133,7 +133,7 @@ impl PixelTally {
 
     /// Weights the pixels of a chunk, and adds them to the sums.
     #[inline(always)]
-    fn weigh(&mut self, chunk: &Chunk, predicted: &Prediction) -> Weighed {
+    fn weigh(&mut self, chunk: &Chunk, predicted: &ProfilePrediction) -> Weighed {
         let mut columns = predicted.columns;
         let mut roots = [0.0; LANES];
         for i in 0..LANES {

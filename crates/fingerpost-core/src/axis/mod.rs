@@ -391,15 +391,16 @@ impl Refiner {
         start: &Sketch,
     ) -> Option<(PhotometricFit, f64)> {
         let options = self.options;
-        let told = |(fit, noise): &(PhotometricFit, f64)| options.tells(&fit.report, *noise);
+        let source_of_fit =
+            |(fit, noise): &(PhotometricFit, f64)| options.source_of(&fit.report, *noise);
         let known = background.and_then(|known| self.fit_before(image, known, start));
-        let known_source = known.as_ref().and_then(told);
+        let known_source = known.as_ref().and_then(source_of_fit);
         if known_source == Some(Source::Photometric) {
             return known;
         }
         let alone = self.photometric.fit(image, None, noise_grey, start, &self.visible);
         let alone = alone.map(|fit| (fit, noise_grey));
-        let is_believed = alone.as_ref().and_then(told) == Some(Source::Photometric);
+        let is_believed = alone.as_ref().and_then(source_of_fit) == Some(Source::Photometric);
         known.filter(|_| known_source.is_some() && !is_believed).or(alone)
     }
 
@@ -424,10 +425,10 @@ impl Refiner {
         bisector: Option<BisectorFit>,
         photometric: Option<(PhotometricFit, f64)>,
     ) -> Option<Refined> {
-        let told =
-            photometric.and_then(|(p, noise)| Some((p, self.options.tells(&p.report, noise)?)));
+        let source_of_fit =
+            photometric.and_then(|(p, noise)| Some((p, self.options.source_of(&p.report, noise)?)));
         let whole = Stretch { from_px: -start.half_length_px, to_px: start.half_length_px };
-        let (source, sketch, covariance, stretch) = match (told, &bisector) {
+        let (source, sketch, covariance, stretch) = match (source_of_fit, &bisector) {
             (Some((p, source)), _) => (source, start.moved(&p.line), p.covariance, p.stretch),
             (_, Some(b)) if self.options.believes_edges(&b.report) => {
                 (Source::Bisector, b.sketch, b.covariance, whole)

@@ -176,7 +176,7 @@ impl RefineOptions {
     }
 
     /// The rating of a photometric line: accepted alone, unsure, or rejected (`None`).
-    pub(super) fn tells(&self, report: &PhotometricReport, noise_grey: f64) -> Option<Source> {
+    pub(super) fn source_of(&self, report: &PhotometricReport, noise_grey: f64) -> Option<Source> {
         if self.believes_pixels(report, noise_grey) {
             return Some(Source::Photometric);
         }

@@ -30,20 +30,21 @@
 mod flank;
 mod lanes;
 
+use super::Stretch;
 use super::block::{EDGE_EFFECT, Evidence, INSIDE_EFFECT, OUTSIDE_EFFECT};
 use super::blur::BlurTable;
 use super::gram::Weighing;
-use super::photometric::flank::Flank;
-use super::photometric::lanes::{Linearising, Surveying, Tally};
+use super::photometric::flank::PhotometricFlank;
+use super::photometric::lanes::{Linearising, PixelSums, Surveying};
 use super::pixels::USUAL_BLOCKS;
 use super::profile::{CLEAR, RoundEnd};
 use super::sketch::{FlankLines, Sketch};
 use super::unknowns::{
-    BEND, BLUR_SIGMA_PX, BULGE, Factors, FlankEquations, FlankStep, Information,
-    LEAST_CONTRAST_GREY, OFFSET, Prior, SLOPE, UNKNOWNS, Unknowns, Vector,
+    BEND, BLUR_SIGMA_PX, BULGE, Factors, FlankEquations, FlankStep, LEAST_CONTRAST_GREY, OFFSET,
+    SLOPE, UNKNOWNS, Unknowns, UnknownsInformation, UnknownsPrior, UnknownsVector,
 };
 use super::visible_flanks::VisibleFlanks;
-use crate::axis::{KnownBackground, PhotometricOptions, PhotometricReport, Stretch, unknowns};
+use crate::axis::{KnownBackground, PhotometricOptions, PhotometricReport, unknowns};
 use crate::image::gray::GrayView;
 use crate::numeric::simd::Isa;
 use nalgebra::{Cholesky, Const, Matrix2, Matrix4, Vector2};
@@ -87,7 +88,7 @@ pub(super) struct Photometric {
     options: PhotometricOptions,
     isa: Isa,
     table: BlurTable,
-    flanks: [Flank; 2],
+    flanks: [PhotometricFlank; 2],
     sorted: Vec<f64>,
 }
 
@@ -104,14 +105,14 @@ pub(super) struct PhotometricFit {
 
 /// Normal equations of all unknowns, and the sums that the covariance needs besides.
 struct Normal {
-    information: Information,
-    right: Vector,
-    tally: Tally,
+    information: UnknownsInformation,
+    right: UnknownsVector,
+    tally: PixelSums,
 }
 
 impl Normal {
     /// Adds the prior, for pixels of standard deviation `scale`.
-    fn join(&mut self, prior: &Prior, x: &Unknowns, scale: f64) {
+    fn join(&mut self, prior: &UnknownsPrior, x: &Unknowns, scale: f64) {
         for i in 0..UNKNOWNS {
             let own = scale * scale * prior.information[i];
             self.information[(i, i)] += own;
@@ -134,7 +135,7 @@ impl Photometric {
             options,
             isa: Isa::detect(),
             table: BlurTable::new(),
-            flanks: [Flank::new(), Flank::new()],
+            flanks: [PhotometricFlank::new(), PhotometricFlank::new()],
             sorted: Vec::with_capacity(2 * USUAL_BLOCKS),
         }
     }
@@ -161,7 +162,7 @@ impl Photometric {
         let pixels = self.pixels() as f64;
         let contrast = [0, 1].map(|f| self.flanks[f].strip.contrast_grey(x.contrast_grey(f)).abs());
         let contrast = contrast[0].max(contrast[1]);
-        let prior = Prior::about(&x, sketch, contrast, &self.options);
+        let prior = UnknownsPrior::about(&x, sketch, contrast, &self.options);
         let mut scale = (FIRST_SCALE * contrast.max(LEAST_CONTRAST_GREY)).max(noise_grey);
         let mut iteration = 0;
         loop {
@@ -213,7 +214,7 @@ impl Photometric {
     ) -> bool {
         let Self { options, flanks, .. } = self;
         flanks.iter_mut().enumerate().all(|(index, flank)| {
-            let Flank { strip, .. } = flank;
+            let PhotometricFlank { strip, .. } = flank;
             strip.gather(image, background, noise_grey, sketch, &visible.flank(index), options);
             flank.begin();
             let is_contradicted = background.is_some() && flank.strip.usable() < LEAST_USABLE;
@@ -231,13 +232,13 @@ impl Photometric {
     fn start(&mut self, sketch: &Sketch) -> Option<Unknowns> {
         let Self { isa, flanks, sorted, .. } = self;
         let mut levels = [[0.0; 2]; 2];
-        for ([inside, outside], Flank { strip, .. }) in levels.iter_mut().zip(flanks) {
+        for ([inside, outside], PhotometricFlank { strip, .. }) in levels.iter_mut().zip(flanks) {
             let clear_inside = |away: f32, grey: f32, _: f32| (away < -CLEAR_INSIDE_PX, grey);
-            isa.run(Surveying { strip, sketch, measure: clear_inside, mean: true, told: sorted });
+            isa.run(Surveying { strip, sketch, measure: clear_inside, mean: true, means: sorted });
             *inside = median(sorted)?;
             let clear_outside =
                 |away: f32, grey: f32, behind: f32| (away > CLEAR_OUTSIDE_PX, grey - behind);
-            isa.run(Surveying { strip, sketch, measure: clear_outside, mean: true, told: sorted });
+            isa.run(Surveying { strip, sketch, measure: clear_outside, mean: true, means: sorted });
             *outside = median(sorted)?;
         }
         let blur_px = self.shown_blur_px(sketch, &levels);
@@ -250,7 +251,7 @@ impl Photometric {
     fn shown_blur_px(&mut self, sketch: &Sketch, levels: &[[f64; 2]; 2]) -> f64 {
         let Self { isa, flanks, sorted, .. } = self;
         let mut sum = 0.0;
-        for (Flank { strip, .. }, levels) in flanks.iter().zip(levels) {
+        for (PhotometricFlank { strip, .. }, levels) in flanks.iter().zip(levels) {
             let [a, b] = levels.map(|level| level as f32);
             let across_step = |away: f32, grey: f32, behind: f32| {
                 let b = behind + b;
@@ -258,7 +259,7 @@ impl Photometric {
                 // Keeps the quotient finite without contrast.
                 (away.abs() < NEAR_EDGE_PX, parts / ((a - b) * (a - b)).max(1.0))
             };
-            isa.run(Surveying { strip, sketch, measure: across_step, mean: false, told: sorted });
+            isa.run(Surveying { strip, sketch, measure: across_step, mean: false, means: sorted });
             sum += 0.5 * median(sorted).unwrap_or(0.0);
         }
         let (shown, expected) = (PI.sqrt() * sum / self.options.block_px, self.options.blur_px);
@@ -268,9 +269,9 @@ impl Photometric {
     /// Linearises the model at `x` and eliminates the deviations of every block.
     fn normal(&mut self, sketch: &Sketch, x: &Unknowns, scale: f64, iteration: usize) -> Normal {
         let mut normal = Normal {
-            information: Information::zeros(),
-            right: Vector::zeros(),
-            tally: Tally::default(),
+            information: UnknownsInformation::zeros(),
+            right: UnknownsVector::zeros(),
+            tally: PixelSums::default(),
         };
         let weighing = Weighing { noise_grey: scale, cutoff: self.options.cutoff };
         for (index, flank) in self.flanks.iter_mut().enumerate() {
@@ -306,7 +307,7 @@ impl Photometric {
     }
 
     /// Updates the block deviations after a step of the unknowns.
-    fn follow(&mut self, sketch: &Sketch, step: &Vector, part: f64) {
+    fn follow(&mut self, sketch: &Sketch, step: &UnknownsVector, part: f64) {
         let taken = step * part;
         for (index, flank) in self.flanks.iter_mut().enumerate() {
             let taken = FlankStep::of(&taken, index);
@@ -332,7 +333,7 @@ impl Photometric {
         &self,
         sketch: &Sketch,
         x: &Unknowns,
-        tally: &Tally,
+        tally: &PixelSums,
         ending: &Ending,
     ) -> PhotometricReport {
         let Ending { residual_grey, bend_sigma_px, iterations, converged } = *ending;
@@ -363,7 +364,7 @@ impl Photometric {
 /// Robust covariance of d, ϑ, bend and bulge: E\[ψ²\] / E\[ψ′\]² H⁻¹.
 fn covariance(
     factor: &Cholesky<f64, Const<UNKNOWNS>>,
-    tally: &Tally,
+    tally: &PixelSums,
     freedom: f64,
 ) -> Option<Matrix4<f64>> {
     let kappa = tally.psi_slope / tally.weight;
@@ -374,7 +375,7 @@ fn covariance(
     let rows = [OFFSET, SLOPE, BEND, BULGE];
     let mut covariance = Matrix4::zeros();
     for (j, unknown) in rows.into_iter().enumerate() {
-        let mut unit = Vector::zeros();
+        let mut unit = UnknownsVector::zeros();
         unit[unknown] = variance;
         factor.solve_mut(&mut unit);
         for (i, row) in rows.into_iter().enumerate() {

@@ -16,15 +16,16 @@
     reason = "what is inlined into a function with wider instructions is compiled for them"
 )]
 
+use super::Stretch;
 use super::sketch::{SIDES, Sketch};
 use super::visible_flanks::VisibleFlank;
-use crate::axis::{KnownBackground, PhotometricOptions, Stretch};
+use crate::axis::{KnownBackground, PhotometricOptions};
 use crate::image::gray::GrayView;
 use nalgebra::Vector2;
 
 /// Number of blocks processed at once.
 pub(super) const LANES: usize = 8;
-pub(super) type Lanes = [f32; LANES];
+pub(super) type PixelLanes = [f32; LANES];
 /// Results of sums over pixels, for which single precision is insufficient.
 pub(super) type Doubles = [f64; LANES];
 
@@ -39,18 +40,18 @@ pub(super) fn total([a, b, c, d, e, f, g, h]: &Doubles) -> f64 {
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Chunk {
     /// Along the finger \[px\].
-    pub p: Lanes,
+    pub p: PixelLanes,
     /// Across it, outward for the flank's side \[px\].
-    pub v: Lanes,
-    pub grey: Lanes,
+    pub v: PixelLanes,
+    pub grey: PixelLanes,
     /// 1, or 0 for padding.
-    pub weight: Lanes,
+    pub weight: PixelLanes,
     /// The known background, or zero, \[grey levels\] and its first and second derivative outward.
-    pub background: Lanes,
-    pub background_slope: Lanes,
-    pub background_curvature: Lanes,
+    pub background: PixelLanes,
+    pub background_slope: PixelLanes,
+    pub background_curvature: PixelLanes,
     /// Variance of the known background \[grey levels²\].
-    pub variance: Lanes,
+    pub variance: PixelLanes,
 }
 
 /// A slab of one flank.
@@ -70,7 +71,7 @@ pub(super) struct Block {
 
 /// Blocks that are processed together.
 #[derive(Debug, Clone, Copy, Default)]
-pub(super) struct Group {
+pub(super) struct BlockGroup {
     /// The middles of the slabs; that of a neighbour in a lane without a block.
     pub p: Doubles,
     /// 1, or 0 in a lane without a block.
@@ -83,7 +84,7 @@ pub(super) struct Group {
 #[derive(Debug, Clone)]
 pub(super) struct Strip {
     pub blocks: Vec<Block>,
-    pub groups: Vec<Group>,
+    pub groups: Vec<BlockGroup>,
     chunks: Vec<Chunk>,
     gathered: Vec<StripPixel>,
     /// The next free chunk of every lane of every group.
@@ -127,7 +128,7 @@ struct Pixel {
 }
 
 /// A rectangle of the finger's frame: between bounds of p and of v = σ q.
-struct Band {
+struct StripBand {
     p: [f64; 2],
     v: [f64; 2],
 }
@@ -170,7 +171,7 @@ impl Strip {
     }
 
     #[inline]
-    pub fn chunks(&self, group: &Group) -> &[Chunk] {
+    pub fn chunks(&self, group: &BlockGroup) -> &[Chunk] {
         self.chunks.get(group.from_chunk..group.to_chunk).unwrap_or_default()
     }
 
@@ -219,7 +220,7 @@ impl Strip {
     ) {
         let (visible, flank) = (flank, flank.index);
         let outer_px = if background.is_some() { options.known_outer_px } else { options.outer_px };
-        self.add_pixel(image, sketch, flank, [options.inner_px, outer_px], options);
+        self.add_pixels(image, sketch, flank, [options.inner_px, outer_px], options);
         self.divide(sketch.flanks[flank].from_px, options.block_px);
         if visible.is_partly_covered() {
             let Self { blocks, gathered, .. } = self;
@@ -298,7 +299,7 @@ impl Strip {
 
     /// Collects the usable pixels of the strip: along the straight part up to the centre of the
     /// round end, and along a part of the round end.
-    fn add_pixel(
+    fn add_pixels(
         &mut self,
         image: &GrayView<'_>,
         sketch: &Sketch,
@@ -312,7 +313,7 @@ impl Strip {
         let Self { gathered, blocks, .. } = self;
         gathered.clear();
         let mut blocks_seen = 0;
-        let mut add_pixel = |Pixel { x, y, grey, p, v }: Pixel, outside: f64| {
+        let mut add_pixels = |Pixel { x, y, grey, p, v }: Pixel, outside: f64| {
             if outside < -inner || outside > outer {
                 return;
             }
@@ -335,19 +336,19 @@ impl Strip {
         if straight_to > from_px {
             let [a, b] = [from_px, straight_to].map(|p| sketch.half_width_at(p));
             let v = [(a.min(b) - inner).max(0.0), a.max(b) + outer];
-            let band = Band { p: [from_px, straight_to], v };
+            let band = StripBand { p: [from_px, straight_to], v };
             band.scan(image, sketch, side, |pixel| {
-                add_pixel(pixel, pixel.v - sketch.half_width_at(pixel.p));
+                add_pixels(pixel, pixel.v - sketch.half_width_at(pixel.p));
             });
         }
         if let (Some(end), Some(radius)) = (sketch.round_end_px, sketch.end_radius_px()) {
             // The centre itself belongs to the straight part.
             let p = [from_px.max(end).next_up(), to_px.min(end + options.cap * radius)];
             if p[1] > p[0] {
-                let band = Band { p, v: [0.0, radius + outer] };
+                let band = StripBand { p, v: [0.0, radius + outer] };
                 band.scan(image, sketch, side, |pixel| {
                     let (u, v) = (pixel.p - end, pixel.v);
-                    add_pixel(pixel, (u * u + v * v).sqrt() - radius);
+                    add_pixels(pixel, (u * u + v * v).sqrt() - radius);
                 });
             }
         }
@@ -406,7 +407,7 @@ impl Strip {
         }
         blocks.retain(|b| b.pixels > 0);
         groups.clear();
-        groups.resize(count, Group::default());
+        groups.resize(count, BlockGroup::default());
         if let (Some(group), Some(block)) = (groups.first_mut(), blocks.first()) {
             group.p = [block.p; LANES];
         }
@@ -446,7 +447,7 @@ impl Strip {
     }
 }
 
-impl Band {
+impl StripBand {
     /// Calls `at` with every pixel of the image in the band.
     fn scan(&self, image: &GrayView<'_>, sketch: &Sketch, side: f64, mut at: impl FnMut(Pixel)) {
         let (e, n, o) = (sketch.along, sketch.normal() * side, sketch.origin);

@@ -32,7 +32,7 @@
 )]
 
 use super::blur::BlurTable;
-use super::pixels::{Chunk, LANES, Lanes};
+use super::pixels::{Chunk, LANES, PixelLanes};
 
 /// Derivatives of a pixel's grey level by the parameters of its block, and one more column for the
 /// right side of the equations.
@@ -56,27 +56,27 @@ pub const END: usize = 7;
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Profile {
     /// Edge at v = e₀ + e₁ p + e₂ p² \[px\].
-    pub edge: Lanes,
+    pub edge: PixelLanes,
     pub edge_change: [f32; 2],
     /// Blur s \[px\], positive.
     pub blur: f32,
     /// a, a₁ and b, b₁ \[grey levels, per px\].
-    pub inside: Lanes,
+    pub inside: PixelLanes,
     pub inside_change: f32,
-    pub outside: Lanes,
+    pub outside: PixelLanes,
     pub outside_change: f32,
     /// c and l \[grey levels\].
     pub ramp: f32,
     pub limb: f32,
     /// W \[px\], positive.
-    pub half_width: Lanes,
+    pub half_width: PixelLanes,
 }
 
 /// Factors of the shading of some blocks: √(2 s / W) and 1 / W.
 #[derive(Debug, Clone, Copy)]
 pub struct Shading {
-    root: Lanes,
-    per_width: Lanes,
+    root: PixelLanes,
+    per_width: PixelLanes,
 }
 
 /// The round end of a finger.
@@ -97,23 +97,23 @@ const LEAST_RANGE: f32 = 0.1;
 
 /// Predictions of the model for some pixels.
 #[derive(Debug, Clone, Copy)]
-pub struct Prediction {
-    pub grey: Lanes,
+pub struct ProfilePrediction {
+    pub grey: PixelLanes,
     /// The derivatives, by column; the column of the right side is filled later.
-    pub columns: [Lanes; COLUMNS],
+    pub columns: [PixelLanes; COLUMNS],
 }
 
 /// A pixel's distance outside its edge, and the derivatives of that distance.
 #[derive(Default)]
 struct Distance {
-    y: Lanes,
+    y: PixelLanes,
     /// By the distance from the straight flank, by u and by s.
-    by_flank: Lanes,
-    by_u: Lanes,
-    by_blur: Lanes,
+    by_flank: PixelLanes,
+    by_u: PixelLanes,
+    by_blur: PixelLanes,
     /// Derivatives of `by_flank`, the cosine of the outline's inclination.
-    by_flank_twice: Lanes,
-    by_flank_and_u: Lanes,
+    by_flank_twice: PixelLanes,
+    by_flank_and_u: PixelLanes,
 }
 
 impl Profile {
@@ -130,7 +130,7 @@ impl Profile {
 
     /// The distance from the straight flank.
     #[inline(always)]
-    fn beyond_flank(&self, chunk: &Chunk) -> Lanes {
+    fn beyond_flank(&self, chunk: &Chunk) -> PixelLanes {
         let [e1, e2] = self.edge_change;
         let mut y = [0.0; LANES];
         for i in 0..LANES {
@@ -140,9 +140,14 @@ impl Profile {
         y
     }
 
-    /// Prediction for pixels clear of the round end.
+    /// ProfilePrediction for pixels clear of the round end.
     #[inline(always)]
-    pub fn straight(&self, shading: &Shading, table: BlurTable, chunk: &Chunk) -> Prediction {
+    pub fn straight(
+        &self,
+        shading: &Shading,
+        table: BlurTable,
+        chunk: &Chunk,
+    ) -> ProfilePrediction {
         let y = self.beyond_flank(chunk);
         let s = self.blur;
         let per_blur = 1.0 / s;
@@ -175,10 +180,10 @@ impl Profile {
             by_limb[i] = m.root[i] * root;
         }
         let columns = [by_edge, m.step, by_outside, by_blur, by_ramp, by_limb, none, none];
-        Prediction { grey, columns }
+        ProfilePrediction { grey, columns }
     }
 
-    /// Prediction for pixels near the round end.
+    /// ProfilePrediction for pixels near the round end.
     #[inline(always)]
     pub fn round(
         &self,
@@ -186,7 +191,7 @@ impl Profile {
         table: BlurTable,
         chunk: &Chunk,
         end: RoundEnd,
-    ) -> Prediction {
+    ) -> ProfilePrediction {
         let from_flank = self.beyond_flank(chunk);
         let s = self.blur;
         let per_blur = 1.0 / s;
@@ -227,13 +232,19 @@ impl Profile {
             by_limb[i] = m.root[i] * root;
         }
         let columns = [by_edge, m.step, by_outside, by_blur, by_ramp, by_limb, none, by_end];
-        Prediction { grey, columns }
+        ProfilePrediction { grey, columns }
     }
 }
 
 impl RoundEnd {
     #[inline(always)]
-    fn distance(self, table: BlurTable, from_flank: &Lanes, p: &Lanes, s: f32) -> Distance {
+    fn distance(
+        self,
+        table: BlurTable,
+        from_flank: &PixelLanes,
+        p: &PixelLanes,
+        s: f32,
+    ) -> Distance {
         let radius = self.radius;
         let mut d = Distance::default();
         let mut depth = [0.0; LANES];
@@ -317,7 +328,7 @@ mod tests {
     }
 
     /// Five-point central differences of every feature at every pixel.
-    fn check(p: f32, predict: impl Fn(&Profile, RoundEnd, &Chunk) -> Prediction) {
+    fn check(p: f32, predict: impl Fn(&Profile, RoundEnd, &Chunk) -> ProfilePrediction) {
         let (profile, end) = (profile(), RoundEnd { middle: 25.0, radius: 7.8 });
         for slope in [0.0, 6.0] {
             let chunk = chunk(p, 8.0, slope);

@@ -13,7 +13,7 @@
 //! robust cost, from several initial bodies that share either flank with the given one, and once
 //! more from the best of them.
 
-use super::shading::{Profile, Residuals, Section};
+use super::shading::{Residuals, Section, ShadingProfile};
 use crate::geometry::shape_space::Axis;
 use crate::geometry::template::USUAL_HALF_WIDTH;
 use crate::image::frame::Frame;
@@ -68,7 +68,7 @@ const BOUNDS: [[f64; 2]; LIGHT + 1] =
 /// Lower bound on a section's half-width, whatever the taper \[units\].
 const SLIMMEST: f64 = 0.2;
 
-type Vector = SVector<f64, UNKNOWNS>;
+type RoundVector = SVector<f64, UNKNOWNS>;
 type Matrix = SMatrix<f64, UNKNOWNS, UNKNOWNS>;
 
 /// The round body whose shading fits the image about an axis best.
@@ -161,7 +161,7 @@ impl RoundFinger {
     }
 
     /// The body of least cost among those optimised from the best initial ones.
-    fn best_start(observed: &ObservedProfiles, known: f64) -> Option<Vector> {
+    fn best_start(observed: &ObservedProfiles, known: f64) -> Option<RoundVector> {
         let mut starts = STARTS.map(|start| observed.first(start.map(|part| part * known)));
         starts.sort_by(|one, other| one.0.total_cmp(&other.0));
         let led_to =
@@ -179,7 +179,7 @@ enum Axes {
 
 /// Profiles across an axis, in units of about a half-width.
 struct ObservedProfiles {
-    profiles: [(f64, Profile); PROFILES],
+    profiles: [(f64, ShadingProfile); PROFILES],
     /// Number of residuals that count as one independent residual; the prior is multiplied by it.
     redundancy: f64,
 }
@@ -196,7 +196,7 @@ impl ObservedProfiles {
         let profile = |j: usize| {
             let behind = FIRST + (LAST - FIRST) * j as f64 / (PROFILES - 1) as f64;
             let p = ahead_px / unit_px - behind;
-            Profile::of(frame, axis, p, unit_px).map(|profile| (p, profile))
+            ShadingProfile::of(frame, axis, p, unit_px).map(|profile| (p, profile))
         };
         let mut profiles = [profile(0)?; PROFILES];
         for (j, known) in profiles.iter_mut().enumerate().skip(1) {
@@ -209,9 +209,9 @@ impl ObservedProfiles {
 
     /// The cost of a body of given offset and half-width under the best of the initial lights, and
     /// its unknowns.
-    fn first(&self, [offset, half_width]: [f64; 2]) -> (f64, Vector) {
+    fn first(&self, [offset, half_width]: [f64; 2]) -> (f64, RoundVector) {
         let lit = FIRST_LIGHTS_RAD.map(|light| {
-            let mut x = Vector::from_element(light);
+            let mut x = RoundVector::from_element(light);
             (x[OFFSET], x[SLOPE]) = (offset, 0.0);
             (x[HALF_WIDTH], x[GROWTH]) = (half_width, TAPER[0]);
             x[LOG_BLUR] = 0.0;
@@ -221,7 +221,7 @@ impl ObservedProfiles {
     }
 
     /// Minimises the cost from x; returns the least cost found and its unknowns.
-    fn minimise(&self, mut x: Vector, iterations: usize, axes: Axes) -> (f64, Vector) {
+    fn minimise(&self, mut x: RoundVector, iterations: usize, axes: Axes) -> (f64, RoundVector) {
         let (mut cost, mut damping) = (self.cost(&x), 1e-2);
         for _ in 0..iterations {
             let (mut hessian, mut gradient) = self.linearised(&x);
@@ -256,8 +256,8 @@ impl ObservedProfiles {
     }
 
     /// The cost: robust misfit to the profiles, plus the prior.
-    fn cost(&self, x: &Vector) -> f64 {
-        let differs = |(j, (p, profile)): (usize, &(f64, Profile))| {
+    fn cost(&self, x: &RoundVector) -> f64 {
+        let differs = |(j, (p, profile)): (usize, &(f64, ShadingProfile))| {
             let residuals = profile.residuals(&section(x, j, *p));
             residuals.iter().map(|r| (1.0 + r * r).sqrt() - 1.0).sum::<f64>()
         };
@@ -267,8 +267,8 @@ impl ObservedProfiles {
     }
 
     /// Normal equations of the cost: the matrix and the gradient.
-    fn linearised(&self, x: &Vector) -> (Matrix, Vector) {
-        let (mut hessian, mut gradient) = (Matrix::zeros(), Vector::zeros());
+    fn linearised(&self, x: &RoundVector) -> (Matrix, RoundVector) {
+        let (mut hessian, mut gradient) = (Matrix::zeros(), RoundVector::zeros());
         for (j, &(p, ref profile)) in self.profiles.iter().enumerate() {
             let (squares, slopes) = normal_equations(profile, &section(x, j, p));
             // The unknown, the number of the section that it changes, and the derivative.
@@ -287,7 +287,7 @@ impl ObservedProfiles {
                 }
             }
         }
-        for Expectation { of, less, differs, sigma } in expectations(x) {
+        for PriorTerm { of, less, differs, sigma } in expectations(x) {
             let sure = self.redundancy / (sigma * sigma);
             for (k, sign) in [(Some(of), 1.0), (less, -1.0)] {
                 let Some(k) = k else { continue };
@@ -304,7 +304,7 @@ impl ObservedProfiles {
 
 /// Normal matrix and gradient of a profile's cost in the four numbers of a section: its middle,
 /// half-width, light and blur.
-fn normal_equations(profile: &Profile, at: &Section) -> ([[f64; 4]; 4], [f64; 4]) {
+fn normal_equations(profile: &ShadingProfile, at: &Section) -> ([[f64; 4]; 4], [f64; 4]) {
     let Section { middle, half_width, light_rad, log_blur } = *at;
     let moved: [Residuals; 4] = [
         Section { middle: middle + DIFFERENCE, ..*at },
@@ -328,7 +328,7 @@ fn normal_equations(profile: &Profile, at: &Section) -> ([[f64; 4]; 4], [f64; 4]
 }
 
 /// The section at profile `j`, p units ahead of the anchor.
-fn section(x: &Vector, j: usize, p: f64) -> Section {
+fn section(x: &RoundVector, j: usize, p: f64) -> Section {
     Section {
         middle: x[OFFSET] + x[SLOPE] * p,
         half_width: (x[HALF_WIDTH] + x[GROWTH] * p).max(SLIMMEST),
@@ -338,19 +338,19 @@ fn section(x: &Vector, j: usize, p: f64) -> Section {
 }
 
 /// A term of the prior: the difference of an unknown, minus another one if given, from its mean.
-struct Expectation {
+struct PriorTerm {
     of: usize,
     less: Option<usize>,
     differs: f64,
     sigma: f64,
 }
 
-fn expectations(x: &Vector) -> impl Iterator<Item = Expectation> {
+fn expectations(x: &RoundVector) -> impl Iterator<Item = PriorTerm> {
     let taper = (GROWTH, x[GROWTH] - TAPER[0], TAPER[1]);
     let blur = (LOG_BLUR, x[LOG_BLUR], LOG_BLUR_SIGMA);
     let alone = [taper, blur];
-    let alone = alone.map(|(of, differs, sigma)| Expectation { of, less: None, differs, sigma });
-    alone.into_iter().chain((LIGHT + 1..UNKNOWNS).map(|k| Expectation {
+    let alone = alone.map(|(of, differs, sigma)| PriorTerm { of, less: None, differs, sigma });
+    alone.into_iter().chain((LIGHT + 1..UNKNOWNS).map(|k| PriorTerm {
         of: k,
         less: Some(k - 1),
         differs: x[k] - x[k - 1],
@@ -358,7 +358,7 @@ fn expectations(x: &Vector) -> impl Iterator<Item = Expectation> {
     }))
 }
 
-fn bounded(mut x: Vector) -> Vector {
+fn bounded(mut x: RoundVector) -> RoundVector {
     for (k, entry) in x.iter_mut().enumerate() {
         let [low, high] = BOUNDS[k.min(LIGHT)];
         *entry = entry.clamp(low, high);

@@ -60,13 +60,13 @@ pub(super) struct Section {
 
 /// The levels across a finger at one place along it.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Profile {
+pub(super) struct ShadingProfile {
     levels: [[f64; CHANNELS]; PLACES],
     channels: usize,
     unit_px: f64,
 }
 
-impl Profile {
+impl ShadingProfile {
     /// The profile of a frame across an axis, `along` units of `unit_px` ahead of its anchor;
     /// `None` where a sample is outside the image.
     pub fn of(frame: &Frame<'_>, axis: &Axis, along: f64, unit_px: f64) -> Option<Self> {
@@ -121,8 +121,8 @@ impl Profile {
             for ((residual, (_, weight)), (part, levels)) in
                 own.iter_mut().zip(places()).zip(parts.iter().zip(&self.levels))
             {
-                let told: f64 = part.iter().zip(&best.column(k)).map(|(p, l)| p * l).sum();
-                *residual = (told - weight * levels[k]) / SCALE_GREY;
+                let estimated: f64 = part.iter().zip(&best.column(k)).map(|(p, l)| p * l).sum();
+                *residual = (estimated - weight * levels[k]) / SCALE_GREY;
             }
             for (residual, level) in own[PLACES..].iter_mut().zip([EVERYWHERE, ONE_SIDE]) {
                 *residual = best[(level, k)].min(0.0) / DARKER_GREY;

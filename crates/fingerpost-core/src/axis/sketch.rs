@@ -2,7 +2,8 @@
 //!
 //! p runs along the finger from the middle of the stretch in use, q to its right, both in px.
 
-use crate::axis::{Belief, Finger, MAX_STRETCH_PX, Stretch};
+use super::Stretch;
+use crate::axis::{Belief, Finger, MAX_STRETCH_PX};
 use crate::{Error, Result};
 use nalgebra::{Point2, Vector2};
 

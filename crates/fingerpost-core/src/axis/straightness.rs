@@ -13,11 +13,12 @@
 //!
 //! A bend towards the camera or away from it shortens the finger, and no view shows it.
 
+use super::Stretch;
 use super::bisector::{Bisector, BisectorFit, STATION_PX};
 use super::sketch::Sketch;
 use super::visible_flanks::VisibleFlanks;
 use crate::Result;
-use crate::axis::{BisectorOptions, BisectorReport, Finger, Stretch};
+use crate::axis::{BisectorOptions, BisectorReport, Finger};
 use crate::geometry::shape_space::Axis;
 use crate::image::frame::Frame;
 use crate::measure::edge::Polarity;

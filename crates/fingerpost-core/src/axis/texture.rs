@@ -85,16 +85,16 @@ const MIDDLE_GREY: f32 = 128.0;
 
 /// Unknowns: shift along, shift across, turn, gain, offset.
 const UNKNOWNS: usize = 5;
-type Vector = SVector<f64, UNKNOWNS>;
-type Information = SMatrix<f64, UNKNOWNS, UNKNOWNS>;
+type PoseVector = SVector<f64, UNKNOWNS>;
+type PoseInformation = SMatrix<f64, UNKNOWNS, UNKNOWNS>;
 
 /// The normal equations of a step.
-struct Equations {
-    information: Information,
-    right: Vector,
+struct PoseEquations {
+    information: PoseInformation,
+    right: PoseVector,
     /// Covariance of the right side: the sum over blocks of cells of the outer products of their
     /// contributions.
-    scatter: Information,
+    scatter: PoseInformation,
     /// Number of cells with non-zero weight.
     agreeing: f64,
 }
@@ -308,7 +308,7 @@ impl TexturePatch {
             let mut right = determined.right / correlation;
             right[0] -= along_px * prior[(0, 0)];
             let inverse = (determined.information / correlation + prior).try_inverse()?;
-            let step: Vector = inverse * right;
+            let step: PoseVector = inverse * right;
             along_px += step[0];
             let (e, n) = (axis.direction(), axis.normal());
             let anchor = axis.anchor + e * step[0] + n * step[1];
@@ -345,10 +345,10 @@ impl TexturePatch {
     }
 
     /// The normal equations of a step for a gain, an offset and a residual scale.
-    fn equations(&self, [gain, offset]: [f32; 2], scale: f32) -> Equations {
+    fn equations(&self, [gain, offset]: [f32; 2], scale: f32) -> PoseEquations {
         let mut sums = [[0.0_f32; UNKNOWNS + 1]; UNKNOWNS];
         let mut blocks = [[0.0_f32; UNKNOWNS]; COLUMNS * COARSER / BLOCK[1] + 1];
-        let mut scatter = Information::zeros();
+        let mut scatter = PoseInformation::zeros();
         let (mut agreeing, mut weights, mut slopes) = (0.0, 0.0, 0.0);
         let (per_along, per_across) = (0.5 / self.along_px as f32, 0.5 / self.across_px as f32);
         let cutoff = 1.0 / (CUTOFF * CUTOFF * scale);
@@ -386,17 +386,17 @@ impl TexturePatch {
             }
             if (row + 1) % block_rows == 0 || row + 1 == self.used.len() {
                 for block in &mut blocks {
-                    let block = Vector::from(std::mem::take(block).map(f64::from));
+                    let block = PoseVector::from(std::mem::take(block).map(f64::from));
                     scatter += block * block.transpose();
                 }
             }
         }
-        let information = Information::from_fn(|i, j| f64::from(sums[i.min(j)][i.max(j)]));
-        let right = Vector::from_fn(|i, _| f64::from(sums[i][UNKNOWNS]));
+        let information = PoseInformation::from_fn(|i, j| f64::from(sums[i.min(j)][i.max(j)]));
+        let right = PoseVector::from_fn(|i, _| f64::from(sums[i][UNKNOWNS]));
         // ψ(r) = r (1 − t²)², w = (1 − t²)²: the information by ψ′ is Σ ψ′ / Σ w times that by
         // weights.
         scatter *= f64::from(weights / slopes.max(LEAST_SLOPE * weights)).powi(2);
-        Equations { information, right, scatter, agreeing }
+        PoseEquations { information, right, scatter, agreeing }
     }
 
     /// Updates the patch with the frame in which it has just been registered.
@@ -417,10 +417,12 @@ impl TexturePatch {
     }
 }
 
-/// Information matrix of the prior of the pose.
-fn prior() -> Information {
+/// PoseInformation matrix of the prior of the pose.
+fn prior() -> PoseInformation {
     let sigmas = PRIOR_SIGMAS.map(|sigma: f64| sigma.powi(-2));
-    Information::from_diagonal(&Vector::from_fn(|k, _| sigmas.get(k).copied().unwrap_or_default()))
+    PoseInformation::from_diagonal(&PoseVector::from_fn(|k, _| {
+        sigmas.get(k).copied().unwrap_or_default()
+    }))
 }
 
 #[cfg(test)]

@@ -5,7 +5,7 @@
     reason = "what is inlined into a function with wider instructions is compiled for them"
 )]
 
-use super::gram::Equations;
+use super::gram::GramEquations;
 use super::pixels::{Doubles, LANES, total};
 use super::profile::{COLUMNS, EDGE, INSIDE, OUTSIDE, Profile, RAMP, RIGHT};
 use super::sketch::{FlankLines, SIDES, Sketch};
@@ -33,17 +33,17 @@ const OWN_COUNT: usize = 4;
 
 /// Number of unknowns.
 pub(super) const UNKNOWNS: usize = OWN + 2 * OWN_COUNT;
-pub(super) type Vector = SVector<f64, UNKNOWNS>;
-pub(super) type Information = SMatrix<f64, UNKNOWNS, UNKNOWNS>;
+pub(super) type UnknownsVector = SVector<f64, UNKNOWNS>;
+pub(super) type UnknownsInformation = SMatrix<f64, UNKNOWNS, UNKNOWNS>;
 
-/// Prior standard deviations about the sketch: offset and half-width \[px\], slope and taper, blur
+/// UnknownsPrior standard deviations about the sketch: offset and half-width \[px\], slope and taper, blur
 /// \[px\] and centre of the round end \[px\].
 const LINE_SIGMA_PX: f64 = 3.0;
 const WIDTH_SIGMA_PX: f64 = 2.0;
 const SLOPE_SIGMA: f64 = 0.1;
 pub(super) const BLUR_SIGMA_PX: f64 = 1.0;
 const END_SIGMA_PX: f64 = 1.0;
-/// Prior standard deviation of the skew of the round end, in radii. A sphere off the optical axis
+/// UnknownsPrior standard deviation of the skew of the round end, in radii. A sphere off the optical axis
 /// projects to an ellipse, longer by 1 / cos of the angle from the optical axis, in the direction
 /// away from it. Unless that direction is along or across the finger, the round end begins at
 /// different abscissae on the two flanks.
@@ -87,7 +87,7 @@ fn observed_sign(seen: usize, flank: usize) -> f64 {
 
 /// Values of all unknowns.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Unknowns(pub Vector);
+pub(super) struct Unknowns(pub UnknownsVector);
 
 /// Functions of p at some blocks. The derivative by a slot is its feature times one of these, or
 /// times 1.
@@ -119,7 +119,7 @@ impl Factors {
 impl Unknowns {
     /// Initial values: the sketch, with the given inside and background level of either flank.
     pub fn on(sketch: &Sketch, levels: [[f64; 2]; 2], blur_px: f64) -> Self {
-        let mut x = Vector::zeros();
+        let mut x = UnknownsVector::zeros();
         x[HALF_WIDTH] = sketch.half_width_px;
         x[TAPER] = sketch.taper;
         x[BLUR] = blur_px;
@@ -194,7 +194,7 @@ impl Unknowns {
     }
 
     /// Upper bound on the motion of the flanks in use by a step \[px\].
-    pub fn motion_px(step: &Vector, half_length_px: f64) -> f64 {
+    pub fn motion_px(step: &UnknownsVector, half_length_px: f64) -> f64 {
         step[OFFSET].abs()
             + step[HALF_WIDTH].abs()
             + half_length_px * (step[SLOPE].abs() + step[TAPER].abs())
@@ -206,7 +206,7 @@ impl Unknowns {
 pub(super) struct FlankStep([f64; SLOTS]);
 
 impl FlankStep {
-    pub fn of(step: &Vector, flank: usize) -> Self {
+    pub fn of(step: &UnknownsVector, flank: usize) -> Self {
         let mut slots = [0.0; SLOTS];
         for (seen, &slot) in OBSERVED_SLOT.iter().enumerate() {
             slots[slot] += observed_sign(seen, flank) * step[observed_unknown(seen, flank)];
@@ -233,13 +233,13 @@ impl FlankStep {
 }
 
 /// The prior of the unknowns: independent normal distributions.
-pub(super) struct Prior {
-    pub mean: Vector,
+pub(super) struct UnknownsPrior {
+    pub mean: UnknownsVector,
     /// Inverse variances.
-    pub information: Vector,
+    pub information: UnknownsVector,
 }
 
-impl Prior {
+impl UnknownsPrior {
     /// The prior about the initial values; width and taper of a known hand are those of its
     /// [`Belief`](crate::axis::Belief).
     pub fn about(
@@ -250,7 +250,7 @@ impl Prior {
     ) -> Self {
         let PhotometricOptions { bend_px, change, ramp, limb, .. } = options;
         let contrast = contrast_grey.max(LEAST_CONTRAST_GREY);
-        let (mut mean, mut sigma) = (start.0, Vector::repeat(f64::INFINITY));
+        let (mut mean, mut sigma) = (start.0, UnknownsVector::repeat(f64::INFINITY));
         (sigma[OFFSET], sigma[SLOPE]) = (LINE_SIGMA_PX, SLOPE_SIGMA);
         (sigma[HALF_WIDTH], sigma[TAPER]) = (WIDTH_SIGMA_PX, SLOPE_SIGMA);
         (sigma[BEND], sigma[BULGE]) = (*bend_px, *bend_px);
@@ -275,7 +275,7 @@ pub(super) struct FlankEquations([[f64; SLOTS + 1]; SLOTS]);
 impl FlankEquations {
     /// Adds the equations of blocks, from those of their features.
     #[inline(always)]
-    pub fn add(&mut self, block_weight: &Doubles, factors: &Factors, equations: &Equations) {
+    pub fn add(&mut self, block_weight: &Doubles, factors: &Factors, equations: &GramEquations) {
         let weighted = factors.times(block_weight);
         for (i, sums) in self.0.iter_mut().enumerate() {
             let (a, feature) = (&weighted[i], SLOT_FEATURE[i]);
@@ -294,7 +294,12 @@ impl FlankEquations {
     }
 
     /// Adds them to the equations of all unknowns.
-    pub fn spread(&self, flank: usize, information: &mut Information, right: &mut Vector) {
+    pub fn spread(
+        &self,
+        flank: usize,
+        information: &mut UnknownsInformation,
+        right: &mut UnknownsVector,
+    ) {
         for (a, &i) in OBSERVED_SLOT.iter().enumerate() {
             let (row, sign) = (observed_unknown(a, flank), observed_sign(a, flank));
             right[row] += sign * self.0[i][SLOTS];

@@ -19,7 +19,7 @@ pub(super) struct VisibleFlanks {
     /// The tested places that are covered, in p.
     covered: [Vec<f64>; 2],
     /// Number of tested places.
-    refined: [usize; 2],
+    tested: [usize; 2],
 }
 
 /// The visibility of one flank.
@@ -40,10 +40,10 @@ impl VisibleFlanks {
         sketch: &Sketch,
     ) {
         self.covered.iter_mut().for_each(Vec::clear);
-        self.refined = [0; 2];
+        self.tested = [0; 2];
         let Some(appearance) = appearance.filter(|_| sketch.belief.is_some()) else { return };
         let (e, n) = (sketch.along, sketch.normal());
-        let flanks = self.covered.iter_mut().zip(&mut self.refined);
+        let flanks = self.covered.iter_mut().zip(&mut self.tested);
         for (((covered, count), side), flank) in flanks.zip(SIDES).zip(sketch.flanks) {
             let mut p = flank.from_px;
             while p <= flank.to_px {
@@ -62,7 +62,7 @@ impl VisibleFlanks {
 
     /// Visible fraction of the tested places, on the flank where it is smaller, 0–1.
     pub fn least_part(&self) -> f64 {
-        let parts = self.covered.iter().zip(self.refined);
+        let parts = self.covered.iter().zip(self.tested);
         let visible = parts.map(|(covered, all)| 1.0 - covered.len() as f64 / all.max(1) as f64);
         visible.fold(1.0, f64::min)
     }

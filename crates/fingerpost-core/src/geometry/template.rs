@@ -250,7 +250,10 @@ impl Template {
     /// [`with_proportions`](Self::with_proportions) for a hand beyond their ranges.
     pub fn fitted(&self, hand: &SVector<f64, 9>, length_px: f64, has_thumb: bool) -> Result<Self> {
         let Some(proportions) = &self.proportions else {
-            return Err(Error::Unsupported { what: "moulding", needs: "a pistol template" });
+            return Err(Error::Unsupported {
+                what: "a template fitted to a hand",
+                needs: "a pistol template",
+            });
         };
         let mut proportions = *proportions;
         proportions.half_width = hand[3] / length_px;
@@ -383,7 +386,7 @@ pub struct OutlineAxis {
 
 /// A smooth piece of an outline: straight lines and arcs, each beginning at the end of the last.
 #[derive(Debug, Default)]
-struct Piece {
+struct OutlinePiece {
     segments: Vec<Segment>,
 }
 
@@ -422,7 +425,7 @@ impl Segment {
     }
 }
 
-impl Piece {
+impl OutlinePiece {
     fn length(&self) -> f64 {
         self.segments.iter().map(Segment::length).sum()
     }
@@ -445,7 +448,7 @@ impl Piece {
 
 /// The outline of a pistol with the thumb at +q, the hand to the right of the direction of travel:
 /// one smooth piece up to the crotch, one round the thumb.
-fn pistol_outline(proportions: &Proportions) -> Result<Vec<Piece>> {
+fn pistol_outline(proportions: &Proportions) -> Result<Vec<OutlinePiece>> {
     let Proportions { half_width: w, flank_start, thumb } = *proportions;
     Error::within("finger half-width", w, "0.03 to 0.4", |w| (0.03..=0.4).contains(&w))?;
     Error::within("flank start", flank_start, "-0.5 to 0.3 and below the round tip", |p| {
@@ -456,7 +459,7 @@ fn pistol_outline(proportions: &Proportions) -> Result<Vec<Piece>> {
     let round = Segment::Arc { centre: tip, radius: w, from_rad: -FRAC_PI_2, sweep_rad: PI };
     let inner = |end| Segment::Line { from: Point2::new(tip.x, w), to: Point2::new(end, w) };
     let Some((_, thumb)) = thumb else {
-        return Ok(vec![Piece { segments: vec![outer, round, inner(flank_start)] }]);
+        return Ok(vec![OutlinePiece { segments: vec![outer, round, inner(flank_start)] }]);
     };
     let ThumbProportions { base, angle_rad, length, half_width: w2, far_flank } = thumb;
     Error::within("thumb base", base, "-1 to 0.5", |p| (-1.0..=0.5).contains(&p))?;
@@ -478,9 +481,9 @@ fn pistol_outline(proportions: &Proportions) -> Result<Vec<Piece>> {
         "positive",
         |l| l > 0.0,
     )?;
-    let finger = Piece { segments: vec![outer, round, inner(crotch.x)] };
+    let finger = OutlinePiece { segments: vec![outer, round, inner(crotch.x)] };
     let far = end - near;
-    let thumb = Piece {
+    let thumb = OutlinePiece {
         segments: vec![
             Segment::Line { from: crotch, to: end + near },
             Segment::Arc {

@@ -23,7 +23,7 @@ use crate::image::frame::{ColourView, Frame};
 use crate::image::gray::GrayView;
 use crate::numeric::simd::{BASELINE_LANES, Isa, Work};
 use crate::{Error, Result};
-use lanes::{Lanes, Peak, Scoring, Starts};
+use lanes::{Peak, Scoring, SearchLanes, Starts};
 use nalgebra::Vector2;
 use std::f64::consts::PI;
 
@@ -98,9 +98,9 @@ pub struct EdgeSearch {
     kernels: [Kernel; 2],
     options: SearchOptions,
     isa: Isa,
-    wide: Lanes<WIDE>,
-    narrow: Lanes<NARROW>,
-    alone: Lanes<1>,
+    wide: SearchLanes<WIDE>,
+    narrow: SearchLanes<NARROW>,
+    alone: SearchLanes<1>,
 }
 
 impl EdgeSearch {
@@ -125,9 +125,9 @@ impl EdgeSearch {
             kernels,
             options,
             isa: Isa::detect(),
-            wide: Lanes::with_capacity(samples),
-            narrow: Lanes::with_capacity(samples),
-            alone: Lanes::with_capacity(samples),
+            wide: SearchLanes::with_capacity(samples),
+            narrow: SearchLanes::with_capacity(samples),
+            alone: SearchLanes::with_capacity(samples),
         })
     }
 
@@ -282,7 +282,7 @@ impl Pass<'_> {
     /// `OutOfImage`.
     fn measure_all<const N: usize>(
         &self,
-        lanes: &mut Lanes<N>,
+        lanes: &mut SearchLanes<N>,
         lines: &[SearchLine],
         measurements: &mut [EdgeMeasurement],
     ) -> Result<()> {
@@ -318,7 +318,7 @@ impl Pass<'_> {
     /// Searches the lines that leave the image on their parts inside.
     fn measure_visible(
         &self,
-        alone: &mut Lanes<1>,
+        alone: &mut SearchLanes<1>,
         lines: &[SearchLine],
         measurements: &mut [EdgeMeasurement],
     ) -> Result<()> {
@@ -341,7 +341,7 @@ impl Pass<'_> {
     /// Searches the lines of a batch, if there are any, and stores their measurements.
     fn measure<const N: usize>(
         &self,
-        lanes: &mut Lanes<N>,
+        lanes: &mut SearchLanes<N>,
         batch: &Batch<N>,
         measurements: &mut [EdgeMeasurement],
     ) {
@@ -358,7 +358,7 @@ impl Pass<'_> {
     #[inline]
     fn found<const N: usize>(
         &self,
-        lanes: &Lanes<N>,
+        lanes: &SearchLanes<N>,
         j: usize,
         (span, polarity): (Span, Polarity),
     ) -> EdgeMeasurement {
@@ -374,7 +374,7 @@ impl Pass<'_> {
     #[inline]
     fn edge<const N: usize>(
         &self,
-        lanes: &Lanes<N>,
+        lanes: &SearchLanes<N>,
         j: usize,
         span: Span,
         polarity: Polarity,
@@ -394,7 +394,7 @@ impl Pass<'_> {
     /// log-likelihood ratio summed from the inner end.
     fn log_ratio_change<const N: usize>(
         &self,
-        lanes: &Lanes<N>,
+        lanes: &SearchLanes<N>,
         j: usize,
         span: Span,
     ) -> EdgeMeasurement {
@@ -415,7 +415,7 @@ impl Pass<'_> {
 /// The search of one batch, for any instruction set.
 struct Search<'a, const N: usize> {
     pass: &'a Pass<'a>,
-    lanes: &'a mut Lanes<N>,
+    lanes: &'a mut SearchLanes<N>,
     batch: &'a Batch<N>,
 }
 
@@ -464,8 +464,8 @@ impl Kernel {
     }
 
     /// The kernel in the form that the lanes take.
-    fn looking_for(&self, polarity: Polarity) -> lanes::Kernel<'_> {
-        lanes::Kernel { weights: &self.weights, least: self.least, polarity }
+    fn looking_for(&self, polarity: Polarity) -> lanes::LaneKernel<'_> {
+        lanes::LaneKernel { weights: &self.weights, least: self.least, polarity }
     }
 
     /// Pixels covered on either side.

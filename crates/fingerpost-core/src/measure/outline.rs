@@ -59,7 +59,7 @@ const LEAST_POINTS: usize = 5;
 /// Sign of the step across a path. The normal of the path is its direction turned by +90°, from +u
 /// towards +v.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Polarity {
+pub enum EdgePolarity {
     /// Brighter on the side of the normal.
     Rising,
     /// Darker there.
@@ -68,7 +68,7 @@ pub enum Polarity {
     Any,
 }
 
-impl Polarity {
+impl EdgePolarity {
     fn strength(self, response: f64) -> f64 {
         match self {
             Self::Rising => response,
@@ -110,7 +110,7 @@ pub struct LineFit {
 }
 
 /// The pixels of one stretch: distance from the path along the scan, and grey level.
-type Stretch = Vec<(f64, f64)>;
+pub(super) type Samples = Vec<(f64, f64)>;
 
 /// Localises an edge along a path.
 ///
@@ -132,7 +132,7 @@ pub fn edges_along(
     image: &GrayView<'_>,
     path: &[Point2<f64>],
     reach_px: f64,
-    polarity: Polarity,
+    polarity: EdgePolarity,
     least_contrast: f64,
 ) -> Result<Vec<EdgePoint>> {
     if !(0.5..=100.0).contains(&reach_px) {
@@ -183,7 +183,7 @@ impl<'a> Scan<'a> {
     fn edges(
         &self,
         stretch_px: f64,
-        polarity: Polarity,
+        polarity: EdgePolarity,
         least_contrast: f64,
         edges: &mut Vec<EdgePoint>,
     ) {
@@ -191,7 +191,7 @@ impl<'a> Scan<'a> {
             return;
         }
         let count = (self.length_px / stretch_px).ceil().min(1e5);
-        let mut pixels = Stretch::new();
+        let mut pixels = Samples::new();
         for k in 0..count as usize {
             let from_px = k as f64 * self.length_px / count;
             let to_px = (k + 1) as f64 * self.length_px / count;
@@ -205,7 +205,7 @@ impl<'a> Scan<'a> {
 
     /// Collects the pixels of a stretch; returns the mean position of its scans along the path, if
     /// there are any.
-    fn gather(&self, from_px: f64, to_px: f64, pixels: &mut Stretch) -> Option<f64> {
+    fn gather(&self, from_px: f64, to_px: f64, pixels: &mut Samples) -> Option<f64> {
         pixels.clear();
         let (begin, step) = self.axis();
         let (a, b) = (begin + step * from_px, begin + step * to_px);
@@ -227,7 +227,7 @@ impl<'a> Scan<'a> {
     }
 
     /// Appends the pixels of one row or column; false if it ends within the kernel's reach.
-    fn scan(&self, at: usize, along_px: f64, pixels: &mut Stretch) -> bool {
+    fn scan(&self, at: usize, along_px: f64, pixels: &mut Samples) -> bool {
         let centre = self.from + self.along * along_px;
         let centre = if self.by_columns { centre.y } else { centre.x };
         let reach = self.reach_px + KERNEL_REACH * KERNEL_SIGMA_PX;
@@ -249,7 +249,7 @@ impl<'a> Scan<'a> {
         &self,
         pixels: &[(f64, f64)],
         middle_px: f64,
-        polarity: Polarity,
+        polarity: EdgePolarity,
         least_contrast: f64,
     ) -> Option<EdgePoint> {
         // Coordinates along the scan increase with the normal or against it.
@@ -490,7 +490,8 @@ fn report(
     let spread: f64 =
         entries.iter().filter(|e| e.weight > 0.0).map(|e| ((e.x - middle) / e.sigma).powi(2)).sum();
     let squares = psi.iter().map(|psi| psi * psi).sum::<f64>() / (count - 2.0);
-    let variance = scale * scale * squares / by_z.max(0.1).powi(2) * few * alike(&psi, &inliers);
+    let variance =
+        scale * scale * squares / by_z.max(0.1).powi(2) * few * redundancy(&psi, &inliers);
     let angle = slope.atan();
     let cos = angle.cos();
     let residual_px = |k: usize| z[k] * entries[k].sigma * scale;
@@ -521,7 +522,7 @@ fn biweight_slope(z: f64) -> f64 {
 
 /// Variance factor of correlated edges: 1 + 2 Σ ρ over lags, up to the first insignificant
 /// correlation.
-fn alike(psi: &[f64], inliers: &[bool]) -> f64 {
+fn redundancy(psi: &[f64], inliers: &[bool]) -> f64 {
     let values: Vec<f64> =
         psi.iter().zip(inliers).filter(|(_, is)| **is).map(|(v, _)| *v).collect();
     let count = values.len() as f64;

@@ -26,7 +26,7 @@ pub use equations::{EquationBuffer, Equations};
 use super::fit::equations::{LANES, Lanes};
 use super::fit::factor::{Factor, NormalEquations, determined, two_stage};
 use super::fit::lanes::{
-    Accumulate, INLIER_WEIGHT, LeftOver, Select, Statistics, Tally, Weigh, total,
+    Accumulate, INLIER_WEIGHT, LeftOver, Select, Statistics, Weigh, WeightSums, total,
 };
 use crate::numeric::simd::{Isa, each};
 use crate::{Error, Result};
@@ -426,7 +426,7 @@ impl Fitter {
     fn statistics<const D: usize>(&self, equations: &Equations<'_, D>) -> Statistics {
         let mut statistics = Statistics::default();
         let Self { weights, precisions, residuals, .. } = self;
-        self.isa.run(Tally { weights, precisions, residuals, statistics: &mut statistics });
+        self.isa.run(WeightSums { weights, precisions, residuals, statistics: &mut statistics });
         // Lanes without an equation agree with every solution.
         let empty = residuals.len() * LANES - equations.len();
         statistics.weight -= empty as f64;

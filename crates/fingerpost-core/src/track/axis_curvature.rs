@@ -32,7 +32,8 @@
 //! [`PhotometricReport::bend_px`]: crate::axis::PhotometricReport::bend_px
 
 use super::line::FingerLine;
-use crate::axis::{PhotometricReport, Refined, Source, Stretch};
+use crate::axis::Stretch;
+use crate::axis::{PhotometricReport, Refined, Source};
 use crate::geometry::shape_space::Axis;
 use nalgebra::{Matrix2, Vector2};
 

@@ -23,20 +23,20 @@ const KNOWN: f64 = 1.0;
 /// Grey levels of the left and the right flank of a finger.
 #[derive(Debug, Clone)]
 pub(super) struct FlankLevels {
-    flanks: [Flank; 2],
+    flanks: [LevelsOfFlank; 2],
     /// The pixels of one frame.
     pixels: Vec<SidedPixel>,
 }
 
 #[derive(Debug, Clone)]
-struct Flank {
+struct LevelsOfFlank {
     levels: HistogramModel,
     is_known: bool,
 }
 
 impl FlankLevels {
     pub fn new() -> Self {
-        let flank = Flank { levels: HistogramModel::new(false), is_known: false };
+        let flank = LevelsOfFlank { levels: HistogramModel::new(false), is_known: false };
         Self { flanks: [flank.clone(), flank], pixels: Vec::new() }
     }
 

@@ -22,8 +22,7 @@ use crate::geometry::shape_space::{Axis, Pose, ShapeSpace};
 use crate::geometry::template::{Part, TemplateSample};
 use crate::measure::edge::{Polarity, Scale};
 use crate::measure::edge_search::Cue;
-use crate::solve::fit::Prior;
-use nalgebra::{Point2, Rotation2, SMatrix, Vector2};
+use nalgebra::{Point2, Rotation2, Vector2};
 
 /// Half-widths tried, relative to the initial template's.
 const WIDTHS: [f64; 3] = [0.8, 1.2, 1.8];
@@ -66,13 +65,6 @@ const PLACE_SIGMA: f64 = 0.35;
 const ANGLE_SIGMA_RAD: f64 = 0.35;
 /// Fraction of the contour that a finger at one standard deviation must explain in addition.
 const DISTANCE_WEIGHT: f64 = 0.05;
-
-/// Prior standard deviation of the half-widths, as a fraction of the finger's half-width.
-const WIDTH_SIGMA: f64 = 0.4;
-/// Prior standard deviation of the taper.
-const TAPER_SIGMA: f64 = 0.08;
-/// Prior standard deviation of the thumb's root and spine, as a fraction of the finger's length.
-const THUMB_SIGMA: f64 = 0.3;
 
 /// The initial template and the options of the search around it.
 pub(super) struct TemplateInitialiser<'a> {
@@ -561,33 +553,6 @@ impl TemplateInitialiser<'_> {
         let x = Ribbon::<D>::free(x);
         let offsets = convergence.offsets(frame, &space, &x, &stage)?.filter_map(|(_, px)| px);
         Ok(offsets.map(|d| (1000.0 * (1.0 - (d / reach_px).abs()).max(0.0)) as u64).sum())
-    }
-
-    /// The prior of a hand about `from`: no information about place and angle, weak information
-    /// about size.
-    fn belief<const D: usize>(&self, from: &RibbonVector) -> Prior<D> {
-        let thumb_px = THUMB_SIGMA * self.measure.length_px;
-        let sigmas = [
-            f64::INFINITY,
-            f64::INFINITY,
-            f64::INFINITY,
-            WIDTH_SIGMA * from[3],
-            TAPER_SIGMA,
-            thumb_px,
-            thumb_px,
-            thumb_px,
-            WIDTH_SIGMA * from[3],
-        ];
-        let mut information = SMatrix::<f64, D, D>::zeros();
-        for (i, sigma) in sigmas.iter().take(D).enumerate() {
-            information[(i, i)] = sigma.powi(-2);
-        }
-        let mut mean = Ribbon::<D>::free(from);
-        // The prior of the taper is symmetric about zero, whatever an earlier fit gave.
-        if D > 4 {
-            mean[4] = 0.0;
-        }
-        Prior { mean, information }
     }
 }
 

@@ -1,7 +1,8 @@
 //! The image line along which a finger points, with its covariance, and the combination of several
 //! estimates of it.
 
-use crate::axis::{Refined, Stretch};
+use crate::axis::Refined;
+use crate::axis::Stretch;
 use crate::geometry::shape_space::Axis;
 use nalgebra::{Matrix2, Vector2};
 use std::f64::consts::TAU;

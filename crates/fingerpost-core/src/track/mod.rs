@@ -77,6 +77,7 @@ mod foreground_test;
 mod grid_search;
 mod hand;
 mod hypotheses;
+mod initial_prior;
 mod initialise;
 mod length;
 mod limbs;

@@ -24,7 +24,7 @@ const THUMB_LENGTHS: [f64; 4] = [0.4, 0.6, 0.8, 1.0];
 const THUMB_SEEN: f64 = 0.7;
 
 /// Least explained fraction of all of the thumb's samples, including those that the finger hides.
-const THUMB_IN_SIGHT: f64 = 0.5;
+const MIN_VISIBLE_THUMB: f64 = 0.5;
 
 /// Number of thumbs that are fitted.
 const THUMBS_FITTED: usize = 4;
@@ -38,7 +38,7 @@ impl TemplateInitialiser<'_> {
     pub(super) fn shows_thumb(&self, support: &Support) -> bool {
         let all = thumb_samples(self.samples).len() as f64;
         support.of(Part::Thumb) >= THUMB_SEEN
-            && support.count(Part::Thumb) as f64 >= THUMB_IN_SIGHT * all
+            && support.count(Part::Thumb) as f64 >= MIN_VISIBLE_THUMB * all
     }
 
     /// The thumb of a finger that was found: the best of the grid, fitted with the finger.

@@ -1,7 +1,7 @@
 //! Straight edges at every angle and place, lines that outliers do not pull, input that is none.
 
 use fingerpost_core::GrayView;
-use fingerpost_core::measure::outline::{Polarity, edges_along, fit_line};
+use fingerpost_core::measure::outline::{EdgePolarity, edges_along, fit_line};
 use fingerpost_core::nalgebra::{Point2, Vector2};
 
 /// A picture of a step along a line through `at` at an angle, blurred by σ = 0.8 px.
@@ -27,7 +27,7 @@ fn finds_a_line_at_every_angle_and_place() {
         let along = Vector2::new(angle.cos(), angle.sin());
         let off = Vector2::new(-along.y, along.x) * 2.2;
         let path = [at - along * 60.0 + off, at + along * 60.0 + off];
-        let edges = edges_along(&image, &path, 4.0, Polarity::Rising, 10.0).unwrap();
+        let edges = edges_along(&image, &path, 4.0, EdgePolarity::Rising, 10.0).unwrap();
         assert!(edges.len() > 25, "{} at {angle}", edges.len());
         let points: Vec<_> = edges.iter().map(|e| e.position).collect();
         let sigmas: Vec<_> = edges.iter().map(|e| e.sigma_px).collect();
@@ -36,7 +36,7 @@ fn finds_a_line_at_every_angle_and_place() {
         assert!(normal.dot(&(line.point - at)).abs() < 0.01, "{line:?}");
         let turn = (line.angle_rad - angle).rem_euclid(std::f64::consts::TAU);
         assert!(turn.min(std::f64::consts::TAU - turn) < 5e-4, "{line:?} {angle}");
-        let wrong = edges_along(&image, &path, 4.0, Polarity::Falling, 10.0).unwrap();
+        let wrong = edges_along(&image, &path, 4.0, EdgePolarity::Falling, 10.0).unwrap();
         assert!(wrong.is_empty());
     }
 }
@@ -59,8 +59,8 @@ fn no_line_through_too_little() {
     let pixels = [0; 64];
     let image = GrayView::new(&pixels, 8, 8, 8).unwrap();
     let path = [Point2::new(-50.0, 3.0), Point2::new(f64::NAN, 0.0)];
-    assert!(edges_along(&image, &path, 3.0, Polarity::Any, 1.0).is_err());
-    assert!(edges_along(&image, &path[..1], 0.0, Polarity::Any, 1.0).is_err());
+    assert!(edges_along(&image, &path, 3.0, EdgePolarity::Any, 1.0).is_err());
+    assert!(edges_along(&image, &path[..1], 0.0, EdgePolarity::Any, 1.0).is_err());
     let far = [Point2::new(-1e9, 3.0), Point2::new(1e9, 4.0)];
-    assert!(edges_along(&image, &far, 3.0, Polarity::Any, 1.0).unwrap().is_empty());
+    assert!(edges_along(&image, &far, 3.0, EdgePolarity::Any, 1.0).unwrap().is_empty());
 }

@@ -3,9 +3,9 @@
 
 use crate::common::{BentFinger, Canvas, Noise, Picture, Shape, covered_part};
 use fingerpost_core::appearance::histogram::HistogramModel;
+use fingerpost_core::axis::Stretch;
 use fingerpost_core::axis::{
     Belief, Finger, KnownBackground, MAX_STRETCH_PX, RefineOptions, Refined, Refiner, Source,
-    Stretch,
 };
 use fingerpost_core::geometry::shape_space::Axis;
 use fingerpost_core::measure::edge::Polarity;

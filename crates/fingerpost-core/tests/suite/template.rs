@@ -299,7 +299,7 @@ proptest! {
     }
 
     #[test]
-    fn moulding_to_its_own_shape_vector_gives_the_pistol_back(
+    fn fitting_to_its_own_shape_vector_gives_the_pistol_back(
         hand in proportions(),
         waiting in proportions(),
         (u, v, angle_rad, length_px) in (-1e3..1e3, -1e3..1e3, -4.0..4.0, 5.0..500.0),
@@ -373,8 +373,11 @@ fn a_traced_outline_keeps_its_shape_and_its_axis() {
         // All of it counts as finger, its spine the axis.
         assert_eq!((s.limb, s.along, s.radial), (Limb::Finger, s.position.x, s.normal));
     }
-    let unmoulded = template.fitted(&SVector::zeros(), 100.0, true);
-    assert!(matches!(unmoulded, Err(Error::Unsupported { what: "moulding", .. })));
+    let unfitted = template.fitted(&SVector::zeros(), 100.0, true);
+    assert!(matches!(
+        unfitted,
+        Err(Error::Unsupported { what: "a template fitted to a hand", .. })
+    ));
 }
 
 #[test]

@@ -11,7 +11,7 @@ pub const CELL_PX: usize = 2;
 
 /// The constants of a frame's update.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Learning {
+pub(super) struct BackgroundLearning {
     /// One over the gain of the frame's light, and its offset.
     pub per_gain: f32,
     pub offset_grey: f32,
@@ -25,7 +25,7 @@ pub(super) struct Learning {
     pub most_seen: u8,
 }
 
-impl Learning {
+impl BackgroundLearning {
     /// A level in the light of the background.
     #[inline(always)]
     fn in_its_light(&self, now: u8) -> f32 {
@@ -35,7 +35,7 @@ impl Learning {
 
 /// One observation of every pixel of a part of a row, and of its cells of colour.
 pub(super) struct Visits<'a> {
-    pub learning: Learning,
+    pub learning: BackgroundLearning,
     pub level: &'a mut [f32],
     pub variance: &'a mut [f32],
     pub seen: &'a mut [u8],
@@ -54,12 +54,12 @@ impl Work for Visits<'_> {
     #[inline(always)]
     fn run(self) {
         let Self { learning, level, variance, seen, now, first, colour, now_in_colour } = self;
-        let Learning { rate, noise2, sigmas2, most_seen, .. } = learning;
+        let BackgroundLearning { rate, noise2, sigmas2, most_seen, .. } = learning;
         let mut cells = colour.iter_mut().zip(now_in_colour.chunks(3 * CELL_PX));
         let levels = level.chunks_mut(AT_ONCE).zip(variance.chunks_mut(AT_ONCE));
         let shown = seen.chunks_mut(AT_ONCE).zip(now.chunks(AT_ONCE));
         for ((level, variance), (seen, now)) in levels.zip(shown) {
-            // Learning rate of every pixel: 0 if it disagrees.
+            // BackgroundLearning rate of every pixel: 0 if it disagrees.
             let mut parts = [0.0; AT_ONCE];
             let pixels = level.iter_mut().zip(variance).zip(seen).zip(now).zip(&mut parts);
             for ((((level, variance), seen), now), taken) in pixels {

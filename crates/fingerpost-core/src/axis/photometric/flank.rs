@@ -10,7 +10,7 @@ pub(super) const UNTRIED_ITERATIONS: usize = 3;
 
 /// The pixels of one flank, and the deviations along it.
 #[derive(Debug, Clone)]
-pub(super) struct Flank {
+pub(super) struct PhotometricFlank {
     pub(super) strip: Strip,
     /// Those of every group of blocks.
     pub(super) deviations: Vec<Deviations>,
@@ -25,7 +25,7 @@ pub(super) struct Flank {
     pub(super) runs_px2: f64,
 }
 
-impl Flank {
+impl PhotometricFlank {
     pub(super) fn new() -> Self {
         Self {
             strip: Strip::new(),
@@ -60,9 +60,9 @@ impl Flank {
     /// oscillate.
     pub(super) fn adapt(&mut self, evidence: &Evidence, noise2: f64, iteration: usize) {
         let keep = if iteration <= UNTRIED_ITERATIONS { 0.0 } else { 0.5 };
-        let blend = |old: &mut f64, told: f64| *old = keep * *old + (1.0 - keep) * told;
-        for (variance, told) in self.variances.iter_mut().zip(evidence.variances()) {
-            blend(variance, told);
+        let blend = |old: &mut f64, estimated: f64| *old = keep * *old + (1.0 - keep) * estimated;
+        for (variance, estimated) in self.variances.iter_mut().zip(evidence.variances()) {
+            blend(variance, estimated);
         }
         blend(&mut self.runs_px2, evidence.runs(noise2));
     }

@@ -1,10 +1,10 @@
 //! The loops over all pixels of the strips, for any instruction set.
 
-use super::flank::Flank;
+use super::flank::PhotometricFlank;
 use crate::axis::block::{Deviations, EDGE_EFFECT, Evidence};
 use crate::axis::blur::BlurTable;
 use crate::axis::gram::{Gram, Weighing};
-use crate::axis::pixels::{Doubles, LANES, Lanes, Strip, total};
+use crate::axis::pixels::{Doubles, LANES, PixelLanes, Strip, total};
 use crate::axis::profile::RoundEnd;
 use crate::axis::sketch::Sketch;
 use crate::axis::unknowns::{Factors, FlankEquations, Unknowns};
@@ -17,7 +17,7 @@ const MOST_CHI_SQUARED: f64 = 1.5;
 /// Linearisation of the model of one flank block by block, with elimination of each block's
 /// deviations.
 pub(super) struct Linearising<'a> {
-    pub(super) flank: &'a mut Flank,
+    pub(super) flank: &'a mut PhotometricFlank,
     pub(super) index: usize,
     pub(super) sketch: &'a Sketch,
     pub(super) x: &'a Unknowns,
@@ -30,14 +30,14 @@ pub(super) struct Linearising<'a> {
     /// Outputs.
     pub(super) equations: &'a mut FlankEquations,
     pub(super) evidence: &'a mut Evidence,
-    pub(super) tally: &'a mut Tally,
+    pub(super) tally: &'a mut PixelSums,
 }
 
 impl Work for Linearising<'_> {
     #[inline(always)]
     fn run(self) {
         let Self { flank, index, sketch, x, end, clear_px, table, weighing, .. } = self;
-        let Flank { strip, deviations, weighed, gram, variances, runs_px2, .. } = flank;
+        let PhotometricFlank { strip, deviations, weighed, gram, variances, runs_px2, .. } = flank;
         let noise2 = weighing.noise_grey * weighing.noise_grey;
         for (group, deviations) in strip.groups.iter().zip(deviations) {
             let profile = x.profile(sketch, index, &group.p, &deviations.effects);
@@ -69,16 +69,16 @@ pub(super) struct Surveying<'a, F> {
     /// Whether a block's statistic is the mean of its pixels' values, or the sum.
     pub(super) mean: bool,
     /// Refilled with the statistics of the blocks that have counting pixels.
-    pub(super) told: &'a mut Vec<f64>,
+    pub(super) means: &'a mut Vec<f64>,
 }
 
 impl<F: Fn(f32, f32, f32) -> (bool, f32)> Work for Surveying<'_, F> {
     #[inline(always)]
     fn run(self) {
-        let Self { strip, sketch, measure, mean, told } = self;
-        told.clear();
+        let Self { strip, sketch, measure, mean, means } = self;
+        means.clear();
         for group in &strip.groups {
-            let edge: Lanes = each(|i| sketch.half_width_at(group.p[i]) as f32);
+            let edge: PixelLanes = each(|i| sketch.half_width_at(group.p[i]) as f32);
             let (mut sums, mut counts) = ([0.0_f32; LANES], [0.0_f32; LANES]);
             for chunk in strip.chunks(group) {
                 for i in 0..LANES {
@@ -90,7 +90,7 @@ impl<F: Fn(f32, f32, f32) -> (bool, f32)> Work for Surveying<'_, F> {
                 }
             }
             for (sum, count) in sums.into_iter().zip(counts).filter(|(_, count)| *count > 0.0) {
-                told.push(f64::from(if mean { sum / count } else { sum }));
+                means.push(f64::from(if mean { sum / count } else { sum }));
             }
         }
     }
@@ -98,7 +98,7 @@ impl<F: Fn(f32, f32, f32) -> (bool, f32)> Work for Surveying<'_, F> {
 
 /// Sums over all pixels.
 #[derive(Default)]
-pub(super) struct Tally {
+pub(super) struct PixelSums {
     pub(super) weight: f64,
     pub(super) psi_squared: f64,
     pub(super) psi_slope: f64,
@@ -108,7 +108,7 @@ pub(super) struct Tally {
     pub(super) block_weight: f64,
 }
 
-impl Tally {
+impl PixelSums {
     #[inline(always)]
     fn add(&mut self, deviations: &Deviations, gram: &Gram) {
         let Deviations { block_weight, freed, .. } = deviations;

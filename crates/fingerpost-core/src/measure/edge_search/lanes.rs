@@ -58,7 +58,7 @@ fn fixed(x: f64) -> i32 {
 
 /// The edge kernel.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Kernel<'a> {
+pub(super) struct LaneKernel<'a> {
     /// Weights at +1, +2, … px, times 2¹⁶.
     pub weights: &'a [u16],
     /// Minimum response, positive \[1/128 grey level\].
@@ -84,7 +84,7 @@ pub(super) struct Peak {
 
 /// `N` lines of equally many samples, and the buffers to search them.
 #[derive(Debug, Clone)]
-pub(super) struct Lanes<const N: usize> {
+pub(super) struct SearchLanes<const N: usize> {
     start: [[i32; N]; 2],
     step: [[i32; N]; 2],
     /// All bits set if all samples of a line are inside the image, none otherwise.
@@ -107,7 +107,7 @@ pub(super) struct Lanes<const N: usize> {
 /// No peak was found.
 const NONE: i16 = 0;
 
-impl<const N: usize> Lanes<N> {
+impl<const N: usize> SearchLanes<N> {
     /// Lines of up to `samples` samples.
     pub fn with_capacity(samples: usize) -> Self {
         Self {
@@ -179,7 +179,7 @@ impl<const N: usize> Lanes<N> {
     pub fn find_edges(
         &mut self,
         image: &GrayView<'_>,
-        kernel: &Kernel<'_>,
+        kernel: &LaneKernel<'_>,
         log_ratio_image: Option<(&LogRatioImage<'_>, &Scoring)>,
     ) {
         self.locate(image.stride(), 1, HALF_STEP);
@@ -226,7 +226,7 @@ impl<const N: usize> Lanes<N> {
 
     /// The peak of line `j`, or the reason for its absence.
     #[inline]
-    pub fn peak(&self, j: usize, kernel: &Kernel<'_>) -> Result<Peak, Miss> {
+    pub fn peak(&self, j: usize, kernel: &LaneKernel<'_>) -> Result<Peak, Miss> {
         let at = usize::from(self.peaks[j] as u16);
         let about = at.checked_sub(1).and_then(|before| self.answers.get(before..)?.first_chunk());
         about.map(|about: &[_; 3]| Peak { at, answers: each(|i| about[i][j]) }).ok_or_else(|| {
@@ -236,7 +236,7 @@ impl<const N: usize> Lanes<N> {
 
     /// Whether the response of line `j`, in the sense of the polarity, increases up to one of its
     /// ends.
-    fn rises_to_end(&self, j: usize, kernel: &Kernel<'_>) -> bool {
+    fn rises_to_end(&self, j: usize, kernel: &LaneKernel<'_>) -> bool {
         let n = self.answers.len();
         let [first, second, before_last, last] = [0, 1, n - 2, n - 1].map(|i| {
             let answer = self.answers[i][j];
@@ -325,7 +325,7 @@ impl<const N: usize> Lanes<N> {
     #[inline(always)]
     fn choose(
         &mut self,
-        kernel: &Kernel<'_>,
+        kernel: &LaneKernel<'_>,
         scoring: Option<&Scoring>,
         strength: impl Fn(i16) -> i16 + Copy,
     ) {
@@ -356,7 +356,7 @@ impl<const N: usize> Lanes<N> {
     #[inline(always)]
     fn best_separated(
         &mut self,
-        kernel: &Kernel<'_>,
+        kernel: &LaneKernel<'_>,
         scoring: Scoring,
         strength: impl Fn(i16) -> i16 + Copy,
     ) {

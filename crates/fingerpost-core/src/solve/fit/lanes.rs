@@ -199,14 +199,14 @@ impl<const D: usize> Work for Weigh<'_, D> {
 }
 
 /// Statistics of the solution.
-pub(super) struct Tally<'a> {
+pub(super) struct WeightSums<'a> {
     pub(super) weights: &'a [Lanes],
     pub(super) precisions: &'a [Lanes],
     pub(super) residuals: &'a [Lanes],
     pub(super) statistics: &'a mut Statistics,
 }
 
-impl Work for Tally<'_> {
+impl Work for WeightSums<'_> {
     #[inline(always)]
     fn run(self) {
         let (mut weight, mut chi_squared) = ([0.0; LANES], [0.0; LANES]);
