@@ -6,8 +6,8 @@ import os
 import sys
 import time
 from collections import deque
-from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from fingerpost.calibration import Calibration, Place, Visit
     from fingerpost.config import Rig
     from fingerpost.operators import Operator
+    from fingerpost.pipeline import Step
 
     Fixes = Iterator[tuple[float, NDArray[np.float64] | None]]
 
@@ -86,9 +87,7 @@ def calibrate_operator(
 
     rig = Rig.load(rig_file)
     path = operator_file(name)
-    tables = (("the table of fixes", points), ("the table of visits", visits))
-    read = [*rig_files(rig_file, rig), *((what, file) for what, file in tables if file)]
-    keep_apart({"--operator": path}, read)
+    keep_apart({"--operator": path}, _read(rig_file, rig, points, visits))
     places = places_of(rig) if asked["targets"] is None else places_in(asked["targets"])
     refuse_too_few(places)
     seen = _visits(rig, places, points, visits, asked)
@@ -96,6 +95,18 @@ def calibrate_operator(
     operator.save(path)
     click.echo("\n".join(_summary(seen, operator)))
     click.echo(f"saved          {path}\nuse it         fingerpost run {rig_file} --operator {name}")
+
+
+def _read(
+    rig_file: Path, rig: Rig, points: Path | None, visits: Path | None
+) -> Iterator[tuple[str, Path]]:
+    """Give what is read, for `keep_apart`: the views only where no table stands for them."""
+    if points is None:
+        yield from rig_files(rig_file, rig)
+    else:
+        yield from (("the rig file", rig_file), ("the table of fixes", points))
+    if visits is not None:
+        yield "the table of visits", visits
 
 
 def _visits(
@@ -171,15 +182,26 @@ def _followed(
         return
     line = stack.enter_context(status_line())
     pressed = stack.enter_context(_keys())
-    prompt = _Prompt(calibration, line, takes_key=pressed is not None)
+    prompt = _Prompt(calibration, line, takes_key=_has_keys())
     size = pointer.plane_views[0].plane_size
     status = (
         None
         if line is None
         else LiveStatus(line, unit=rig.plane.unit, plane_size=size, clock=time.monotonic)
     )
+    yield from _prompted(steps(pointer, frames), calibration, prompt, pressed, status)
+
+
+def _prompted(
+    followed: Iterable[Step],
+    calibration: Calibration,
+    prompt: _Prompt,
+    pressed: deque[str],
+    status: LiveStatus | None = None,
+) -> Fixes:
+    """Give the fixes of steps, and between them take keys and say what to point at."""
     prompt.say()
-    for step in steps(pointer, frames):
+    for step in followed:
         yield step.fix.time_s, step.fix.point
         while pressed:
             if pressed.popleft() == _TAKE_KEY and calibration.press() is None:
@@ -192,16 +214,17 @@ def _followed(
 
 
 @contextmanager
-def _keys() -> Iterator[deque[str] | None]:
-    """Give the keys that are pressed; None where nobody is at them."""
+def _keys() -> Iterator[deque[str]]:
+    """Give the keys that are pressed; none where nobody is at them."""
     from fingerpost.guidance import Keys
 
-    if os.name != "posix" or not sys.stdin.isatty():
-        yield None
-        return
     pressed: deque[str] = deque()
-    with Keys(pressed.append, lambda: None):
+    with Keys(pressed.append, lambda: None) if _has_keys() else nullcontext():
         yield pressed
+
+
+def _has_keys() -> bool:
+    return os.name == "posix" and sys.stdin.isatty()
 
 
 class _Prompt:
