@@ -136,7 +136,9 @@ class Calibration:
             return None
         points = np.array([point for _, point in self._latest])
         is_still = float(np.mean(np.var(points, axis=0))) * 2.0 <= self._still**2
-        return self._visit(points) if is_still and self._is_elsewhere(points) else None
+        # The way to the place may reach into the dwell's first half.
+        settled = points[len(points) // 2 :]
+        return self._visit(settled) if is_still and self._is_elsewhere(settled) else None
 
     def press(self) -> Visit | None:
         """Take the latest points for those of the next place; None if there are too few."""
