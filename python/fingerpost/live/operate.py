@@ -46,6 +46,7 @@ def operate(page: Page, rig: Rig, title: str, operator: Operator | None = None) 
                     rig.plane.unit,
                     pointer.plane_views,
                     rig.sources,
+                    targets=rig.things,
                     is_live=sources[0].kind is SourceKind.LIVE,
                     frames=min(counts, default=None),
                 )
