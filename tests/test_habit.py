@@ -20,7 +20,7 @@ HABIT, SCATTER = 30.0, 10.0
 BY_CHANCE = 0.03
 """By so much a share of `PEOPLE` may differ from what is stated."""
 
-PEOPLE = 800
+PEOPLE = 500
 
 
 def offset(point):

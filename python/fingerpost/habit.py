@@ -160,7 +160,8 @@ class Habit:
         Returns
         -------
         (K, 2)
-            To be taken off the points [plane units]; outside the hull, as at its nearest point.
+            To be subtracted from the points [plane units]; outside the hull, that of its nearest
+            point.
         """
         points = finite_array(points, "points", ("K", 2))
         nearest = np.array([_nearest(self._hull, point)[0] for point in points]).reshape(-1, 2)
@@ -189,8 +190,8 @@ class Habit:
         φ = _terms(self.model, z)[0]
         by_z = _terms_jacobian(self.model, z[0]) / _spread(self.points)
         J = np.eye(2) - self.coefficients.T @ by_z @ by_point
-        # The scatter of the points at calibration holds their own noise too, which is not taken
-        # off: how much of that was one and the same in all frames, nobody knows.
+        # The scatter at calibration contains the noise of those points, which is not subtracted:
+        # how much of it all frames of a visit had in common is not known.
         own = self._scatter_variance + φ @ self._terms_covariance @ φ + (self._rate * beyond) ** 2
         Σ = J @ Σ_p @ J.T + own * np.eye(2)
         return Meant(p - φ @ self.coefficients, (Σ + Σ.T) / 2.0, beyond)
@@ -201,7 +202,7 @@ class Habit:
 
 
 def _widening(freedom: int) -> float:
-    """By how much a variance that is itself estimated must be multiplied.
+    """Give the factor of a variance that is itself estimated, with so many degrees of freedom.
 
     The squared distance of a point, over an estimated variance, is 2 F(2, ν), not χ²(2): the factor
     is the quotient of both at `CONFIDENCE`, and 1 for ν → ∞. F(2, ν) has its quantiles in closed

@@ -1,4 +1,4 @@
-"""Operators by name: each person's habit in a file of his own, and fixes with it taken off.
+"""Operators by name: each person's habit in a file of his own, and fixes without it.
 
 The file holds what was pointed at and what was indicated; the habit is estimated anew when it
 is read. It is in the plane's coordinates, so it holds for one plane, and for who stands at the side
@@ -149,7 +149,7 @@ class Operator:
             )
 
     def meant(self, fix: Fix, max_sigma: float) -> Fix:
-        """Return a fix with the habit taken off its point; one without a point as it is.
+        """Return a fix with the habit subtracted from its point; one without a point as it is.
 
         Parameters
         ----------

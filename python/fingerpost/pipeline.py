@@ -441,8 +441,8 @@ class Pointer:
         Asked with every frame where the system's own moving bodies may be, as a robot's arm, in
         plane coordinates: what a view shows there is never a hand.
     operator
-        Whose habit of pointing is taken off the points; with None they are where the finger's axis
-        meets the plane.
+        Whose habit of pointing is subtracted from the points; with None they are where the
+        finger's axis meets the plane.
 
     Raises
     ------

@@ -73,11 +73,11 @@ _FILE = click.Path(path_type=Path)
 def calibrate_operator(
     rig_file: Path, name: str, points: Path | None, visits: Path | None, **asked: Any
 ) -> None:
-    """Learn by how much a person points beside what he means.
+    """Estimate by how much a person points beside what he means.
 
     Point at five or more targets of the rig, one after another in their order, and stay on each;
     live or in a recording. The habit is kept under the person's name, and `fingerpost run
-    RIG.TOML --operator NAME` takes it off.
+    RIG.TOML --operator NAME` subtracts it.
     """
     with ending_at_once():
         need_opencv()

@@ -1,4 +1,4 @@
-"""Whose habit of pointing commands take off the points."""
+"""Whose habit of pointing a command subtracts."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ if TYPE_CHECKING:
 operator_option = click.option(
     "--operator",
     metavar="NAME",
-    help="Take off how NAME points beside what is meant, as `fingerpost calibrate-operator` has "
-    "learned it; or a .toml file of it.",
+    help="Subtract the habit of NAME, as `fingerpost calibrate-operator` has estimated it; or a "
+    ".toml file of it.",
 )
 """Gives a command the parameter `operator`."""
 

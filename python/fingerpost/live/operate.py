@@ -27,7 +27,7 @@ def operate(page: Page, rig: Rig, title: str, operator: Operator | None = None) 
     title
         What the page calls the rig.
     operator
-        Whose habit of pointing is taken off the points.
+        Whose habit of pointing is subtracted from the points.
 
     Raises
     ------
