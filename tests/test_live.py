@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import dataclasses
 import itertools
 import json
 import math
@@ -31,6 +32,7 @@ from fingerpost.live.reel import Message, Reel, Strip
 from fingerpost.live.scene import RigScene, scene_of
 from fingerpost.live.words import headline
 from fingerpost.pipeline import Pointer
+from fingerpost.targets import Target, Targets
 
 # --- what is shown of a moment ---------------------------------------------------------------
 
@@ -99,6 +101,27 @@ def test_a_lost_picture_is_said_of_its_view_alone(run):
     assert scene["pictures"][0] == 0
     assert "contour" not in scene["views"][0]
     assert scene["views"][1]["contour"]
+
+
+def test_targets_are_on_the_plan_with_the_probability_of_each(run):
+    rig, pointer, steps = run
+    fix = steps[-1].fix
+    targets = [
+        Target("cup", fix.point[None], 20.0),
+        Target("home", [[390, 390], [400, 390], [400, 400]], rest=True),
+    ]
+    answers = Targets(targets).probabilities(fix.point, fix.covariance)
+    step = dataclasses.replace(steps[-1], fix=dataclasses.replace(fix, targets=answers))
+    scene = RigScene.of(
+        "clip", "mm", pointer.plane_views, rig.sources, targets=targets, is_live=False, frames=None
+    )
+    told = scene.as_dict()["targets"]
+    assert [target["name"] for target in told] == ["cup", "home"]
+    assert told[0]["corners"] == [fix.point.tolist()]
+    assert [(target["radius"], target["rest"]) for target in told] == [(20.0, False), (0.0, True)]
+    plan = scene_of(Moment.of(step, 0, 0.0, 0.0), scene, ())["plan"]
+    assert plan["targets"] == pytest.approx([answers["cup"], answers["home"]], abs=1e-3)
+    assert "targets" not in shown(run, 0)["plan"]  # no point yet
 
 
 def test_point_and_ellipse_are_projected_back_where_the_plane_view_shows_them(run):

@@ -151,6 +151,31 @@ def test_a_point_is_read_in_the_headline_and_drawn_in_all_views_and_on_the_plan(
     assert "%" in page.text(".view .caption >> nth=0")
 
 
+def test_targets_show_where_they_are_and_how_probable_each_is(browser, tmp_path):
+    shutil.copytree(RIG.parent, tmp_path / "clip")
+    rig_file = tmp_path / "clip" / "rig.toml"
+    with rig_file.open("a", encoding="utf-8") as file:
+        for name, x, y, radius in (("cup", 100, 100, 60), ("box", 350, 350, 25)):
+            file.write(f'[[target]]\nname = "{name}"\npoint = [{x}, {y}]\nradius = {radius}\n')
+    with served(rig_file) as running:
+        page = Open(browser, running)
+        page.at(55)  # points at (89, 97)
+        page.until("document.querySelector('.target.likely')")
+        words = page.page.evaluate(
+            "() => [...document.querySelectorAll('.target-name')].map((e) => e.textContent)"
+        )
+        discs, names = (
+            [box.bounding_box() for box in page.page.query_selector_all(selector)]
+            for selector in (".target", ".target-name")
+        )
+        page.close()
+    assert [re.fullmatch(r"(cup|box) (\d+) %", said)[1] for said in words] == ["cup", "box"]
+    assert int(words[0].split()[1]) > 90
+    assert words[1] == "box 0 %"
+    for disc, name in zip(discs, names, strict=True):
+        assert name["x"] + name["width"] / 2 == pytest.approx(disc["x"] + disc["width"] / 2, abs=2)
+
+
 def test_before_there_is_a_point_it_is_said_which_view_does_what(opened):
     page = opened()
     page.at(0)

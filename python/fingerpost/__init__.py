@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from fingerpost.capture import Frame
     from fingerpost.config import Plane, Rig, View
     from fingerpost.errors import FingerpostError
+    from fingerpost.operators import Operator
     from fingerpost.pipeline import Pointer, track
     from fingerpost.pointing import Fix, Status
     from fingerpost.selection import Selector
@@ -26,6 +27,7 @@ __all__ = [
     "FingerpostError",
     "Fix",
     "Frame",
+    "Operator",
     "Plane",
     "Pointer",
     "Rig",
@@ -43,6 +45,7 @@ _HOMES = {
     "FingerpostError": "errors",
     "Fix": "pointing",
     "Frame": "capture",
+    "Operator": "operators",
     "Plane": "config",
     "Pointer": "pipeline",
     "Rig": "config",

@@ -53,6 +53,7 @@ from fingerpost.finding import (
     tell_from_hands,
 )
 from fingerpost.locating import ReferenceSearch, meter_of, stand_in
+from fingerpost.operators import Operator
 from fingerpost.pointing import (
     BARE_HAND,
     FingerLine,
@@ -439,12 +440,15 @@ class Pointer:
     moving
         Asked with every frame where the system's own moving bodies may be, as a robot's arm, in
         plane coordinates: what a view shows there is never a hand.
+    operator
+        Whose habit of pointing is subtracted from the points; with None they are where the
+        finger's axis meets the plane.
 
     Raises
     ------
     InvalidInputError
-        A rig that cannot point, whose views see the plane from different sides, or an option out
-        of range.
+        A rig that cannot point, whose views see the plane from different sides, an option out of
+        range, or an operator who was calibrated in another unit.
     """
 
     def __init__(
@@ -455,6 +459,7 @@ class Pointer:
         pointing_options: PointingOptions = BARE_HAND,
         reference_sigma_px: float = DEFAULT_REFERENCE_SIGMA_PX,
         moving: Callable[[], Sequence[Capsule]] = tuple,
+        operator: Operator | None = None,
     ) -> None:
         if not isinstance(rig, Rig):
             raise InvalidInputError(
@@ -470,6 +475,13 @@ class Pointer:
             raise InvalidInputError(
                 f"the rig has {len(rig.views)} view; pointing needs two or more"
             )
+        if not isinstance(operator, Operator | None):
+            raise InvalidInputError(
+                f"operator is {operator!r}; an Operator is needed, and Operator.load() reads one"
+            )
+        if operator is not None:
+            operator.refuse_other_unit(rig.plane.unit)
+        self._operator = operator
         self._search = ReferenceSearch(rig) if ReferenceSearch.is_needed(rig) else None
         self._admission = Admission(rig.views)
         self._rig = rig = stand_in(rig)
@@ -805,6 +817,9 @@ class Pointer:
             names=[f'view "{view.name}"' for view in self.views],
             absences=_absences(told, pending.observations),
         )
+        if self._operator is not None:
+            size = max(view.plane_size for view in plane_views)
+            fix = self._operator.meant(fix, self._options.max_sigma * size)
         if fix.point is not None and fix.covariance is not None:
             fix = replace(fix, targets=self._targets.probabilities(fix.point, fix.covariance))
         return Step(pending.index, pending.observations, fix, pending.hand, pending.frames)

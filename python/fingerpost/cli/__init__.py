@@ -18,6 +18,7 @@ import click
 
 from fingerpost.cli.advise import advise
 from fingerpost.cli.batch import batch
+from fingerpost.cli.calibrate_operator import calibrate_operator
 from fingerpost.cli.cameras import cameras
 from fingerpost.cli.demo import demo
 from fingerpost.cli.doctor import doctor
@@ -97,7 +98,7 @@ def main(verbose: bool) -> None:
 
 
 _RECORDINGS = (record, replay, info, recover, export, batch)
-_SETTING_UP = (init, cameras, markers, sync, advise, doctor)
+_SETTING_UP = (init, cameras, markers, sync, advise, doctor, calibrate_operator)
 
 for _command in (demo, *_SETTING_UP, run, live, *_RECORDINGS, experiment, robot):
     main.add_command(_command)

@@ -20,6 +20,7 @@ from fingerpost.cli.endings import ending_as_interrupted
 from fingerpost.cli.events import EVENT_OPTIONS, STDOUT, event_taker
 from fingerpost.cli.live_status import LiveStatus
 from fingerpost.cli.live_views import hush_streams
+from fingerpost.cli.operators import operator_called, operator_option
 from fingerpost.cli.progress import StatusLine, status_line, watched
 from fingerpost.cli.recorder import open_recorder
 from fingerpost.cli.run_summary import RunSummary, source_notes
@@ -55,6 +56,7 @@ class Following:
     model: str = "ribbon"
     settings: tuple[str, ...] = ()
     reference_sigma_px: float | None = None
+    operator: str | None = None
     as_json: bool = False
 
     @property
@@ -79,7 +81,8 @@ class Following:
 
         known = _reference_noise(rig, self.reference_sigma_px)
         options = settings_of(self.model, self.settings)
-        return Pointer(rig, tracker_options=options, **known)
+        operator = operator_called(self.operator)
+        return Pointer(rig, tracker_options=options, operator=operator, **known)
 
 
 _TRACKER_OPTIONS = (
@@ -117,6 +120,7 @@ _OPTIONS = (
         help="Sigma of reference points for which the rig file gives no covariance, px.  "
         "[default: 0.5]",
     ),
+    operator_option,
     click.option(
         "--json",
         "as_json",

@@ -10,6 +10,7 @@ import click
 
 from fingerpost.cli.endings import ending_as_interrupted
 from fingerpost.cli.live_views import hush_streams
+from fingerpost.cli.operators import operator_called, operator_option
 from fingerpost.installation import need_opencv
 from fingerpost.signals import ending_at_once
 
@@ -46,7 +47,8 @@ def _address(_context: click.Context, _parameter: click.Parameter, given: str) -
     help="Serve at this address of the machine, for a phone beside the table.",
 )
 @click.option("--open", "opens", is_flag=True, help="Open the page in a browser.")
-def live(rig_file: Path | None, port: int, host: str, opens: bool) -> None:
+@operator_option
+def live(rig_file: Path | None, port: int, host: str, opens: bool, operator: str | None) -> None:
     """See where a hand points, in a browser, while it points.
 
     RIG.TOML names the views, as for `fingerpost run`: cameras are shown at their rate, recordings
@@ -65,6 +67,7 @@ def live(rig_file: Path | None, port: int, host: str, opens: bool) -> None:
         from fingerpost.live import Page, operate, set_up
 
     rig = None if rig_file is None else Rig.load(rig_file)
+    known = operator_called(operator)
     with ending_as_interrupted(), Page(host, port) as page:
         click.echo(page.address)
         if opens:
@@ -73,5 +76,5 @@ def live(rig_file: Path | None, port: int, host: str, opens: bool) -> None:
             rig_file = set_up(page, Path.cwd())
             rig = Rig.load(rig_file)
         hush_streams(rig.sources)
-        operate(page, rig, rig_file.name)
+        operate(page, rig, rig_file.name, known)
         page.wait()

@@ -11,10 +11,11 @@ from fingerpost.config import Rig
 from fingerpost.errors import FingerpostError
 from fingerpost.live.page import Page
 from fingerpost.live.scene import RigScene
+from fingerpost.operators import Operator
 from fingerpost.pipeline import Pointer, steps
 
 
-def operate(page: Page, rig: Rig, title: str) -> None:
+def operate(page: Page, rig: Rig, title: str, operator: Operator | None = None) -> None:
     """Show a rig's run on the page, to the end of its sources.
 
     Parameters
@@ -25,6 +26,8 @@ def operate(page: Page, rig: Rig, title: str) -> None:
         At least two views.
     title
         What the page calls the rig.
+    operator
+        Whose habit of pointing is subtracted from the points.
 
     Raises
     ------
@@ -35,7 +38,7 @@ def operate(page: Page, rig: Rig, title: str) -> None:
     """
     with _noting(page):
         try:
-            pointer = Pointer(rig)
+            pointer = Pointer(rig, operator=operator)
             with open_views(rig.sources, rig.readings) as sources:
                 counts = [source.frame_count for source in sources if source.frame_count]
                 scene = RigScene.of(
@@ -43,6 +46,7 @@ def operate(page: Page, rig: Rig, title: str) -> None:
                     rig.plane.unit,
                     pointer.plane_views,
                     rig.sources,
+                    targets=rig.things,
                     is_live=sources[0].kind is SourceKind.LIVE,
                     frames=min(counts, default=None),
                 )

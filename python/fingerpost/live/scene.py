@@ -27,6 +27,7 @@ from fingerpost.recording.picture.shapes import (
     outline,
     with_gaps,
 )
+from fingerpost.targets import Target
 
 CONFIDENCE = 0.95
 """Probability with which the ellipse holds the indicated point."""
@@ -62,6 +63,8 @@ class RigScene:
         Turns and mirrors the plane as the views see it: entries −1, 0 or 1, y down.
     digits
         Decimals of the numbers that are shown.
+    targets
+        The things on the plane to point at.
     views
         Names, in the rig's order.
     is_live
@@ -76,6 +79,7 @@ class RigScene:
     hull: Sequence[int]
     plan_from_plane: Points
     digits: int
+    targets: tuple[Target, ...]
     views: tuple[str, ...]
     is_live: bool
     frames: int | None
@@ -88,6 +92,7 @@ class RigScene:
         plane_views: Sequence[PlaneView],
         names: Iterable[str],
         *,
+        targets: Iterable[Target] = (),
         is_live: bool,
         frames: int | None,
     ) -> RigScene:
@@ -101,6 +106,7 @@ class RigScene:
             hull=hull(first.plane_points).tolist(),
             plan_from_plane=np.sign(turn),
             digits=digits_of(first.plane_size),
+            targets=tuple(targets),
             views=tuple(names),
             is_live=is_live,
             frames=frames,
@@ -115,6 +121,15 @@ class RigScene:
             "hull": list(self.hull),
             "turn": self.plan_from_plane.tolist(),
             "digits": self.digits,
+            "targets": [
+                {
+                    "name": target.name,
+                    "corners": target.corners.tolist(),
+                    "radius": target.radius,
+                    "rest": target.rest,
+                }
+                for target in self.targets
+            ],
             "views": list(self.views),
             "live": self.is_live,
             "frames": self.frames,
@@ -141,6 +156,7 @@ def scene_of(moment: Moment, rig: RigScene, trail: Iterable[Sequence[float]]) ->
     }
     if fix.point is not None:
         plan["point"] = np.round(fix.point, digits).tolist()
+        plan["targets"] = [round(fix.targets.get(target.name, 0.0), 3) for target in rig.targets]
     if ellipse is not None:
         plan["ellipse"] = _flat(ellipse.polygon(72), digits)
         plan["axes"] = [f"{axis:.{rig.digits}f}" for axis in sorted(ellipse.semi_axes)[::-1]]

@@ -22,10 +22,12 @@ export class PlanPanel extends Panel {
     this.plane = make("path", { class: "plane" }, this.window);
     this.grid = make("path", { class: "grid" }, this.window);
     this.outline = make("path", { class: "plan-outline" }, this.window);
+    this.targets = rig.targets.map(() => make("path", { class: "target" }, this.window));
     this.numbers = rig.points.map((_, k) => numbered(this.window, k + 1));
     this.bands = this.perView("band", "fill");
     this.lines = this.perView("constraint", "stroke");
     this.trail = Array.from({ length: AGES }, (_, k) => make("path", { class: `trail age-${k}` }, this.window));
+    this.names = rig.targets.map(() => make("text", { class: "target-name", "text-anchor": "middle" }, this.window));
     this.ellipse = make("path", { class: "ellipse" }, this.window);
     this.point = pointMark(this.window);
     this.arrow = make("path", { class: "arrow" }, this.window);
@@ -91,7 +93,21 @@ export class PlanPanel extends Panel {
       place(group, places[k], this.emphasis);
       label.setAttribute("transform", `translate(${awayFrom(middle, places[k], 17)})`);
     });
+    this.drawTargets();
     this.drawAxes(margin);
+  }
+
+  // A target is all that lies within its radius of its corners and what they enclose: a line as
+  // wide as that about a filled shape, with round corners; about a single point, a disc.
+  drawTargets() {
+    this.rig.targets.forEach(({ corners, radius }, k) => {
+      const shape = corners.length > 1 ? path([corners.flat()], this.map, true) : dots(corners.flat(), this.map);
+      this.targets[k].setAttribute("d", shape);
+      this.targets[k].style.strokeWidth = `${2 * radius * this.pxPerUnit}px`;
+      const [x, y] = middleOf(corners.map(([x, y]) => this.map(x, y)));
+      const size = 13 * Math.min(this.emphasis, 1.5);
+      for (const [name, value] of Object.entries({ x, y: y + 0.36 * size })) this.names[k].setAttribute(name, value);
+    });
   }
 
   drawAxes(margin) {
@@ -149,6 +165,13 @@ export class PlanPanel extends Panel {
     this.trail.forEach((part, k) => {
       const [from, to] = [Math.round((k * count) / AGES), Math.round(((k + 1) * count) / AGES)];
       part.setAttribute("d", dots(plan.trail.slice(2 * from, 2 * to), this.map));
+    });
+    const best = Math.max(0.5, ...(plan.targets ?? []));
+    this.rig.targets.forEach(({ name, rest }, k) => {
+      const share = plan.targets?.[k] ?? 0;
+      this.targets[k].style.opacity = 0.16 + 0.5 * share;
+      this.targets[k].classList.toggle("likely", share >= best && !rest);
+      this.names[k].textContent = plan.targets ? `${name} ${Math.round(100 * share)} %` : name;
     });
     this.ellipse.setAttribute("d", plan.ellipse ? path([plan.ellipse], this.map, true) : "");
     const at = plan.point ? this.map(...plan.point) : null;

@@ -1,0 +1,264 @@
+"""What an operator indicates while he points at known places: by dwelling, by a key, or by times.
+
+He points at one place after another, in a known order. A hand dwells where its points stay together
+for a while; it is at the next place once it dwells elsewhere than at the last one.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections import deque
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fingerpost.checks import in_range
+from fingerpost.config import Rig
+from fingerpost.errors import InvalidInputError
+from fingerpost.habit import MIN_TARGETS, Habit
+from fingerpost.selection import GRACE_S
+
+STILL = 1 / 8
+"""Points that lie together have this standard distance from their mean at most [share of the least
+distance between places that follow each other]: a hand on its way is never so slow."""
+
+ELSEWHERE = 1 / 2
+"""From the last place to the next one, the points have moved by more than this share of the way."""
+
+MIN_FIXES = 3
+"""No place is taken from fewer."""
+
+_COLUMNS = ("target", "begin_s", "end_s")
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Place:
+    """A known place to point at: its name, and its middle (2,) [plane units]."""
+
+    name: str
+    point: NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Visit:
+    """A place, and what was indicated while it was pointed at (2,) [plane units]."""
+
+    place: Place
+    point: NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Stay:
+    """When a place was pointed at: its name, and from when to when [s]."""
+
+    target: str
+    begin_s: float
+    end_s: float
+
+
+def places_of(rig: Rig) -> list[Place]:
+    """Return the middles of a rig's targets, in their order; places to rest at are none."""
+    return [
+        Place(target.name, target.corners.mean(axis=0)) for target in rig.things if not target.rest
+    ]
+
+
+def places_in(text: str) -> list[Place]:
+    """Return places that are given as "x,y; x,y; ...", called by their number.
+
+    Raises
+    ------
+    InvalidInputError
+        An entry that is no pair of numbers.
+    """
+    places = []
+    for number, entry in enumerate(filter(str.strip, text.split(";")), 1):
+        try:
+            x, y = (in_range(float(part), "", -1e300, 1e300) for part in entry.split(","))
+        except ValueError as error:
+            raise InvalidInputError(
+                f'{entry.strip()!r} is no place; "x,y; x,y" in plane units is right'
+            ) from error
+        places.append(Place(str(number), np.array([x, y])))
+    return places
+
+
+class Calibration:
+    """Takes the points that an operator indicates, and notices when he points at the next place.
+
+    Parameters
+    ----------
+    places
+        In the order in which he points at them, `MIN_TARGETS` or more.
+    dwell_s
+        How long he stays on each [s].
+
+    Raises
+    ------
+    InvalidInputError
+        Too few places, one that follows itself, or `dwell_s` out of range.
+    """
+
+    def __init__(self, places: Sequence[Place], dwell_s: float) -> None:
+        refuse_too_few(places)
+        self._dwell_s = in_range(dwell_s, "dwell_s", 0.1, 60.0)
+        ways = [math.dist(a.point, b.point) for a, b in pairwise(places)]
+        if not min(ways) > 0.0:
+            after = places[ways.index(0.0)].name
+            raise InvalidInputError(f"the place after {after!r} is the same one; another is right")
+        self._places = tuple(places)
+        self._still = STILL * min(ways)
+        self._elsewhere = [ELSEWHERE * way for way in ways]
+        self._latest: deque[tuple[float, NDArray[np.float64]]] = deque()
+        self.visits: list[Visit] = []
+
+    @property
+    def next(self) -> Place | None:
+        """The place to point at now; None when all have been."""
+        return self._places[len(self.visits)] if len(self.visits) < len(self._places) else None
+
+    def take(self, time_s: float, point: NDArray[np.float64] | None) -> Visit | None:
+        """Take the next fix's time and point; return the visit that it completes."""
+        if point is None:
+            return None
+        if self._latest and time_s - self._latest[-1][0] > GRACE_S:
+            self._latest.clear()
+        self._latest.append((time_s, point))
+        # The oldest one stays while those after it do not last for a dwell.
+        while len(self._latest) > 1 and time_s - self._latest[1][0] >= self._dwell_s:
+            self._latest.popleft()
+        if time_s - self._latest[0][0] < self._dwell_s:
+            return None
+        points = np.array([point for _, point in self._latest])
+        is_still = float(np.mean(np.var(points, axis=0))) * 2.0 <= self._still**2
+        # The way to the place may reach into the dwell's first half.
+        settled = points[len(points) // 2 :]
+        return self._visit(settled) if is_still and self._is_elsewhere(settled) else None
+
+    def press(self) -> Visit | None:
+        """Take the latest points for those of the next place; None if there are too few."""
+        since_s = self._latest[-1][0] - GRACE_S if self._latest else 0.0
+        return self._visit(np.array([point for time_s, point in self._latest if time_s >= since_s]))
+
+    def _is_elsewhere(self, points: NDArray[np.float64]) -> bool:
+        if not self.visits or self.next is None:
+            return True
+        moved = math.dist(np.median(points, axis=0), self.visits[-1].point)
+        return moved > self._elsewhere[len(self.visits) - 1]
+
+    def _visit(self, points: NDArray[np.float64]) -> Visit | None:
+        if self.next is None or len(points) < MIN_FIXES:
+            return None
+        visit = Visit(self.next, np.median(points, axis=0))
+        self.visits.append(visit)
+        self._latest.clear()
+        return visit
+
+
+def refuse_too_few(places: Sequence[Place]) -> None:
+    """Refuse places that a habit cannot be estimated from.
+
+    Raises
+    ------
+    InvalidInputError
+    """
+    if len({tuple(place.point.tolist()) for place in places}) < MIN_TARGETS:
+        raise InvalidInputError(
+            f"{len(places)} places to point at; {MIN_TARGETS} different ones or more are needed, "
+            'as [[target]] of the rig or as --targets "x,y; x,y; ..."'
+        )
+
+
+def read_stays(path: Path) -> list[Stay]:
+    """Read when places were pointed at: a table with the columns target, begin_s and end_s.
+
+    Raises
+    ------
+    InvalidInputError
+        The file cannot be read, lacks a column, or has a row whose times are none.
+    """
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            rows = csv.DictReader(file, restval="")
+            missing = [name for name in _COLUMNS if name not in (rows.fieldnames or ())]
+            if missing:
+                raise InvalidInputError(
+                    f"{path}: no column {', '.join(missing)}; {','.join(_COLUMNS)} is needed"
+                )
+            return [_stay(path, line, row) for line, row in enumerate(rows, 2)]
+    except OSError as error:
+        raise InvalidInputError(f"{path}: cannot be read: {error.strerror}") from error
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise InvalidInputError(f"{path}: {error}; a table in UTF-8 is needed") from error
+
+
+def _stay(path: Path, line: int, row: dict[str, str]) -> Stay:
+    target, begin, end = (row[name].strip() for name in _COLUMNS)
+    try:
+        stay = Stay(target, float(begin), float(end))
+    except ValueError as error:
+        raise InvalidInputError(
+            f"{path}: line {line}: begin_s is {begin!r} and end_s {end!r}; seconds are needed"
+        ) from error
+    if not -math.inf < stay.begin_s < stay.end_s < math.inf:
+        raise InvalidInputError(f"{path}: line {line}: end_s is to be later than begin_s")
+    return stay
+
+
+def visits_of(
+    places: Sequence[Place],
+    stays: Sequence[Stay],
+    fixes: Iterable[tuple[float, NDArray[np.float64] | None]],
+) -> list[Visit]:
+    """Return what was indicated while places were pointed at.
+
+    Parameters
+    ----------
+    places
+        All of them.
+    stays
+        When which one was pointed at.
+    fixes
+        Times and points, all of the session.
+
+    Raises
+    ------
+    InvalidInputError
+        A stay at a place that is none, or with too few fixes.
+    """
+    known = {place.name: place for place in places}
+    for stay in stays:
+        if stay.target not in known:
+            raise InvalidInputError(
+                f"there is no target {stay.target!r}; known: {', '.join(known)}"
+            )
+    seen = [(time_s, point) for time_s, point in fixes if point is not None]
+    visits = []
+    for stay in stays:
+        points = [point for time_s, point in seen if stay.begin_s <= time_s <= stay.end_s]
+        if len(points) < MIN_FIXES:
+            raise InvalidInputError(
+                f"target {stay.target!r}: {len(points)} fixes from {stay.begin_s:g} to "
+                f"{stay.end_s:g} s; {MIN_FIXES} with a point are needed"
+            )
+        visits.append(Visit(known[stay.target], np.median(points, axis=0)))
+    return visits
+
+
+def habit_of(visits: Sequence[Visit]) -> Habit:
+    """Estimate an operator's habit from what he indicated.
+
+    Raises
+    ------
+    InvalidInputError
+        As `Habit.of`.
+    """
+    return Habit.of(
+        np.array([visit.place.point for visit in visits]).reshape(-1, 2),
+        np.array([visit.point for visit in visits]).reshape(-1, 2),
+    )
