@@ -34,7 +34,6 @@ from fingerpost.finding import HandSearch, Shared
 from fingerpost.pipeline import Observation, Pointer, Step
 from fingerpost.pointing import FingerLine
 from fingerpost.recording.picture import draw_view
-from fingerpost.rehearsal import described
 from fingerpost.simulate import (
     Background,
     Hand,
@@ -45,6 +44,7 @@ from fingerpost.simulate import (
     Trajectory,
     figure_eight,
 )
+from fingerpost.simulated_rig_file import rig_from_simulation
 
 FRAMES = 180
 FPS = 30.0
@@ -136,7 +136,7 @@ def simulated(cameras: int) -> tuple[SimulatedRig, Trajectory]:
 def waiting_rig(rig: SimulatedRig, motion: Trajectory, sources: Sequence[str | int]) -> Rig:
     """Describe the rig as it is when the hand arrives."""
     fingers = [view.finger for view in rig.truth(motion, time_s=ARRIVES_S).views]
-    return described(rig, starts=[finger.start() for finger in fingers], sources=sources)
+    return rig_from_simulation(rig, starts=[finger.start() for finger in fingers], sources=sources)
 
 
 def written(folder: Path, rig: SimulatedRig, motion: Trajectory) -> list[str]:

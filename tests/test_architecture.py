@@ -46,7 +46,7 @@ PYTHON_GROUPS = {
     "advise": "application",
     "demo": "application",
     "doctor": "application",
-    "rehearsal": "application",
+    "simulated_rig_file": "application",
     "sync": "application",
     "setting_up": "application",
     "workers": "application",

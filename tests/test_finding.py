@@ -55,7 +55,6 @@ from fingerpost.finding.views import (
 )
 from fingerpost.pipeline import Pointer
 from fingerpost.pointing import FingerLine, PlaneView, Status
-from fingerpost.rehearsal import described
 from fingerpost.simulate import (
     Background,
     Camera,
@@ -71,6 +70,7 @@ from fingerpost.simulate import (
     Trajectory,
     write_recording,
 )
+from fingerpost.simulated_rig_file import rig_from_simulation
 
 FPS = 20.0
 SEED = 11
@@ -111,7 +111,7 @@ def played(
     rig: SimulatedRig, motion: Trajectory, frames: int, start: Start | None = None
 ) -> tuple[list, list]:
     """Steps of a pointer with one start pose for all views, or without, and what was true."""
-    without = described(rig)
+    without = rig_from_simulation(rig)
     views = tuple(replace(view, start=start) for view in without.views)
     pointer, rng = Pointer(replace(without, views=views)), np.random.default_rng(SEED)
     told, truth = [], []
@@ -201,7 +201,7 @@ def test_a_view_that_stands_still_while_the_hand_moves_in_another_is_let_go():
         .then(Trajectory.through([OVER_THE_TABLE, far], 0.25))
     )
     rig, rng = SCENES["wood and a sheet, in colour"], np.random.default_rng(SEED)
-    pointer, stuck, points = Pointer(described(rig)), None, []
+    pointer, stuck, points = Pointer(rig_from_simulation(rig)), None, []
     stuck_from, frames = 40, int(motion.duration_s * FPS)
     for k in range(frames):
         left, right = rig.render(motion, time_s=k / FPS, rng=rng).images
@@ -333,7 +333,7 @@ def test_the_hand_that_moves_is_followed_and_not_one_that_lies_there():
         background=Background(texture="wood"),
         sensor=Sensor(channels="bgr", cells_per_sigma=2),
     )
-    pointer, rng = Pointer(described(scene)), np.random.default_rng(SEED)
+    pointer, rng = Pointer(rig_from_simulation(scene)), np.random.default_rng(SEED)
     misses_mm = {}
     for k in range(int(motion.duration_s * FPS)):
         shot = scene.render(motion, time_s=k / FPS, rng=rng, others=[(Hand(), lying)])
@@ -366,7 +366,7 @@ def test_what_stands_on_the_table_starts_nothing():
         for place, azimuth in (((120.0, 130.0), 40.0), ((280.0, 240.0), -70.0))
     ]
     scene = SCENES["plain"]
-    pointer = Pointer(described(scene))
+    pointer = Pointer(rig_from_simulation(scene))
     for k in range(25):
         shot = scene.render(None, rng=rng, others=[(rod, pose) for pose in poses])
         frames = [Frame(k, k / FPS, image) for image in shot.images]

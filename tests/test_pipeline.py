@@ -24,7 +24,6 @@ from fingerpost.errors import InvalidInputError
 from fingerpost.homography import estimate_image_from_plane, transfer_to_image
 from fingerpost.pipeline import Observation, Pointer, Step, steps
 from fingerpost.pointing import PointingOptions, Status
-from fingerpost.rehearsal import described
 from fingerpost.simulate import (
     Background,
     DevicePose,
@@ -34,6 +33,7 @@ from fingerpost.simulate import (
     Trajectory,
     write_recording,
 )
+from fingerpost.simulated_rig_file import rig_from_simulation
 
 SEED = 20
 FRAMES = 24
@@ -190,7 +190,7 @@ def test_a_view_whose_camera_has_moved_from_a_plain_table_tells_nothing_until_it
 def as_configured(rig: SimulatedRig, motion: Trajectory) -> Rig:
     """The simulated rig as a rig file would have it."""
     fingers = [view.finger for view in rig.truth(motion, time_s=0.0).views]
-    return described(rig, starts=[finger.start() for finger in fingers])
+    return rig_from_simulation(rig, starts=[finger.start() for finger in fingers])
 
 
 def test_views_that_follow_different_fingers_give_no_point():

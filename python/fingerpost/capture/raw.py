@@ -175,12 +175,12 @@ class RawStream:
         self._picture: Picture | None = None
         self._has_given = False
         try:
-            self._format = self._told(known, timeout_s)
+            self._format = self._read_format(known, timeout_s)
         except BaseException:
             self._file.close()
             raise
 
-    def _told(self, known: RawFormat | None, timeout_s: float) -> RawFormat:
+    def _read_format(self, known: RawFormat | None, timeout_s: float) -> RawFormat:
         """Return the format, by what comes first."""
         end_s = time.monotonic() + timeout_s
         while not self._fill(len(_Y4M)) and time.monotonic() < end_s:

@@ -23,17 +23,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fingerpost.closed_loop.engine import require_mujoco
-from fingerpost.closed_loop.errand import (
-    ERRAND_S,
-    SETTLED_S,
-    Absence,
-    Errand,
-    Leg,
-    Scripted,
-    Vanishing,
-    block_and_place_mm,
-    target_mm,
-)
 from fingerpost.closed_loop.layout import Aim, CameraPlacement
 from fingerpost.closed_loop.loop import CellViews, ClosedLoop, FixAccuracy, LoopOptions
 from fingerpost.closed_loop.operator import Habits, Operator
@@ -44,6 +33,17 @@ from fingerpost.closed_loop.setup import (
     robot_table,
     scorbot_in,
     with_start,
+)
+from fingerpost.closed_loop.task import (
+    SETTLED_S,
+    TASK_S,
+    Absence,
+    Leg,
+    Scripted,
+    Task,
+    Vanishing,
+    block_and_place_mm,
+    target_mm,
 )
 from fingerpost.closed_loop.world import World
 from fingerpost.config import Rig
@@ -341,17 +341,17 @@ def guide(index: int, rig: Rig, options: GuidanceOptions) -> GuidanceTrial:
         Of the experiment.
     """
     with _staged(index, rig, options) as stage:
-        errand = Errand(stage.world, stage.loop, stage.operator, stage.block_mm, stage.place_mm)
-        stage.play(errand)
+        task = Task(stage.world, stage.loop, stage.operator, stage.block_mm, stage.place_mm)
+        stage.play(task)
         return GuidanceTrial(
             index,
-            tuple(errand.legs),
-            errand.placed_mm,
+            tuple(task.legs),
+            task.placed_mm,
             stage.cell.contacts.table_steps,
             stage.accuracy.rms_mm,
             stage.accuracy.moments,
             stage.accuracy.fixes,
-            errand.problem,
+            task.problem,
             stage.accuracy.false_fixes,
         )
 
@@ -425,7 +425,7 @@ class _Stage:
     def play(self, person: Scripted) -> None:
         """Run the session; what the robot raises is the person's problem."""
         try:
-            self.loop.run(person, ERRAND_S)
+            self.loop.run(person, TASK_S)
         except RobotError as error:
             person.problem = f"{type(error).__name__}: {error}"
 

@@ -49,7 +49,7 @@ class Client:
         self._newest = message, begun_s
         self._wake.set()
 
-    def tell(self) -> None:
+    def send_state(self) -> None:
         """Send the state anew, once."""
         self._has_news = True
         self._wake.set()

@@ -134,7 +134,7 @@ class Page:
         """
         with self._changed:
             self._wanted = None
-        self._tell("setup", (offers, stills, problem))
+        self._post("setup", (offers, stills, problem))
         with self._changed:
             self._changed.wait_for(lambda: self._lost or self._wanted is not None)
         self._refuse_lost()
@@ -147,7 +147,7 @@ class Page:
             self._is_live = scene.is_live
             self._allowed = 0.0
             self._given = self._number = 0
-        self._tell("rig", scene)
+        self._post("rig", scene)
 
     def allowed(self, frames: Iterator[Frames]) -> Iterator[Frames]:
         """Give frames of all views as long as the page lets the loop go on.
@@ -188,7 +188,7 @@ class Page:
 
     def note(self, words: str) -> None:
         """Show a line that people should know of."""
-        self._tell("note", words)
+        self._post("note", words)
 
     def end(self, words: str) -> None:
         """Say that no step will come any more, and why."""
@@ -196,7 +196,7 @@ class Page:
             self._changed.wait_for(
                 lambda: self._lost or (self._next is None and self._unanswered == 0)
             )
-        self._tell("ended", words)
+        self._post("ended", words)
 
     def wait(self) -> None:
         """Wait until the page's process has ended.
@@ -229,7 +229,7 @@ class Page:
         if self._lost:
             raise FingerpostError("the page's process has ended; start the command again")
 
-    def _tell(self, kind: str, told: Any) -> None:
+    def _post(self, kind: str, told: Any) -> None:
         with suppress(OSError), self._lock:  # a process that is gone is noticed by who listens
             self._pipe.send((kind, told))
 
@@ -246,7 +246,7 @@ class Page:
                 taken, self._next = self._next, None
                 self._unanswered += 1
                 self._changed.notify_all()
-            self._tell("moment", Moment.of(*taken))
+            self._post("moment", Moment.of(*taken))
 
     def _listen(self) -> None:
         """Hear what the page answers and asks: the life of a thread."""

@@ -205,9 +205,9 @@ class MarkersMeter:
         # A sheet that bends, or a lens that nobody told of, puts markers off by more than noise.
         worse = max(squares / max(2 * len(x) - 8, 1), 1.0)
         Σ = worse * homography_covariance(T, X, joint)
-        return self._told(T, Σ)
+        return self._corners_of(T, Σ)
 
-    def _told(self, T: Array, entries_covariance: Array) -> Measured | None:
+    def _corners_of(self, T: Array, entries_covariance: Array) -> Measured | None:
         corners = transfer_to_image(T, self._plane_points)
         if not np.isfinite(corners).all():
             return None

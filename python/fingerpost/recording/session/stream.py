@@ -59,9 +59,11 @@ class RecordingStream:
         self._place += len(data)
         return len(data)
 
-    def tell(self) -> int:
-        """Return how many bytes were written."""
+    def position(self) -> int:
+        """Return the number of bytes written."""
         return self._place
+
+    tell = position  # by this name of Python's files, the MCAP writer asks
 
     def flush(self) -> None:
         """Have everything on the disk.

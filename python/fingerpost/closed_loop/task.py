@@ -44,8 +44,8 @@ AWAY_S = 20.0
 CARRYING_S = 60.0
 """How long a person waits for each [s]."""
 
-ERRAND_S = 300.0
-"""How long an errand may take in all [s]."""
+TASK_S = 300.0
+"""Longest duration of a task [s]."""
 
 
 @dataclass(frozen=True)
@@ -97,9 +97,10 @@ class Scripted:
     def _clear_view(self) -> Waiting:
         """Have the arm make way."""
         self._key = AWAY_KEY
-        is_aside = yield from self._until(lambda: self._loop.session.is_aside, AWAY_S)
+        session = self._loop.session
+        has_cleared = yield from self._until(lambda: session.is_out_of_the_way, AWAY_S)
         self._key = HOLD_KEY
-        return is_aside
+        return has_cleared
 
     def _until(self, true: Callable[[], bool], timeout_s: float) -> Waiting:
         """Wait for something; return whether it came in time."""
@@ -120,7 +121,7 @@ class Scripted:
         return fix is not None and fix.status is Status.OK
 
 
-class Errand(Scripted):
+class Task(Scripted):
     """Point at a block, correct, point at a place, correct, and watch the block being carried.
 
     Parameters
@@ -270,7 +271,7 @@ class Absence(Scripted):
         yield from self._idle(self.SPAN_S)
 
 
-class Vanishing(Errand):
+class Vanishing(Task):
     """Point at a block, and be gone from one frame to the next while the arm follows.
 
     Attributes

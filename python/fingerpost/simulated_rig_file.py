@@ -12,7 +12,7 @@ from fingerpost.config import LensParameters, Pair, Plane, Rig, Start, View
 from fingerpost.simulate import SimulatedRig, StartPose
 
 
-def described(
+def rig_from_simulation(
     simulated: SimulatedRig,
     *,
     reference_points_px: Sequence[ArrayLike] | None = None,
