@@ -30,7 +30,7 @@ from fingerpost import pipeline
 from fingerpost._core import ContourTracker, StartPose, Template, update_views
 from fingerpost.capture import Frame, open_source, read_views
 from fingerpost.config import Rig
-from fingerpost.finding import HandSearch, Shared
+from fingerpost.finding import HandSearch, PairTests
 from fingerpost.pipeline import Observation, Pointer, Step
 from fingerpost.pointing import FingerLine
 from fingerpost.recording.picture import draw_view
@@ -104,10 +104,10 @@ def time_stages(clock: Stopwatch) -> None:
     """Have the stages of the main loop timed where it calls them."""
     pipeline.update_views = clock.timed("track", pipeline.update_views)
     pipeline.indicated_point = clock.timed("fix", pipeline.indicated_point)
-    Shared.can_be_one = clock.timed("agree", Shared.can_be_one)
-    Shared.are_one = clock.timed("agree", Shared.are_one)
-    Shared.are_two = clock.timed("agree", Shared.are_two)
-    HandSearch.look_behind = clock.timed("learn", HandSearch.look_behind)
+    PairTests.can_be_one = clock.timed("agree", PairTests.can_be_one)
+    PairTests.are_one = clock.timed("agree", PairTests.are_one)
+    PairTests.are_two = clock.timed("agree", PairTests.are_two)
+    HandSearch.update_background = clock.timed("learn", HandSearch.update_background)
     HandSearch.learn = clock.timed("learn", HandSearch.learn)
     finger = Observation.__dict__["finger"]
     finger.func = clock.timed("finger lines", finger.func)

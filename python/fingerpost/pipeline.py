@@ -38,19 +38,19 @@ from fingerpost.config import FixedReference, Rig, View
 from fingerpost.consistency import Monitor, Scenery
 from fingerpost.errors import FingerpostError, InvalidInputError
 from fingerpost.finding import (
-    BETWEEN_EDGES,
-    Aside,
+    NO_CORRECTION,
+    AxisCorrection,
     Hand,
     HandView,
     Identity,
-    Shared,
+    PairTests,
     compare_lengths,
     compare_widths,
+    distinguish_body_from_hands,
     find_hand,
-    how_flat,
+    flatness_of_followed,
     measured_line,
     other_fingers,
-    tell_from_hands,
 )
 from fingerpost.locating import ReferenceSearch, meter_of, stand_in
 from fingerpost.pointing import (
@@ -83,7 +83,7 @@ DEFAULT_REFERENCE_SIGMA_PX = 0.5
 ANOTHER_FINGER = "its fingertip is not that of the other views"
 """What is said of a view that follows another finger than all others."""
 
-TOLD_OFF = 0.05
+MIN_REPORTED_SIGMA = 0.05
 """From so many half-widths on, people are told that the axis may be off."""
 
 LARGEST_PX = 2560
@@ -143,7 +143,7 @@ class Observation:
     moved_px: float = 0.0
     is_adrift: bool = False
     plane_view: PlaneView | None = None
-    aside: Aside = BETWEEN_EDGES
+    axis_correction: AxisCorrection = NO_CORRECTION
     is_body: bool = False
     reduction: Reduction = WHOLE
     loss: Loss | None = None
@@ -160,7 +160,7 @@ class Observation:
         """Return what a view saw in the frame that it and the watch have had last."""
         tracker = view.tracker
         moved = watch.moved_px, watch.is_adrift
-        camera = *moved, view.plane_view, view.aside, view.shows_body, reduction, loss
+        camera = *moved, view.plane_view, view.axis_correction, view.shows_body, reduction, loss
         if frame is None or tracker is None:
             return cls(view.name, frame, None, np.empty((0, 2)), None, view.missing, *camera)
         contour_px, searched = tracker.contour(), tracker.search_lines()
@@ -180,7 +180,7 @@ class Observation:
             return self.missing
         if self.is_body:
             return Status.LOST
-        line = measured_line(self.track, self.frame.time_s, self.aside)
+        line = measured_line(self.track, self.frame.time_s, self.axis_correction)
         if line is not None:
             return Status.ILL_CONDITIONED if self.is_adrift else line
         return Status.ACQUIRING if self.track.status == "acquiring" else Status.LOST
@@ -208,7 +208,7 @@ class Observation:
             return ("refused: it lies on the table",)
         if self.track is None:
             return ("no hand is followed: looked for everywhere",)
-        return _verdict(self.track), _details(self.track, self.search, self.aside)
+        return _decision(self.track), _details(self.track, self.search, self.axis_correction)
 
     def track_row(self) -> TrackRow | None:
         """Return the row of `tracks.csv`; None where there is neither a frame nor a loss."""
@@ -216,7 +216,7 @@ class Observation:
         if seen is None:
             return None
         cells: dict[str, float] = {}
-        line = None if self.loss else measured_line(self.track, seen.time_s, self.aside)
+        line = None if self.loss else measured_line(self.track, seen.time_s, self.axis_correction)
         status = "tracking" if line is not None else str(self.finger)
         if line is not None:
             sigma_offset_px, sigma_angle_rad = np.sqrt(np.diag(line.covariance)).tolist()
@@ -238,15 +238,15 @@ class Observation:
         )
 
 
-def _verdict(track: Track) -> str:
+def _decision(track: Track) -> str:
     """Say whether the fit of a frame counts, and by what."""
     told = track.diagnostics
     percent, least = 100 * told.agreement, 100 * told.min_agreement
     agreement = f"finger agreement {percent:.0f} % (min {least:.0f})"
     residual = f"residual {told.residual_rms_px:.2f} px (max {told.max_residual_px:.2f})"
     if told.accepted:
-        verdict = "settling" if track.finger_line is None else "accepted"
-        return f"{verdict}: {agreement}, {residual}"
+        decision = "settling" if track.finger_line is None else "accepted"
+        return f"{decision}: {agreement}, {residual}"
     reasons = {
         "size": "not the size of the hand that was followed",
         "motion": "no hand moves like that",
@@ -258,7 +258,7 @@ def _verdict(track: Track) -> str:
     return f"refused: {reasons.get(told.refusal or '', 'no fit that could be a finger')}"
 
 
-def _details(track: Track, search: SearchMarks, aside: Aside) -> str:
+def _details(track: Track, search: SearchMarks, axis_correction: AxisCorrection) -> str:
     """Say what the lines of the last search found, and what else is known of the fit."""
     lines, agree = len(search.agrees), int(search.agrees.sum())
     hits = int(np.isfinite(search.edges_px).all(axis=1).sum())
@@ -270,12 +270,15 @@ def _details(track: Track, search: SearchMarks, aside: Aside) -> str:
     if track.finger_line is not None:
         details.append(f"line from {track.finger_line.source}")
         # First, for a picture has room for about half of this.
-        if aside.offset:
+        if axis_correction.offset:
             details.insert(
-                0, f"a flank does not show: axis {abs(aside.offset):.1f} half-widths aside"
+                0,
+                f"a flank does not show: axis {abs(axis_correction.offset):.1f} half-widths aside",
             )
-        elif aside.off >= TOLD_OFF:
-            details.insert(0, f"a flank is not the finger's: up to {aside.off:.1f} half-widths off")
+        elif axis_correction.sigma >= MIN_REPORTED_SIGMA:
+            details.insert(
+                0, f"a flank is not the finger's: up to {axis_correction.sigma:.1f} half-widths off"
+            )
     return "   ".join(details)
 
 
@@ -565,23 +568,23 @@ class Pointer:
         self._watch(frames)
         bodies = self._moving()
         for view, frame in zip(self.views, frames, strict=True):
-            view.look_past(bodies, frame)
+            view.exclude_bodies(bodies, frame)
         self._follow(frames)
-        tell_from_hands(self.views, bodies)
-        self._leave_table(frames)
+        distinguish_body_from_hands(self.views, bodies)
+        self._reject_table_pattern(frames)
         for view, frame in zip(self.views, frames, strict=True):
-            view.hear([other for other in self.views if other is not view])
+            view.update_from_other_views([other for other in self.views if other is not view])
             view.observe(frame)
         if any(view.is_searching for view in self.views):
             find_hand(self.views, frames)
         for view, frame in zip(self.views, frames, strict=True):
             view.settle()
-            view.look_at_flanks(frame)
+            view.test_flanks(frame)
         compare_widths(self.views)
-        shared = Shared()
+        shared = PairTests()
         compare_lengths(self.views, shared)
         for view in self.views:
-            view.doubt([other for other in self.views if other is not view], shared)
+            view.validate([other for other in self.views if other is not view], shared)
         observations = tuple(
             Observation.of(view, frame, loss, watch, reduction or WHOLE)
             for view, frame, loss, watch, reduction in zip(
@@ -746,15 +749,15 @@ class Pointer:
         if errors:
             raise errors[0]
 
-    def _leave_table(self, frames: Sequence[Frame | None]) -> None:
+    def _reject_table_pattern(self, frames: Sequence[Frame | None]) -> None:
         """Have templates wait anew that have locked on to what lies on the table."""
-        looks = [
-            how_flat(self.views, frames, k) if view.may_follow_table else None
+        appearance = [
+            flatness_of_followed(self.views, frames, k) if view.may_follow_table else None
             for k, view in enumerate(self.views)
         ]
-        for view, flat in zip(self.views, looks, strict=True):
+        for view, flat in zip(self.views, appearance, strict=True):
             if flat is not None:
-                view.look_flat(flat)
+                view.reject_if_flat(flat)
 
     def notes(self) -> list[str]:
         """Return what was noticed of the views so far, a line each: old pictures, other clocks."""

@@ -241,7 +241,7 @@ def _of_observation(seen: Observation) -> Iterator[Any]:
         yield from (finger.tip_px, finger.angle_rad, finger.covariance)
     else:
         yield finger.value
-    yield from (seen.aside.offset, seen.aside.off)
+    yield from (seen.axis_correction.offset, seen.axis_correction.sigma)
     if seen.plane_view is not None:
         yield from (seen.plane_view.image_from_plane, seen.plane_view.entries_covariance)
     if seen.searched is not None:
