@@ -11,12 +11,12 @@ from fingerpost.references.rectangles import Candidate, find_rectangles, likenes
 from fingerpost.references.reduction import Reduction
 from fingerpost.references.registration import PlaneMotion, PlaneRegistration, Segment
 from fingerpost.references.sides import Sides, fit_sides
-from fingerpost.references.watch import ADRIFT_PX, LOOK_EVERY, MOVED_PX, ReferenceWatch
+from fingerpost.references.watch import ADRIFT_PX, MOVED_PX, TEST_EVERY, ReferenceWatch
 
 __all__ = [
     "ADRIFT_PX",
-    "LOOK_EVERY",
     "MOVED_PX",
+    "TEST_EVERY",
     "Candidate",
     "MarkersMeter",
     "Measured",

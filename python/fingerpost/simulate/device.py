@@ -35,7 +35,7 @@ class Material:
 
 
 PAINT_MATERIAL = Material(1.0, tint(0.97, 1.0, 1.0))
-SKIN_MATERIAL = Material(1.0, tint(0.60, 0.74, 1.0))
+HAND_MATERIAL = Material(1.0, tint(0.60, 0.74, 1.0))
 CLOTH_MATERIAL = Material(-0.45, tint(1.0, 0.86, 0.78))
 
 
@@ -169,14 +169,14 @@ class Hand:
         length = self.finger_length_mm - tip_radius
         knuckle = (0.0, 0.0, 0.0)
         if self.bend_deg == 0:
-            return [Link(knuckle, knuckle_radius, (length, 0.0, 0.0), tip_radius, SKIN_MATERIAL)]
+            return [Link(knuckle, knuckle_radius, (length, 0.0, 0.0), tip_radius, HAND_MATERIAL)]
         # The middle joint lies 45 % of the way to the tip.
         joint, joint_radius = (0.45 * length, 0.0, 0.0), knuckle_radius * (1 - 0.45 * self.taper)
         bend, rest = math.radians(self.bend_deg), 0.55 * length
         end = (joint[0] + rest * math.cos(bend), rest * math.sin(bend), 0.0)
         return [
-            Link(joint, joint_radius, end, tip_radius, SKIN_MATERIAL),
-            Link(knuckle, knuckle_radius, joint, joint_radius, SKIN_MATERIAL),
+            Link(joint, joint_radius, end, tip_radius, HAND_MATERIAL),
+            Link(knuckle, knuckle_radius, joint, joint_radius, HAND_MATERIAL),
         ]
 
     def _thumb(self) -> list[Link]:
@@ -223,7 +223,7 @@ class Hand:
 
 
 def _chain(
-    spheres: tuple[tuple[float, float, float, float], ...], material: Material = SKIN_MATERIAL
+    spheres: tuple[tuple[float, float, float, float], ...], material: Material = HAND_MATERIAL
 ) -> list[Link]:
     """Links between consecutive spheres (x, y, z, radius)."""
     return [
