@@ -205,7 +205,7 @@ class _Footage:
     count: int
     fps: float
     truth: dict[int, NDArray[np.float64]]
-    """Where the finger points, by frame, where every view shows all of it; the simulation tells it
+    """Where the finger points, by frame, where every view shows all of it; the simulation gives it
     as its frames come."""
 
 

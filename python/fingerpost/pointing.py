@@ -64,7 +64,7 @@ class Status(StrEnum):
     LOST = "lost"
     """The hand is not where it was."""
     ILL_CONDITIONED = "ill_conditioned"
-    """The hand is seen, but where it points cannot be told; `Fix.reason` says why."""
+    """The hand is seen, but its point is not defined; `Fix.reason` says why."""
 
 
 # Where the 99 % ellipse ends, in standard deviations of two dimensions: √(−2 ln 0.01).
@@ -81,7 +81,7 @@ class PointingOptions:
     max_sigma: float = 0.2
     """Largest standard deviation of the indicated point in any direction [share of
     `PlaneView.plane_size`, > 0]. At 0.2 the 95 % ellipse is as long as the plane is: beyond, a
-    point tells nothing that the plane does not. Up to there a large ellipse is as honest as a small
+    point adds no information to the plane. Up to there a large ellipse is as honest as a small
     one, and what is to be done with the point decides how small it must be; robots have limits of
     their own. The system of 1994 was accurate to 0.037. One point in a hundred lies outside its
     99 % ellipse, however large that is: at 0.02 such errors stay below 0.05."""

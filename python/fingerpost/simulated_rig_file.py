@@ -25,7 +25,7 @@ def rig_from_simulation(
     Parameters
     ----------
     simulated : SimulatedRig
-        What there is. Its plane is told exactly, in mm, and its views have the cameras' names.
+        The simulation. Its plane is given exactly, in mm, and its views have the cameras' names.
     reference_points_px : sequence of array_like (N, 2), optional
         Where somebody has found the reference points in each view [px]; exactly where they are
         by default.

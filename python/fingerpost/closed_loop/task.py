@@ -227,7 +227,7 @@ class Task(Scripted):
         self.doing, operator.corrects = doing, corrects
 
     def _settled(self) -> Callable[[], bool]:
-        """Return what tells when the arm has been for a while where a still hand points."""
+        """Return a test whether the arm has been for a while where a still hand points."""
         since_s = self._world.time_s
 
         def settled() -> bool:
@@ -244,9 +244,9 @@ class Task(Scripted):
 
     def _give_up(self, problem: str) -> None:
         fix = self._loop.views.fix
-        told = "no fix" if fix is None else f"fix is {fix.status}: {fix.reason}"
+        state = "no fix" if fix is None else f"fix is {fix.status}: {fix.reason}"
         why = self._loop.guard.why_stopped
-        self.problem = f"{problem} ({told}{f'; stopped: {why}' if why else ''})"
+        self.problem = f"{problem} ({state}{f'; stopped: {why}' if why else ''})"
 
 
 class Absence(Scripted):

@@ -121,16 +121,16 @@ class GuidanceTrial:
 
 @dataclass(frozen=True)
 class PlaneAccuracy:
-    """How well a plane that the robot defined tells the robot where a hand points exactly."""
+    """Accuracy of indicated points in robot coordinates, by a plane that the robot has defined."""
 
     height_mm: float
     sigma_mm: float  # what `define_plane` says of its worst corner
-    errors_mm: tuple[tuple[float, float], ...]  # robot's X, Y, told minus true
+    errors_mm: tuple[tuple[float, float], ...]  # robot's X, Y, estimated minus true
     missing: int  # targets without a fix
 
     @property
     def rms_mm(self) -> float:
-        """Of the distance from told to true; NaN without any."""
+        """Of the distance from estimate to truth; NaN without any."""
         if not self.errors_mm:
             return math.nan
         return float(np.sqrt((np.array(self.errors_mm) ** 2).sum(axis=1).mean()))

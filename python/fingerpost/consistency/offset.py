@@ -95,7 +95,7 @@ class Offset:
     sigma_s
         Its standard deviation [s].
     pairs
-        Tips that it is told from.
+        Number of tips of the estimate.
     off_px
         Their median distance from their epipolar lines at that lag [px].
     """
@@ -117,8 +117,8 @@ def offset_between(first: Track, other: Track) -> Offset:
     Raises
     ------
     InvalidInputError
-        It cannot be told: too few tips, a tip that hardly moves or moves along the line between the
-        cameras, a motion that repeats itself, or no motion that is both recordings'.
+        It cannot be estimated: too few tips, a tip that hardly moves or moves along the line
+        between the cameras, a periodic motion, or no motion common to both recordings.
     """
     if min(len(first.times_s), len(other.times_s)) < LEAST_PAIRS:
         raise InvalidInputError(
@@ -163,8 +163,8 @@ def _costs(first: Track, other: Track) -> tuple[Array, Array]:
     lags_s = step_s * np.arange(-count, count + 1, dtype=np.float64)
     stride = max(1, len(first.times_s) // _MOST_TIPS)
     some = np.arange(0, len(first.times_s), stride)
-    told = np.array([_cost_px(first, other, some, lag_s) for lag_s in lags_s])
-    costs, pairs = told.T
+    results = np.array([_cost_px(first, other, some, lag_s) for lag_s in lags_s])
+    costs, pairs = results.T
     costs[pairs < LEAST_SHARE * pairs.max()] = np.nan
     if not np.isfinite(costs).any():
         raise InvalidInputError("no frames of both recordings show the tip at one time")

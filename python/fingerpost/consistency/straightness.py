@@ -53,7 +53,7 @@ class Bend:
     ----------
     lens
         The lens that makes the sides straightest, with a focal length of the image's width: what
-        is seen of straight lines tells distortion and focal length only together.
+        straight lines determine distortion and focal length only jointly.
     bent_px, left_px
         How far edges are off straight lines, without and by it, as a root mean square [px].
     off_px
@@ -97,9 +97,13 @@ class Bend:
         """
         left_px2 = 0.5 * (LEFT_PART * self.off_px) ** 2
         covariances = view.reference_covariances(sigma_px) + left_px2 * np.eye(2)
-        told = tuple((float(c[0, 0]), float(c[0, 1]), float(c[1, 1])) for c in covariances)
+        covariances_px2 = tuple(
+            (float(c[0, 0]), float(c[0, 1]), float(c[1, 1])) for c in covariances
+        )
         lens = LensParameters.of(self.lens)
-        return structs.replace(view, reference_covariances_px2=told, lens_parameters=lens)
+        return structs.replace(
+            view, reference_covariances_px2=covariances_px2, lens_parameters=lens
+        )
 
 
 def bend_of(

@@ -1,4 +1,4 @@
-"""Whether the clocks of two views agree, told by one fingertip that both follow.
+"""Whether the clocks of two views agree, estimated from one fingertip that both follow.
 
 What one camera sees of a point above the plane, carried into another one's image by the homography
 between their images of the plane, lies on a line through that one's epipole, together with what the
@@ -94,9 +94,9 @@ class Tips:
 
 
 def lag_between(first: Tips, other: Tips) -> Lag | None:
-    """Tell by how much the clock of another view is behind the first one's; None if it is not.
+    """Estimate the lag of another view's clock behind the first one's; None if there is none.
 
-    None as well where it cannot be told: of a tip that is not followed by both or hardly moves.
+    None as well where it cannot be estimated: the tip hardly moves or is not followed by both.
 
     Parameters
     ----------
@@ -115,8 +115,8 @@ def lag_between(first: Tips, other: Tips) -> Lag | None:
     lags_s = step_s * np.arange(-none, none + 1)
     if _spread_px(points) < LEAST_SPREAD_PX:
         return None
-    told = [_distance_px(times_s + lag_s, points, other_s, there, step_s) for lag_s in lags_s]
-    off_px, pairs = np.array(told).T
+    costs = [_distance_px(times_s + lag_s, points, other_s, there, step_s) for lag_s in lags_s]
+    off_px, pairs = np.array(costs).T
     off_px[pairs < LEAST_SHARE * pairs[none]] = np.nan
     if not np.isfinite(off_px[none]):
         return None

@@ -60,8 +60,8 @@ class Bench:
         )
         check_tracker_options(options.tracker)  # here, not in the middle of the work
         self._sampler = PoseSampler(self._rig, options.limits)
-        told = options.lens == "known"
-        self._lenses = [_lens(camera) if told else None for camera in self._rig.cameras]
+        is_known = options.lens == "known"
+        self._lenses = [_lens(camera) if is_known else None for camera in self._rig.cameras]
         sigma = options.reference_noise_px
         self._exact_views = tuple(
             PlaneView.from_reference_points(

@@ -39,7 +39,7 @@ class ExperimentOptions:
 
     frames: int = 8
     """Pictures of each pose, 1 to 1000, with fresh noise. The tracker settles on them; only what
-    it tells of the last one counts."""
+    its result for the last one counts."""
 
     background_frames: int = 0
     """Pictures of the table alone that come before, 0 to 10,000: enough of them, and the pointer
@@ -79,7 +79,7 @@ class ExperimentOptions:
     target, and known to the pointer. 0: known exactly."""
 
     lens: Literal["known", "ignored"] = "known"
-    """Whether the pointer is told the distortion `cameras.k1`."""
+    """Whether the pointer knows the distortion `cameras.k1`."""
 
     cameras: Placement = field(default_factory=Placement)
     workspace: Workspace = field(default_factory=Workspace)

@@ -51,7 +51,7 @@ KEY_HELP = (
 )
 
 HIDDEN_S = 2.0
-"""A hand without a fix for so long may be hidden: the operator is told of the key [s]."""
+"""Time without a fix after which a hand may be hidden and the operator is shown the key [s]."""
 
 HALTED = (NotArmedError, NotHomedError, StoppedError)
 """What a command raises that the guard has halted meanwhile, or that no arm can carry out before it

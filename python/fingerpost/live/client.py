@@ -31,7 +31,7 @@ class Client:
     websocket
         Its connection, accepted.
     hub
-        Who tells it what to show, and takes its commands.
+        The hub, which sends what to show, and takes its commands.
     """
 
     def __init__(self, websocket: WebSocket, hub: Hub) -> None:

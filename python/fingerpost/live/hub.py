@@ -179,7 +179,7 @@ class Hub:
         is_new = strip is not self.strip
         player = self._player
         playing = not self._stopped and not self._ended if player is None else player.is_playing
-        told: dict[str, Any] = {
+        state: dict[str, Any] = {
             "playing": playing,
             "setup": self._setup,
             "ended": self._ended,
@@ -191,11 +191,11 @@ class Hub:
             "controls": self.controller in (None, watcher),
         }
         if is_new:
-            told["rig"] = None if self.rig is None else self.rig.as_dict()
-        return told
+            state["rig"] = None if self.rig is None else self.rig.as_dict()
+        return state
 
     def send_state(self) -> None:
-        """Have every client told of the state."""
+        """Send every client the state."""
         for watcher in self.watchers:
             watcher.send_state()
 

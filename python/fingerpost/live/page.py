@@ -94,13 +94,13 @@ class Page:
     def _listening(self, host: str, port: int) -> int:
         """Wait until the process listens, and return its port."""
         try:
-            kind, told = self._pipe.recv()
+            kind, content = self._pipe.recv()
         except EOFError:
             raise FingerpostError("the page's process has ended before it began") from None
         if kind == "listening":
-            return int(told)
+            return int(content)
         raise InvalidInputError(
-            f"{host}:{port}: the page cannot be served there: {told}; another --port is right, "
+            f"{host}:{port}: the page cannot be served there: {content}; another --port is right, "
             "or none"
         )
 
@@ -211,7 +211,7 @@ class Page:
         self._refuse_lost()
 
     def close(self) -> None:
-        """End the page's process; clients are told."""
+        """End the page's process; clients are notified."""
         with self._changed:
             self._closed = self._lost = True
             self._changed.notify_all()
@@ -229,9 +229,9 @@ class Page:
         if self._lost:
             raise FingerpostError("the page's process has ended; start the command again")
 
-    def _post(self, kind: str, told: Any) -> None:
+    def _post(self, kind: str, content: Any) -> None:
         with suppress(OSError), self._lock:  # a process that is gone is noticed by who listens
-            self._pipe.send((kind, told))
+            self._pipe.send((kind, content))
 
     def _send_moments(self) -> None:
         """Encode and send what is to be shown: the life of a thread."""
@@ -252,14 +252,14 @@ class Page:
         """Hear what the page answers and asks: the life of a thread."""
         with suppress(EOFError, OSError):
             while True:
-                kind, told = self._pipe.recv()
+                kind, content = self._pipe.recv()
                 with self._changed:
                     if kind == "done":
                         self._unanswered -= 1
                     elif kind == "allow":
-                        self._allowed = told
+                        self._allowed = content
                     elif kind == "setup":
-                        self._wanted = told
+                        self._wanted = content
                     self._changed.notify_all()
         with self._changed:
             self._lost = True

@@ -1,6 +1,6 @@
 """Where the reference points of a view are, also when its camera moves.
 
-`ReferenceWatch` looks at the frames of one view and tells whether its camera keeps still, and how
+`ReferenceWatch` looks at the frames of one view and decides whether its camera is static, and how
 the working plane has moved in its picture if it does not.
 """
 

@@ -401,10 +401,13 @@ class _Level:
         noise = NOISE_FACTOR * (self._noise_levels**2 * self._sums(weights) + NOISE_FLOOR)
         # With a gain near 0 the fitted light explains any square.
         is_lit = self._sums(weights * level * now) > MIN_GAIN * shown
-        stays = is_lit & (self._sums(weights * left**2) < MAX_UNCHANGED_PART * information + noise)
-        tells = information > NOISE_FACTOR * noise
+        is_unchanged = is_lit & (
+            self._sums(weights * left**2) < MAX_UNCHANGED_PART * information + noise
+        )
+        is_informative = information > NOISE_FACTOR * noise
         return bool(
-            tells.sum() >= MIN_INFORMATIVE_SQUARES and stays[tells].mean() > MIN_STATIC_SHARE
+            is_informative.sum() >= MIN_INFORMATIVE_SQUARES
+            and is_unchanged[is_informative].mean() > MIN_STATIC_SHARE
         )
 
     def fit(

@@ -322,7 +322,7 @@ class ChecksumDialogue(Dialogue):
         return answer
 
     def _falls_in_step(self, check: Callable[[], None]) -> bool:
-        """Begin to count lines anew; whether each `ok` belongs to its line, a position tells."""
+        """Restart the line numbers; a position shows whether each `ok` belongs to its line."""
         self._number = -1
         try:
             self._exchange(Request(command="M110 N0", check=check, send=self._line.send))
@@ -353,7 +353,7 @@ class ChecksumDialogue(Dialogue):
             request.on_line(line)
             if ok := _OK.match(line):
                 if ok[1] and int(ok[1]) != self._number:
-                    continue  # it tells which line it answers: another
+                    continue  # it names the line it answers: another
                 self._bare_resends &= answer.wanted is None
                 answer.lines.append(line[2:])
                 return self._outcome(request, answer)
