@@ -427,7 +427,7 @@ def test_an_observation_tells_what_the_search_found_and_why_the_frame_counts():
 
 
 @pytest.mark.parametrize(
-    ("refusal", "verdict"),
+    ("refusal", "decision"),
     [
         ("no-fit", "refused: no fit that could be a finger"),
         ("size", "refused: not the size of the hand that was followed"),

@@ -137,7 +137,7 @@ DEFAULT_OPTIONS = PointingOptions()
 BARE_HAND = PointingOptions(bias_offset_px=0.4, bias_angle_rad=0.006)
 """What the main loop uses: a finger is not round, and shaded, and where its shaded flank is as
 bright as what is behind it the edge seems to lie inside of it. How much a finger is bent is
-seen, and counted in the covariance of its line (Rust, `tracker/sagitta.rs`). The likeliest
+seen, and counted in the covariance of its line (Rust, `axis`). The likeliest
 values for the lines of a rendered hand before tables of wood, stone and cloth, dark, grey and
 white ones, in colours and in grey. On 38 more films, of hands of many shapes, the points' 95 %
 ellipses hold 97 % of the intersections of the exact lines and their 50 % ellipses 69 %; of hands
