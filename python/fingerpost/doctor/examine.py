@@ -36,7 +36,7 @@ UNEQUAL_RATES = 0.1
 """Views whose rates differ by more than this share are probably not recorded together."""
 
 GAP_FRAMES = 2.5
-"""A pause of more than so many usual frames has lost some."""
+"""Least pause that has lost frames [usual intervals]."""
 
 OFF_CENTRE_SHARE = 0.15
 """How far a principal point may lie from the middle of the image, as a share of the longer side."""

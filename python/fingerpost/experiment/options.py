@@ -1,4 +1,4 @@
-"""What an experiment varies."""
+"""Options of an experiment."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -27,7 +27,7 @@ class ExperimentOptions:
     """
 
     tracker: Mapping[str, Any] = field(default_factory=dict)
-    """What differs from the defaults of `fingerpost.ContourTracker`, such as
+    """Deviations from the defaults of `fingerpost.ContourTracker`, such as
     ``{"model": "paper"}``; any option of the tracker may stand here."""
 
     targets: int = 400
@@ -54,7 +54,7 @@ class ExperimentOptions:
     """How fast they follow each other [1/s], 0.1 to 1000."""
 
     device: Literal["rod", "hand"] = "rod"
-    """What points: the rod and prong of section 3.3, or a hand with its thumb up."""
+    """Pointing device: the rod and prong of section 3.3, or a hand with its thumb up."""
 
     taper: float = 0.10
     """How much thinner the tip is than the base, of the diameter, 0 to 0.6."""
