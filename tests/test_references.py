@@ -91,7 +91,7 @@ def test_the_corners_of_a_hand_and_its_sleeve_move_no_camera():
 
 def test_a_pointer_that_is_nearly_half_of_what_shows_moves_no_camera(monkeypatch):
     # On a table that is so dark that its pixels tell nothing:
-    monkeypatch.setattr(PlaneRegistration, "stands", lambda *_: False)
+    monkeypatch.setattr(PlaneRegistration, "is_static", lambda *_: False)
     # Three things stand on a plain table; what points has corners in two parts of the picture. It
     # begins to move by so little that one motion of the camera would nearly do for all five.
     tip = np.array([250.0, 30.0])
