@@ -50,7 +50,7 @@ demo: $(STAMPS)/extension ## the main job with nothing plugged in: pictures, a t
 # stay in one process: they share footage.
 test: ## every check there is, in both languages
 	$(MAKE) --no-print-directory --jobs 2 lint test-rust instructions
-	$(BIN)/python -m pytest --numprocesses auto --dist loadfile
+	$(BIN)/python -m pytest --numprocesses 3 --dist loadfile
 
 lint: lint-rust lint-python ## formats, lints, types, documentation links, stubs
 

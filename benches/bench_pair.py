@@ -30,11 +30,10 @@ from fingerpost import pipeline
 from fingerpost._core import ContourTracker, StartPose, Template, update_views
 from fingerpost.capture import Frame, open_source, read_views
 from fingerpost.config import Rig
-from fingerpost.finding import HandSearch, Shared
+from fingerpost.finding import HandSearch, PairTests
 from fingerpost.pipeline import Observation, Pointer, Step
 from fingerpost.pointing import FingerLine
 from fingerpost.recording.picture import draw_view
-from fingerpost.rehearsal import described
 from fingerpost.simulate import (
     Background,
     Hand,
@@ -45,6 +44,7 @@ from fingerpost.simulate import (
     Trajectory,
     figure_eight,
 )
+from fingerpost.simulated_rig_file import rig_from_simulation
 
 FRAMES = 180
 FPS = 30.0
@@ -104,10 +104,10 @@ def time_stages(clock: Stopwatch) -> None:
     """Have the stages of the main loop timed where it calls them."""
     pipeline.update_views = clock.timed("track", pipeline.update_views)
     pipeline.indicated_point = clock.timed("fix", pipeline.indicated_point)
-    Shared.can_be_one = clock.timed("agree", Shared.can_be_one)
-    Shared.are_one = clock.timed("agree", Shared.are_one)
-    Shared.are_two = clock.timed("agree", Shared.are_two)
-    HandSearch.look_behind = clock.timed("learn", HandSearch.look_behind)
+    PairTests.can_be_one = clock.timed("agree", PairTests.can_be_one)
+    PairTests.are_one = clock.timed("agree", PairTests.are_one)
+    PairTests.are_two = clock.timed("agree", PairTests.are_two)
+    HandSearch.update_background = clock.timed("learn", HandSearch.update_background)
     HandSearch.learn = clock.timed("learn", HandSearch.learn)
     finger = Observation.__dict__["finger"]
     finger.func = clock.timed("finger lines", finger.func)
@@ -136,7 +136,7 @@ def simulated(cameras: int) -> tuple[SimulatedRig, Trajectory]:
 def waiting_rig(rig: SimulatedRig, motion: Trajectory, sources: Sequence[str | int]) -> Rig:
     """Describe the rig as it is when the hand arrives."""
     fingers = [view.finger for view in rig.truth(motion, time_s=ARRIVES_S).views]
-    return described(rig, starts=[finger.start() for finger in fingers], sources=sources)
+    return rig_from_simulation(rig, starts=[finger.start() for finger in fingers], sources=sources)
 
 
 def written(folder: Path, rig: SimulatedRig, motion: Trajectory) -> list[str]:

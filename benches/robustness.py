@@ -35,7 +35,6 @@ from fingerpost.experiment import ExperimentOptions, run_experiment
 from fingerpost.experiment.trial import squared_in_sigmas
 from fingerpost.pipeline import Pointer, Step
 from fingerpost.pointing import BARE_HAND, Fix, PointingOptions, Status
-from fingerpost.rehearsal import described
 from fingerpost.simulate import (
     Background,
     DevicePose,
@@ -53,6 +52,7 @@ from fingerpost.simulate import (
     pointing_session,
 )
 from fingerpost.simulate.motion import Motion
+from fingerpost.simulated_rig_file import rig_from_simulation
 from fingerpost.workers import sharing, worker_count
 
 FPS = 30.0
@@ -292,7 +292,7 @@ def configured(play: Play, rng: np.random.Generator) -> Rig:
         assert view.finger is not None
         starts.append(view.finger.start(StartError(offset_px=5.0, angle_deg=5.0), rng))
         points_px.append(exact_px + rng.normal(0, REFERENCE_NOISE_PX, exact_px.shape))
-    return described(play.rig, reference_points_px=points_px, starts=starts)
+    return rig_from_simulation(play.rig, reference_points_px=points_px, starts=starts)
 
 
 class Hands:

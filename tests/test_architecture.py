@@ -11,7 +11,16 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from house import circles, function_lengths, rust_files, rust_imports, rust_paths
+from house import (
+    circles,
+    function_lengths,
+    private_names,
+    retired_words,
+    rust_files,
+    rust_imports,
+    rust_paths,
+    type_names,
+)
 
 # --- the rules -------------------------------------------------------------------------------
 
@@ -49,7 +58,7 @@ PYTHON_GROUPS = {
     "advise": "application",
     "demo": "application",
     "doctor": "application",
-    "rehearsal": "application",
+    "simulated_rig_file": "application",
     "sync": "application",
     "setting_up": "application",
     "workers": "application",
@@ -207,6 +216,12 @@ def test_rust_rooms_import_one_way():
 
 def test_no_files_of_the_core_import_each_other():
     assert circles(rust_imports(rust_files())) == []
+
+
+def test_names_are_the_fields_and_stand_for_one_thing():
+    assert private_names() == []
+    assert retired_words() == []
+    assert [name for name, count in type_names().items() if count > 1] == []
 
 
 def test_files_and_functions_of_the_core_are_short():

@@ -207,15 +207,18 @@ def test_output_that_nothing_takes_is_one_line(rig_file, tmp_path, arguments, un
     )
 
 
-@pytest.mark.parametrize("encoding", ["ascii", "latin-1", "cp1252", "cp437", "utf-8"])
 @pytest.mark.parametrize(
-    "arguments",
+    ("arguments", "encoding"),
     [
-        ["advise", "RIG", "--size", "640", "480"],
-        ["doctor", "RIG"],
-        ["experiment", "--targets", "1", "--size", "320", "240"],
+        # What lacks most signs for every table; the others for the one that is made fastest.
+        (["advise", "RIG", "--size", "640", "480"], "ascii"),
+        (["doctor", "RIG"], "ascii"),
+        *(
+            (["experiment", "--targets", "1", "--size", "320", "240"], encoding)
+            for encoding in ("ascii", "latin-1", "cp1252", "cp437", "utf-8")
+        ),
     ],
-    ids=lambda arguments: arguments[0],
+    ids=lambda value: value if isinstance(value, str) else value[0],
 )
 def test_a_terminal_that_lacks_signs_gets_the_others(rig_file, arguments, encoding):
     command = [str(rig_file) if a == "RIG" else a for a in arguments]

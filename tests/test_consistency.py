@@ -14,8 +14,8 @@ from fingerpost.doctor import examine
 from fingerpost.errors import InvalidInputError
 from fingerpost.pipeline import Pointer, steps
 from fingerpost.pointing import Status
-from fingerpost.rehearsal import described
 from fingerpost.simulate import Background, DevicePose, Placement, SimulatedRig, Workspace
+from fingerpost.simulated_rig_file import rig_from_simulation
 
 SHEET_ON_WOOD = Background(texture="wood", clutter=20.0, sheet=90.0)
 PRINTED = Background(clutter=50.0)
@@ -28,7 +28,7 @@ def pictured(background=SHEET_ON_WOOD, *, seed=3, **placement):
     simulated = SimulatedRig(
         Placement(**{"azimuths_deg": (-22.0, 10.0), **placement}), background=background
     )
-    return described(simulated), simulated.render(None, rng=seed).images
+    return rig_from_simulation(simulated), simulated.render(None, rng=seed).images
 
 
 def with_points(rig, points_px):
@@ -150,14 +150,14 @@ def test_a_hand_in_sight_makes_no_mistake_of_a_rig_that_is_right(background, see
         tuple(rng.uniform(120, 280, 2)), azimuth_deg=35.0, slant_deg=45.0, hover_mm=80.0
     )
     pictures = simulated.render(pose, rng=seed).images
-    assert Scenery(described(simulated), pictures).mistake() is None
+    assert Scenery(rig_from_simulation(simulated), pictures).mistake() is None
 
 
 @pytest.mark.parametrize("height_mm", [-25.0, 25.0])
 def test_a_plane_above_or_below_the_table_is_no_mistake(height_mm):
     """As a robot shows one: its points are not where the table's texture is."""
     simulated = SimulatedRig(background=SHEET_ON_WOOD)
-    rig, pictures = described(simulated), simulated.render(None, rng=1).images
+    rig, pictures = rig_from_simulation(simulated), simulated.render(None, rng=1).images
     points = np.column_stack([rig.plane.points, np.full(len(rig.plane.points), height_mm)])
     seen = {k: camera.project(points) for k, camera in enumerate(simulated.cameras)}
     raised = with_points(rig, seen)
@@ -169,7 +169,7 @@ def test_more_points_than_four_and_one_between_the_others_pass():
     simulated = SimulatedRig(
         workspace=Workspace(points_per_side=3), background=Background(texture="wood", clutter=30.0)
     )
-    rig, pictures = described(simulated), simulated.render(None, rng=0).images
+    rig, pictures = rig_from_simulation(simulated), simulated.render(None, rng=0).images
     assert len(rig.plane.points) == 9
     assert Scenery(rig, pictures).mistake() is None
     inner = [0, 1, 2, 3, 8]
@@ -230,7 +230,7 @@ def test_a_lens_that_bends_straight_sides_is_measured(k1):
     simulated = SimulatedRig(
         Placement(distance_m=0.75, f_px=640.0, k1=(k1,)), background=SHEET_ON_WOOD
     )
-    rig, pictures = described(simulated), simulated.render(None, rng=0).images
+    rig, pictures = rig_from_simulation(simulated), simulated.render(None, rng=0).images
     bends = Scenery(rig, pictures).bends()
     assert set(bends) == {0, 1}
     for bend in bends.values():
@@ -248,7 +248,7 @@ def test_ellipses_hold_through_a_lens_that_nobody_told_of():
         target = rng.uniform(120, 280, 2)
         pose = DevicePose.pointing_at(target, slant_deg=50.0, hover_mm=60.0)
         starts = [view.finger.start() for view in simulated.truth(pose).views]
-        rig = described(simulated, starts=starts)
+        rig = rig_from_simulation(simulated, starts=starts)
         pointer = Pointer(rig)
         frames = (
             [Frame(k, k / 30, i) for i in simulated.render(pose, rng=rng).images] for k in range(8)

@@ -19,7 +19,6 @@ from fingerpost.config import FixedReference, LensParameters, Plane, Rig
 from fingerpost.doctor import Check, Severity, examine, look
 from fingerpost.doctor.pictures import read_pictures, region_between
 from fingerpost.errors import InvalidInputError
-from fingerpost.rehearsal import described
 from fingerpost.simulate import (
     Background,
     DevicePose,
@@ -32,6 +31,7 @@ from fingerpost.simulate import (
     Workspace,
     write_recording,
 )
+from fingerpost.simulated_rig_file import rig_from_simulation
 
 SEED = 1994
 FRAMES = 6
@@ -66,7 +66,7 @@ def recording(
             frames[i].append(Frame(k, k / fps[i] + i * late_s, image))
     starts = [view.finger.start() for view in truth.views]
     sources = [f"{camera.name}.mp4" for camera in simulated.cameras]
-    return described(simulated, starts=starts, sources=sources), frames
+    return rig_from_simulation(simulated, starts=starts, sources=sources), frames
 
 
 def with_view(rig, index, **changes):

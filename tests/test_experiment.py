@@ -390,14 +390,14 @@ def test_a_template_moulded_elsewhere_costs_the_paper_its_accuracy_and_the_bands
     # A planar template that was held up is another one where the hand points: section 3.3 of the
     # paper is off by 3.7 % of the plane.
     rms = {}
-    here = [Bench(ExperimentOptions()).trial(k).target for k in (0, 15)]
+    here = [Bench(ExperimentOptions()).trial(k).target for k in (0, 9)]
     for tracker in ("paper", "ribbon"):
         for away in (0, 30):
             bench = Bench(ExperimentOptions(tracker={"model": tracker}, approach_frames=away))
-            trials = [bench.trial(index) for index in range(16)]
-            np.testing.assert_array_equal([trials[0].target, trials[15].target], here)
+            trials = [bench.trial(index) for index in range(10)]
+            np.testing.assert_array_equal([trials[0].target, trials[9].target], here)
             errors = [trial.error for trial in trials if trial.status is Status.OK]
-            assert len(errors) >= 15
+            assert len(errors) >= 9
             rms[tracker, away] = np.sqrt(np.mean(np.square(errors)))
     assert rms["paper", 30] > 2.0 * rms["paper", 0]
     assert rms["ribbon", 30] < 1.5 * rms["ribbon", 0]

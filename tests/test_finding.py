@@ -21,10 +21,10 @@ from fingerpost.capture import Frame, open_source, read_views
 from fingerpost.config import Rig, Start, View
 from fingerpost.errors import InvalidInputError
 from fingerpost.finding import (
+    FingerDetection,
     HandSearch,
     HandView,
-    Shared,
-    Sighting,
+    PairTests,
     Viewpoint,
     are_one,
     are_two,
@@ -38,24 +38,29 @@ from fingerpost.finding import (
     pair_scores,
     width_ratio,
 )
-from fingerpost.finding.finger import HALF_WIDTH, Aside, LastSeen, followed, off_by_width
+from fingerpost.finding.finger import (
+    HALF_WIDTH,
+    AxisCorrection,
+    LastSeen,
+    followed,
+    sigma_from_width_ratio,
+)
 from fingerpost.finding.first_hand import FirstHand
-from fingerpost.finding.flanks import Flanks, Shaded, off_by_softness
+from fingerpost.finding.flanks import Flanks, ShadingFit, sigma_from_blur_asymmetry
 from fingerpost.finding.foreground import may_have_come
-from fingerpost.finding.length import Lengthening
-from fingerpost.finding.look import softness, widening
+from fingerpost.finding.length import TemplateExtension
 from fingerpost.finding.pairs import TIP_POWER, foreshortenings, reaches_farther, same_tip
-from fingerpost.finding.trial import Trial, belief
+from fingerpost.finding.pixel_tests import blur_asymmetry, widening
+from fingerpost.finding.trial import Trial, pair_rank
 from fingerpost.finding.views import (
     TriedPair,
-    are_left_standing,
     is_behind,
     movers,
-    worthiest_first,
+    ranked_pairs,
+    stand_beside_mover,
 )
 from fingerpost.pipeline import Pointer
 from fingerpost.pointing import FingerLine, PlaneView, Status
-from fingerpost.rehearsal import described
 from fingerpost.simulate import (
     Background,
     Camera,
@@ -71,13 +76,14 @@ from fingerpost.simulate import (
     Trajectory,
     write_recording,
 )
+from fingerpost.simulated_rig_file import rig_from_simulation
 
 FPS = 20.0
 SEED = 11
 # What a found hand may be off by; the tracker itself is tested elsewhere.
 ACCURACY_MM = 6.0
 # Frames within which a template has grown as long as its finger: two lengths, each tried for one.
-LOOKED_AT = 4
+GROWN_WITHIN = 4
 # Frames of a moving hand after which a view that stands still is let go.
 LET_GO_WITHIN = 11
 # Frames from the hand's full entry, or its return, until there is a point.
@@ -111,7 +117,7 @@ def played(
     rig: SimulatedRig, motion: Trajectory, frames: int, start: Start | None = None
 ) -> tuple[list, list]:
     """Steps of a pointer with one start pose for all views, or without, and what was true."""
-    without = described(rig)
+    without = rig_from_simulation(rig)
     views = tuple(replace(view, start=start) for view in without.views)
     pointer, rng = Pointer(replace(without, views=views)), np.random.default_rng(SEED)
     told, truth = [], []
@@ -201,7 +207,7 @@ def test_a_view_that_stands_still_while_the_hand_moves_in_another_is_let_go():
         .then(Trajectory.through([OVER_THE_TABLE, far], 0.25))
     )
     rig, rng = SCENES["wood and a sheet, in colour"], np.random.default_rng(SEED)
-    pointer, stuck, points = Pointer(described(rig)), None, []
+    pointer, stuck, points = Pointer(rig_from_simulation(rig)), None, []
     stuck_from, frames = 40, int(motion.duration_s * FPS)
     for k in range(frames):
         left, right = rig.render(motion, time_s=k / FPS, rng=rng).images
@@ -267,7 +273,7 @@ def test_what_comes_to_a_template_takes_the_place_of_nothing_that_moves(monkeypa
 
     def seen(u_px: float):
         view.prove(frame, line(u_px))
-        return view.welcome(frame, line(u_px), is_backed=False)
+        return view.confirm(frame, line(u_px), is_supported=False)
 
     view.prove(frame, line(300.0))
     assert seen(300.0) is None  # a second template waits from here on
@@ -333,7 +339,7 @@ def test_the_hand_that_moves_is_followed_and_not_one_that_lies_there():
         background=Background(texture="wood"),
         sensor=Sensor(channels="bgr", cells_per_sigma=2),
     )
-    pointer, rng = Pointer(described(scene)), np.random.default_rng(SEED)
+    pointer, rng = Pointer(rig_from_simulation(scene)), np.random.default_rng(SEED)
     misses_mm = {}
     for k in range(int(motion.duration_s * FPS)):
         shot = scene.render(motion, time_s=k / FPS, rng=rng, others=[(Hand(), lying)])
@@ -366,7 +372,7 @@ def test_what_stands_on_the_table_starts_nothing():
         for place, azimuth in (((120.0, 130.0), 40.0), ((280.0, 240.0), -70.0))
     ]
     scene = SCENES["plain"]
-    pointer = Pointer(described(scene))
+    pointer = Pointer(rig_from_simulation(scene))
     for k in range(25):
         shot = scene.render(None, rng=rng, others=[(rod, pose) for pose in poses])
         frames = [Frame(k, k / FPS, image) for image in shot.images]
@@ -410,16 +416,16 @@ def viewpoints(rig: SimulatedRig) -> tuple[Viewpoint, Viewpoint]:
     return made[0], made[1]
 
 
-def sightings(rig: SimulatedRig, pose: DevicePose) -> list[Sighting]:
+def sightings(rig: SimulatedRig, pose: DevicePose) -> list[FingerDetection]:
     """The finger of a pose as each view sees it."""
     seen = []
     for view in rig.truth(pose, time_s=0.0).views:
         start = view.finger.start()
-        seen.append(Sighting(tuple(start.tip_px), np.radians(start.angle_deg), 7.0))
+        seen.append(FingerDetection(tuple(start.tip_px), np.radians(start.angle_deg), 7.0))
     return seen
 
 
-def score(rig: SimulatedRig, first: Sighting, second: Sighting) -> float:
+def score(rig: SimulatedRig, first: FingerDetection, second: FingerDetection) -> float:
     return float(pair_scores(viewpoints(rig), ([first], [second]))[0, 0])
 
 
@@ -429,7 +435,10 @@ def test_two_views_from_one_place_are_judged_without_a_warning():
     rng = np.random.default_rng(0)
     tips = rng.uniform((20, 20), (620, 460), (60, 2))
     first, second = (
-        [Sighting((u + off, v), 0.1 * k, 6.0, length=9.0) for k, (u, v) in enumerate(tips.tolist())]
+        [
+            FingerDetection((u + off, v), 0.1 * k, 6.0, length=9.0)
+            for k, (u, v) in enumerate(tips.tolist())
+        ]
         for off in (0.0, 1e-7)
     )
     scores = pair_scores((here, here), (first, second))
@@ -511,11 +520,11 @@ def test_a_rig_that_is_set_up_carelessly_costs_a_finger_little(k1, azimuth_deg):
 
 def test_a_finger_that_is_lost_leads_elsewhere_the_sooner_the_less_likely():
     lost = LastSeen(3.0, time_s=2.0)
-    assert lost.leads_to(3.0, 2.0) == 1.0
+    assert lost.direction_likelihood(3.0, 2.0) == 1.0
     # Across the seam of the angles.
-    assert lost.leads_to(3.5 - 2.0 * math.pi, 2.0) == pytest.approx(math.exp(-0.5))
-    assert lost.leads_to(3.0 + 2.0, 2.1) < 0.02
-    assert lost.leads_to(3.0 + 2.0, 3.0) > 0.6
+    assert lost.direction_likelihood(3.5 - 2.0 * math.pi, 2.0) == pytest.approx(math.exp(-0.5))
+    assert lost.direction_likelihood(3.0 + 2.0, 2.1) < 0.02
+    assert lost.direction_likelihood(3.0 + 2.0, 3.0) > 0.6
 
 
 def test_what_lies_on_the_table_is_no_finger():
@@ -525,7 +534,7 @@ def test_what_lies_on_the_table_is_no_finger():
     for viewpoint in viewpoints(rig):
         back, tip = viewpoint.plane_view.project(ends)
         angle = float(np.arctan2(*(tip - back)[::-1]))
-        seen.append(Sighting(tuple(tip), angle, 7.0))
+        seen.append(FingerDetection(tuple(tip), angle, 7.0))
     # It meets itself at no angle, or at one that comes from how badly it is seen.
     assert score(rig, *seen) == 0.0
     turned = seen[1]._replace(angle_rad=seen[1].angle_rad + 0.03)
@@ -540,7 +549,7 @@ def test_what_both_views_show_alike_on_the_plane_is_flat():
     views = tuple(viewpoint.plane_view for viewpoint in viewpoints(rig))
     table = rig.render(AWAY, time_s=0.0, rng=SEED).images
     shapes = [
-        Sighting(c.start.tip_px, c.start.angle_rad, c.half_width_px)
+        FingerDetection(c.start.tip_px, c.start.angle_rad, c.half_width_px)
         for c in HandFinder().find(table[0])
     ]
     assert len(shapes) > 5
@@ -548,7 +557,7 @@ def test_what_both_views_show_alike_on_the_plane_is_flat():
     assert np.mean(flatness(views, tuple(table), shapes) > 0.5) > 0.6
     assert flatness(views, greys, hand[:1])[0] < 0.2
     assert flatness(views[::-1], greys[::-1], hand[1:])[0] < 0.2
-    outside = [Sighting((-500.0, -500.0), 0.0, 7.0)]
+    outside = [FingerDetection((-500.0, -500.0), 0.0, 7.0)]
     assert flatness(views, greys, outside).tolist() == [0.0]
 
 
@@ -590,9 +599,9 @@ def tried_out(rig: SimulatedRig, known_length: float | None = None) -> tuple:
     search, frame = HandSearch(), Frame(0, 0.0, image)
     if known_length is not None:
         search.remember_length(known_length)
-    search.look(frame)
-    search.judge(frame, np.zeros(len(search.candidates)), np.zeros(0))
-    assert search.try_out(search.candidates[0], frame)
+    search.update(frame)
+    search.score_trials(frame, np.zeros(len(search.candidates)), np.zeros(0))
+    assert search.start_trial(search.candidates[0], frame)
     (trial,) = search.trials
     return search, trial, image
 
@@ -624,14 +633,14 @@ def test_a_found_finger_is_seen_at_length_once_a_frame_shows_it_all():
     line = trial.track.finger_line
     ahead = np.array([np.cos(line.angle_rad), np.sin(line.angle_rad)])
     short_px = np.ptp(trial.tracker.contour() @ ahead)
-    trial.lengthen(covered_behind_the_tip(trial, image, 3.5))
-    assert not trial.lengthening.is_long
+    trial.extend(covered_behind_the_tip(trial, image, 3.5))
+    assert not trial.extension.is_long
     assert np.ptp(trial.tracker.contour() @ ahead) == short_px
     # The second look is two frames after the first that has failed.
     for k in (1, 2):
         trial.update(Frame(k, k / FPS, image), search.background)
-        trial.lengthen(Frame(k, k / FPS, image))
-    assert trial.lengthening.is_long
+        trial.extend(Frame(k, k / FPS, image))
+    assert trial.extension.is_long
     assert np.ptp(trial.tracker.contour() @ ahead) > 1.2 * short_px
 
 
@@ -641,8 +650,8 @@ def test_a_found_finger_is_seen_at_length_once_a_frame_shows_it_all():
 def test_a_finger_that_is_found_again_may_be_as_short_as_it_was(known_length, is_long):
     _, trial, image = tried_out(SCENES["plain"], known_length)
     followed_by_a_stub(trial, image, 5.0)
-    trial.lengthen(covered_behind_the_tip(trial, image, 3.5))
-    assert trial.lengthening.is_long is is_long
+    trial.extend(covered_behind_the_tip(trial, image, 3.5))
+    assert trial.extension.is_long is is_long
 
 
 def test_a_trial_that_is_refused_once_has_held_for_half_as_long():
@@ -667,8 +676,8 @@ def test_a_found_finger_is_as_long_as_its_whole_width_says():
     line = trial.track.finger_line
     followed_by_a_stub(trial, image, 4.0)
     slim_px = trial.half_width_px
-    for k in range(LOOKED_AT):
-        trial.lengthen(Frame(k, k / FPS, image))
+    for k in range(GROWN_WITHIN):
+        trial.extend(Frame(k, k / FPS, image))
         trial.update(Frame(k + 1, (k + 1) / FPS, image), search.background)
     ahead = np.array([np.cos(line.angle_rad), np.sin(line.angle_rad)])
     length_px = np.ptp(trial.tracker.contour() @ ahead)
@@ -723,10 +732,10 @@ def test_a_longer_template_that_shows_a_finger_of_another_width_follows_another(
 
     stub = Fitted(40.0, 8.0)
     frame = Frame(0, 0.0, np.zeros((8, 8), np.uint8))
-    lengthening = Lengthening(longer, 8.0)
-    tracker, track = lengthening.look(stub, stub.track, frame)
+    extension = TemplateExtension(longer, 8.0)
+    tracker, track = extension.update(stub, stub.track, frame)
     assert (tracker is not stub) is is_same
-    assert lengthening.is_long is is_same
+    assert extension.is_long is is_same
     assert track is tracker.track
 
 
@@ -741,13 +750,13 @@ def test_a_finger_that_is_long_enough_gives_way_at_once_to_one_that_is_twice_as_
         return seen[-1]
 
     enough = Fitted(60.0, 8.0)
-    lengthening = Lengthening(longer, 8.0)
-    lengthening.is_long = True
+    extension = TemplateExtension(longer, 8.0)
+    extension.is_long = True
     frames = [Frame(k, k / FPS, np.zeros((8, 8), np.uint8)) for k in range(2)]
-    first, _ = lengthening.look(enough, enough.track, frames[0])
+    first, _ = extension.update(enough, enough.track, frames[0])
     assert first is (seen[0] if at_once else enough)
     # What follows well waits for one more frame.
-    assert lengthening.look(first, first.track, frames[1]) == (seen[0], seen[0].track)
+    assert extension.update(first, first.track, frames[1]) == (seen[0], seen[0].track)
 
 
 def is_long_by_frame(half_widths: float, frames: int, **how: bool) -> list[bool]:
@@ -757,12 +766,12 @@ def is_long_by_frame(half_widths: float, frames: int, **how: bool) -> list[bool]
         return Fitted(start.length_px, 2.0 * half_width_px)
 
     stub = Fitted(8.0 * half_widths, 8.0)
-    lengthening = Lengthening(of_another_finger, 8.0)
+    extension = TemplateExtension(of_another_finger, 8.0)
     seen = []
     for k in range(frames):
         frame = Frame(k, k / FPS, np.zeros((8, 8), np.uint8))
-        lengthening.look(stub, stub.track, frame, **how)
-        seen.append(lengthening.is_long)
+        extension.update(stub, stub.track, frame, **how)
+        seen.append(extension.is_long)
     return seen
 
 
@@ -789,7 +798,7 @@ def test_a_finger_that_another_view_follows_may_be_short_sooner(half_widths, is_
 
 
 @pytest.mark.parametrize(
-    ("moved_px", "changes", "stands", "moves_on"),
+    ("moved_px", "changes", "is_static", "is_moving"),
     [
         (0.0, {}, True, False),
         (3.0, {}, True, False),
@@ -801,7 +810,7 @@ def test_a_finger_that_another_view_follows_may_be_short_sooner(half_widths, is_
         (0.0, {"foreground": 1.0}, False, False),
     ],
 )
-def test_what_stands_and_what_moves_on_is_told(moved_px, changes, stands, moves_on):
+def test_what_stands_and_what_moves_on_is_told(moved_px, changes, is_static, is_moving):
     """Of a finger 16 px wide, by how far its tip is from where the fit saw it first."""
 
     def line(u_px: float) -> SimpleNamespace:
@@ -816,11 +825,11 @@ def test_what_stands_and_what_moves_on_is_told(moved_px, changes, stands, moves_
         None,
         first_line=line(90.0),
         line=line(90.0 + moved_px),
-        lengthening=None,
+        extension=None,
         **(known | changes),
     )
-    assert trial.stands == stands
-    assert trial.moves_on == moves_on
+    assert trial.is_static == is_static
+    assert trial.is_moving == is_moving
 
 
 def test_a_pair_that_stands_gives_way_to_what_moves_on_in_either_view():
@@ -830,8 +839,8 @@ def test_a_pair_that_stands_gives_way_to_what_moves_on_in_either_view():
     def view(*moving: bool, at: SimpleNamespace = elsewhere) -> SimpleNamespace:
         trials = [
             SimpleNamespace(
-                stands=not moves,
-                moves_on=moves,
+                is_static=not moves,
+                is_moving=moves,
                 line=at if moves else standing,
                 half_width_px=8.0,
             )
@@ -842,7 +851,7 @@ def test_a_pair_that_stands_gives_way_to_what_moves_on_in_either_view():
     def is_left(views: list, *pair: int) -> bool:
         chosen = zip(views, pair, strict=True)
         trials = {k: view.search.trials[i] for k, (view, i) in enumerate(chosen)}
-        return are_left_standing(trials, movers(views))
+        return stand_beside_mover(trials, movers(views))
 
     both = [view(False, True), view(False, True)]
     assert is_left(both, 0, 0)
@@ -858,20 +867,20 @@ def test_a_pair_that_stands_gives_way_to_what_moves_on_in_either_view():
 
 @pytest.mark.parametrize("is_late", [False, True])
 @pytest.mark.parametrize("has_moved", [False, True])
-@pytest.mark.parametrize("is_backed", [False, True])
+@pytest.mark.parametrize("is_supported", [False, True])
 def test_what_was_there_all_the_while_is_a_hand_if_it_moves_with_another_views(
-    is_late: bool, has_moved: bool, is_backed: bool
+    is_late: bool, has_moved: bool, is_supported: bool
 ):
     trial = SimpleNamespace(has_come=False, is_late=is_late, has_moved=has_moved, frames=30)
-    worth, has_held = belief(0.8, [trial], False, hand=1.0, is_backed=is_backed)
+    worth, has_held = pair_rank(0.8, [trial], False, hand=1.0, is_supported=is_supported)
     assert has_held
-    assert (worth > 0.0) == (not is_late or (has_moved and is_backed))
+    assert (worth > 0.0) == (not is_late or (has_moved and is_supported))
 
 
 def test_what_has_come_without_a_hand_goes_after_a_hand_and_is_believed_if_nothing_is_one():
     def newcomer(score: float, hand: float) -> tuple[float, bool]:
         trial = SimpleNamespace(has_come=True, is_late=False, has_moved=True, frames=30)
-        return belief(score, [trial], False, hand=hand, is_backed=False)
+        return pair_rank(score, [trial], False, hand=hand, is_supported=False)
 
     stick, finger = newcomer(0.8, 0.0), newcomer(0.6, 0.3)
     assert stick[1]
@@ -883,12 +892,12 @@ def test_what_has_come_without_a_hand_goes_after_a_hand_and_is_believed_if_nothi
 
 
 @pytest.mark.parametrize("has_come", [False, True])
-@pytest.mark.parametrize("is_backed", [False, True])
-def test_what_fits_together_better_is_believed_sooner(has_come, is_backed):
+@pytest.mark.parametrize("is_supported", [False, True])
+def test_what_fits_together_better_is_believed_sooner(has_come, is_supported):
     def frames_needed(score: float) -> int:
         for frames in range(1, 30):
             trial = SimpleNamespace(has_come=has_come, is_late=False, has_moved=True, frames=frames)
-            if belief(score, [trial], False, hand=1.0, is_backed=is_backed)[1]:
+            if pair_rank(score, [trial], False, hand=1.0, is_supported=is_supported)[1]:
                 return frames
         raise AssertionError
 
@@ -1087,7 +1096,7 @@ class Following:
         )
         self.search = HandSearch()
         self.is_searching = False
-        self.odd_width = None
+        self.log_width_ratio = None
         self.foreshortening = None
         self.track = None
         if tip_mm is not None:
@@ -1108,8 +1117,8 @@ class Following:
             )
 
     @property
-    def aside(self) -> Aside:
-        return Aside(off=off_by_width(self.odd_width or 0.0))
+    def axis_correction(self) -> AxisCorrection:
+        return AxisCorrection(sigma=sigma_from_width_ratio(self.log_width_ratio or 0.0))
 
 
 def on_table(points: np.ndarray) -> np.ndarray:
@@ -1204,11 +1213,11 @@ def thumb_mm(spread_deg: float, roll_deg: float) -> tuple[np.ndarray, np.ndarray
     return tip_mm, tip_mm - along * tip_mm[2] / along[2]
 
 
-def digit(camera: Camera, tip_mm: np.ndarray, aim_mm: np.ndarray, colour=SKIN) -> Sighting:
+def digit(camera: Camera, tip_mm: np.ndarray, aim_mm: np.ndarray, colour=SKIN) -> FingerDetection:
     tip, aim = camera.project(np.array([tip_mm, aim_mm]))
     angle_rad = float(np.arctan2(*(aim - tip)[::-1]))
     half_width_px = round_tip(camera, tip_mm, HALF_WIDTH_MM, 0.0).half_width_px
-    return Sighting(tuple(tip), angle_rad, half_width_px, 0.9, np.nan, colour)
+    return FingerDetection(tuple(tip), angle_rad, half_width_px, 0.9, np.nan, colour)
 
 
 def digits(rig: SimulatedRig, tip_mm: np.ndarray, aim_mm: np.ndarray, colour=SKIN) -> tuple:
@@ -1261,7 +1270,7 @@ def test_what_is_no_digit_of_a_hand_reaches_nowhere():
     assert reaches_farther(views, digits(rig, *thumb, unknown), index)
 
 
-def tried_digit(seen: Sighting, hand: float, *, has_come: bool = True) -> SimpleNamespace:
+def tried_digit(seen: FingerDetection, hand: float, *, has_come: bool = True) -> SimpleNamespace:
     return SimpleNamespace(
         seen=seen,
         hand=hand,
@@ -1269,15 +1278,15 @@ def tried_digit(seen: Sighting, hand: float, *, has_come: bool = True) -> Simple
         frames=30,
         is_late=False,
         has_moved=True,
-        stands=False,
-        moves_on=False,
+        is_static=False,
+        is_moving=False,
     )
 
 
 def trying(viewpoint: Viewpoint, *trials: SimpleNamespace) -> SimpleNamespace:
     """A view that tries some fingers, and follows none."""
     search = SimpleNamespace(
-        trials=list(trials), found=None, trial_sightings=lambda: [trial.seen for trial in trials]
+        trials=list(trials), found=None, trial_detections=lambda: [trial.seen for trial in trials]
     )
     return SimpleNamespace(
         viewpoint=viewpoint,
@@ -1304,7 +1313,7 @@ def test_a_thumb_does_not_point_beside_an_index_finger(thumb_in, has_come):
         if k in thumb_in:
             trials.append(tried_digit(thumb[k]._replace(score=0.9), 1.0, has_come=has_come))
         views.append(trying(viewpoint_of(camera, rig), *trials))
-    first, *_ = worthiest_first(views)
+    first, *_ = ranked_pairs(views)
     pair, has_held = first
     assert has_held
     assert [pair.trials[k] for k in (0, 1)] == [view.search.trials[0] for view in views]
@@ -1333,8 +1342,8 @@ def test_what_another_view_follows_leads_here_about_where_it_was_lost():
         trial.line = SimpleNamespace(angle_rad=seen.angle_rad + turn_rad)
         trial.track = SimpleNamespace(time_s=0.1)
         view = trying(viewpoint_of(rig.cameras[0], rig), trial)
-        view.would_lead_to = lost.leads_to
-        return [pair.score for pair, _ in worthiest_first([view, other])]
+        view.direction_likelihood = lost.direction_likelihood
+        return [pair.score for pair, _ in ranked_pairs([view, other])]
 
     straight_on, turned = *scores(0.0), *scores(0.7)
     assert straight_on > 0.7
@@ -1349,7 +1358,7 @@ def test_what_reaches_farther_goes_first_if_it_is_as_likely_and_has_come_as_well
     other = digit(rig.cameras[1], TIP_MM, AIM_MM)
 
     def pair(trial: SimpleNamespace, score: float, view: int = 0) -> TriedPair:
-        return TriedPair((view, 2), (trial.seen, other), {view: trial}, score, stays=False)
+        return TriedPair((view, 2), (trial.seen, other), {view: trial}, score, is_current=False)
 
     assert is_behind([], pair(thumb, 0.9), pair(index, 0.5))
     assert not is_behind([], pair(index, 0.9), pair(thumb, 0.9))
@@ -1366,18 +1375,18 @@ def test_what_moves_on_is_no_background_though_it_was_learned_for_one():
     search, rng = HandSearch(), np.random.default_rng(SEED)
     for k in range(12):
         frame = Frame(k, k / FPS, rng.integers(90, 110, (48, 64), dtype=np.uint8))
-        search.look_behind(frame)
+        search.update_background(frame)
         search.learn(frame, None)
-    told = {"place": ((30.0, 20.0), 0.0, 5.0), "length": 8.0, "score": 0.9, "foreground": 0.1}
+    shown = {"pose": ((30.0, 20.0), 0.0, 5.0), "length": 8.0, "score": 0.9, "foreground": 0.1}
     candidate = SimpleNamespace(colour=SKIN)
     search.trials = [
-        SimpleNamespace(**told, candidate=candidate, moves_on=moves_on)
-        for moves_on in (False, True)
+        SimpleNamespace(**shown, candidate=candidate, is_moving=is_moving)
+        for is_moving in (False, True)
     ]
-    stands, moves = search.trial_sightings()
-    assert stands.foreground == 0.1
+    is_static, moves = search.trial_detections()
+    assert is_static.foreground == 0.1
     assert np.isnan(moves.foreground)
-    assert stands.length == moves.length == 8.0
+    assert is_static.length == moves.length == 8.0
 
 
 MISSED = ("tracking", "agreement")
@@ -1462,9 +1471,9 @@ def test_fingers_that_give_no_point_are_looked_for_beside_what_is_followed(point
                 track.finger_line, track.diagnostics.refusal = None, "misfit"
             view.view_frame(frame)
             view.follow(frame, track)
-        shared = Shared()
+        shared = PairTests()
         for view, other in (views, views[::-1]):
-            view.doubt([other], shared)
+            view.validate([other], shared)
     one, other = (view.is_searching for view in views)
     assert one is is_searching
     assert other is is_searching
@@ -1486,7 +1495,7 @@ def viewpoint_of(camera: Camera, rig: SimulatedRig) -> Viewpoint:
     return Viewpoint.of(view, (camera.width_px, camera.height_px))
 
 
-def round_tip(camera: Camera, tip_mm: tuple, radius_mm: float, turn: float) -> Sighting:
+def round_tip(camera: Camera, tip_mm: tuple, radius_mm: float, turn: float) -> FingerDetection:
     """A round finger's tip: it reaches as far across the camera's ray, whichever way it points."""
     one = np.cross(tip_mm - camera.centre_mm, (0.0, 0.0, 1.0))
     other = np.cross(tip_mm - camera.centre_mm, one)
@@ -1495,7 +1504,7 @@ def round_tip(camera: Camera, tip_mm: tuple, radius_mm: float, turn: float) -> S
     tip, left, right = camera.project(np.array([tip_mm, tip_mm - across_mm, tip_mm + across_mm]))
     along_px = right - left
     half_width_px = 0.5 * float(np.hypot(*along_px))
-    return Sighting(tuple(tip), float(np.arctan2(-along_px[0], along_px[1])), half_width_px)
+    return FingerDetection(tuple(tip), float(np.arctan2(-along_px[0], along_px[1])), half_width_px)
 
 
 @pytest.mark.parametrize("tip_mm", [(200.0, 150.0, 20.0), (120.0, 260.0, 180.0)])
@@ -1530,8 +1539,8 @@ def test_fingers_of_one_tip_that_are_seen_unlike_wide_are_two_and_give_no_point(
         one = Following(rig.cameras[0], rig, TIP_MM, half_width_px=7.0)
         other = Following(rig.cameras[1], rig, TIP_MM, half_width_px=half_width_px)
         compare_widths((one, other))
-        assert one.odd_width == pytest.approx(-other.odd_width)
-        assert np.sign(other.odd_width) == np.sign(half_width_px - 7.0) or is_one
+        assert one.log_width_ratio == pytest.approx(-other.log_width_ratio)
+        assert np.sign(other.log_width_ratio) == np.sign(half_width_px - 7.0) or is_one
         assert (can_be_one((one, other)), are_two((one, other))) == (is_one, not is_one)
 
 
@@ -1539,7 +1548,7 @@ def test_fingers_of_one_tip_that_are_seen_unlike_wide_are_two_and_give_no_point(
 def test_two_views_tell_each_other_how_much_shorter_they_show_a_finger(tip_mm):
     rig = SimulatedRig()
     views = [Following(camera, rig, tip_mm, half_width_px=7.0) for camera in rig.cameras]
-    compare_lengths(views, Shared())
+    compare_lengths(views, PairTests())
     finger = np.array(TARGET_MM) - tip_mm
     for view, camera in zip(views, rig.cameras, strict=True):
         ray = camera.centre_mm - tip_mm
@@ -1551,14 +1560,14 @@ def test_two_views_tell_each_other_how_much_shorter_they_show_a_finger(tip_mm):
 def test_a_hand_that_turns_is_shown_shorter_little_by_little():
     rig = SimulatedRig()
     now = [Following(camera, rig, TIP_MM, half_width_px=7.0) for camera in rig.cameras]
-    compare_lengths(now, Shared())
+    compare_lengths(now, PairTests())
     for view in now:
         told = view.foreshortening
         view.foreshortening = 0.5 * told
-        compare_lengths(now, Shared())
+        compare_lengths(now, PairTests())
         assert 0.5 * told < view.foreshortening < 0.6 * told
         for _ in range(60):
-            compare_lengths(now, Shared())
+            compare_lengths(now, PairTests())
         assert view.foreshortening == pytest.approx(told, abs=0.01)
 
 
@@ -1567,13 +1576,13 @@ def test_what_shows_another_finger_or_none_tells_nothing_of_its_length():
     one = Following(rig.cameras[0], rig, TIP_MM, half_width_px=7.0)
     for tip_mm, turn in ((None, 0.0), (ANOTHER_MM, np.pi)):
         other = Following(rig.cameras[1], rig, tip_mm, turn, half_width_px=7.0)
-        compare_lengths((one, other), Shared())
+        compare_lengths((one, other), PairTests())
         assert one.foreshortening is None
     # In one plane with both cameras, or seen by cameras that are not known.
-    compare_lengths((one, Following(rig.cameras[0], rig, TIP_MM, half_width_px=7.0)), Shared())
+    compare_lengths((one, Following(rig.cameras[0], rig, TIP_MM, half_width_px=7.0)), PairTests())
     assert one.foreshortening is None
     one.viewpoint = dataclasses.replace(one.viewpoint, centre=np.full(3, np.nan))
-    compare_lengths((one, Following(rig.cameras[1], rig, TIP_MM, half_width_px=7.0)), Shared())
+    compare_lengths((one, Following(rig.cameras[1], rig, TIP_MM, half_width_px=7.0)), PairTests())
     assert one.foreshortening is None
 
 
@@ -1587,7 +1596,7 @@ def test_a_finger_in_one_plane_with_both_cameras_tells_nothing_of_its_length(tur
     seen = []
     for camera in rig.cameras:
         tip, further = camera.project(np.array([tip_mm, tip_mm + 0.1 * ahead]))
-        seen.append(Sighting(tuple(tip), float(np.arctan2(*(further - tip)[::-1])), 7.0))
+        seen.append(FingerDetection(tuple(tip), float(np.arctan2(*(further - tip)[::-1])), 7.0))
     told = foreshortenings(viewpoints(rig), (seen[0], seen[1]))
     assert list(np.isfinite(told)) == [is_known] * 2
 
@@ -1608,7 +1617,7 @@ def test_of_a_finger_that_is_let_go_nothing_is_known_of_its_length():
     view = HandView(told, rig.plane_points, None, 0.5)
     view.foreshortening = 0.8
     for _ in range(LET_GO_WITHIN):
-        view.look_flat(1.0)
+        view.reject_if_flat(1.0)
     assert view.foreshortening is None
 
 
@@ -1623,35 +1632,39 @@ def test_of_three_views_the_one_that_shows_another_width_is_the_odd_one():
         )
     ]
     compare_widths(views)
-    assert max(abs(views[0].odd_width), abs(views[2].odd_width)) < 0.1
-    assert views[1].odd_width == pytest.approx(np.log(1.8), abs=0.1)
+    assert max(abs(views[0].log_width_ratio), abs(views[2].log_width_ratio)) < 0.1
+    assert views[1].log_width_ratio == pytest.approx(np.log(1.8), abs=0.1)
 
 
 def test_what_a_moment_shows_wider_is_hardly_odd_and_what_is_not_seen_not_at_all():
     rig = SimulatedRig()
     views = [Following(camera, rig, TIP_MM, half_width_px=7.0) for camera in rig.cameras]
     compare_widths(views)
-    like = views[1].odd_width
+    like = views[1].log_width_ratio
     blurred = Following(rig.cameras[1], rig, TIP_MM, half_width_px=11.0)
-    blurred.odd_width = like
+    blurred.log_width_ratio = like
     compare_widths((views[0], blurred))
-    assert like < blurred.odd_width < like + 0.3 * np.log(11.0 / 7.0)
+    assert like < blurred.log_width_ratio < like + 0.3 * np.log(11.0 / 7.0)
     for _ in range(20):
         compare_widths((views[0], blurred))
-    assert blurred.odd_width == pytest.approx(like + np.log(11.0 / 7.0), abs=0.02)
+    assert blurred.log_width_ratio == pytest.approx(like + np.log(11.0 / 7.0), abs=0.02)
     views[0].track = None
     compare_widths((views[0], blurred))
-    assert views[0].odd_width is blurred.odd_width is None
+    assert views[0].log_width_ratio is blurred.log_width_ratio is None
 
 
-@pytest.mark.parametrize("odd_width", [0.0, 0.2, -0.2, 0.6, -0.6, 1.5])
-def test_a_line_is_as_unsure_as_flanks_of_another_width_can_put_it_off(odd_width):
+@pytest.mark.parametrize("log_width_ratio", [0.0, 0.2, -0.2, 0.6, -0.6, 1.5])
+def test_a_line_is_as_unsure_as_flanks_of_another_width_can_put_it_off(log_width_ratio):
     rig = SimulatedRig()
     track = Following(rig.cameras[0], rig, TIP_MM, half_width_px=7.0).track
     known = measured_line(track, 0.0)
-    doubted = measured_line(track, 0.0, Aside(off=off_by_width(odd_width)))
+    doubted = measured_line(
+        track, 0.0, AxisCorrection(sigma=sigma_from_width_ratio(log_width_ratio))
+    )
     # One flank where the other view has it, the other where this one does.
-    off_px = abs(7.0 - 7.0 * np.exp(-np.sign(odd_width) * max(abs(odd_width) - 0.25, 0.0)))
+    off_px = abs(
+        7.0 - 7.0 * np.exp(-np.sign(log_width_ratio) * max(abs(log_width_ratio) - 0.25, 0.0))
+    )
     more = doubted.covariance - known.covariance
     expected = np.diag([off_px**2, (off_px / 30.0) ** 2])
     np.testing.assert_allclose(more, expected, rtol=1e-9, atol=1e-15)
@@ -1681,7 +1694,7 @@ def painted(sigmas_px: tuple[float, float], levels: tuple, blur_px: float = 0.0)
 @pytest.mark.parametrize(("finger", "table"), [(150.0, 60.0), (40.0, 90.0)])
 @pytest.mark.parametrize("sigmas_px", [(1.0, 1.0), (1.0, 2.0), (2.0, 1.0)])
 def test_the_softer_flank_is_told(finger, table, sigmas_px):
-    told = softness(painted(sigmas_px, ([finger], [table])), FLAT_FINGER, 10.0)
+    told = blur_asymmetry(painted(sigmas_px, ([finger], [table])), FLAT_FINGER, 10.0)
     # The normal of a finger along u points to larger v.
     expected = (sigmas_px[1] ** 2 - sigmas_px[0] ** 2) / 10.0**2
     assert told == pytest.approx(expected, abs=0.015)
@@ -1689,7 +1702,7 @@ def test_the_softer_flank_is_told(finger, table, sigmas_px):
 
 def test_a_softer_flank_seems_softer_however_soft():
     told = [
-        softness(painted((1.0, sigma_px), ([60.0], [150.0])), FLAT_FINGER, 10.0)
+        blur_asymmetry(painted((1.0, sigma_px), ([60.0], [150.0])), FLAT_FINGER, 10.0)
         for sigma_px in (1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 9.0)
     ]
     assert told == sorted(told)
@@ -1698,7 +1711,7 @@ def test_a_softer_flank_seems_softer_however_soft():
 
 def test_blur_softens_both_flanks_alike():
     sharp, blurred = (
-        softness(painted((1.0, 2.0), ([150.0], [60.0]), blur_px), FLAT_FINGER, 10.0)
+        blur_asymmetry(painted((1.0, 2.0), ([150.0], [60.0]), blur_px), FLAT_FINGER, 10.0)
         for blur_px in (0.0, 1.5)
     )
     assert blurred == pytest.approx(sharp, abs=0.015)
@@ -1708,19 +1721,21 @@ def test_colours_tell_of_flanks_that_grey_levels_do_not():
     # Red before green of the same grey level.
     frame = painted((1.0, 2.0), ([60.0, 40.0, 128.0], [60.0, 85.0, 40.0]))
     grey = Frame(0, 0.0, frame.grey())
-    assert softness(frame, FLAT_FINGER, 10.0) == pytest.approx(0.03, abs=0.015)
-    assert np.isnan(softness(grey, FLAT_FINGER, 10.0))
+    assert blur_asymmetry(frame, FLAT_FINGER, 10.0) == pytest.approx(0.03, abs=0.015)
+    assert np.isnan(blur_asymmetry(grey, FLAT_FINGER, 10.0))
 
 
 def test_flanks_beyond_the_picture_tell_nothing():
     frame = painted((1.0, 2.0), ([150.0], [60.0]))
     outside = SimpleNamespace(tip_px=(20.0, 120.0), angle_rad=0.0)
-    assert np.isnan(softness(frame, outside, 10.0))
+    assert np.isnan(blur_asymmetry(frame, outside, 10.0))
 
 
 def test_a_flank_that_shades_off_puts_the_axis_off_by_up_to_half_the_width():
-    assert off_by_softness(0.0) == off_by_softness(0.28**2) == 0.0
-    doubts = [off_by_softness(sign * s**2) for s in (0.3, 0.32, 0.34, 0.6) for sign in (1, -1)]
+    assert sigma_from_blur_asymmetry(0.0) == sigma_from_blur_asymmetry(0.28**2) == 0.0
+    doubts = [
+        sigma_from_blur_asymmetry(sign * s**2) for s in (0.3, 0.32, 0.34, 0.6) for sign in (1, -1)
+    ]
     assert doubts[::2] == doubts[1::2] == sorted(doubts[::2])
     assert 0.0 < doubts[0] < doubts[-1] == 1.0
 
@@ -1737,7 +1752,7 @@ def test_a_finger_in_plain_view_is_not_doubted():
             for o in step.observations
         ]
     assert sum(o.track.finger_line is not None for o in seen) > DESK_FRAMES
-    assert [o.aside for o in seen] == [Aside()] * len(seen)
+    assert [o.axis_correction for o in seen] == [AxisCorrection()] * len(seen)
 
 
 def test_people_and_tables_are_told_of_a_flank_that_is_not_the_fingers():
@@ -1747,10 +1762,10 @@ def test_people_and_tables_are_told_of_a_flank_that_is_not_the_fingers():
         pointer = Pointer(rig)
         *_, last = (s for p in islice(read_views(sources), 20) for s in pointer.update(p))
     sure = last.observations[0]
-    unsure = dataclasses.replace(sure, aside=Aside(off=0.5))
+    unsure = dataclasses.replace(sure, axis_correction=AxisCorrection(sigma=0.5))
     assert "up to 0.5 half-widths off" in unsure.reasons[-1]
     assert "half-widths" not in sure.reasons[-1]
-    aside = dataclasses.replace(sure, aside=Aside(offset=-0.4, off=0.1))
+    aside = dataclasses.replace(sure, axis_correction=AxisCorrection(offset=-0.4, sigma=0.1))
     assert "a flank does not show: axis 0.4 half-widths aside" in aside.reasons[-1]
     rows = sure.track_row(), unsure.track_row()
     assert rows[0].tip_u == rows[1].tip_u
@@ -1796,8 +1811,8 @@ def test_half_a_finger_is_told_whole_by_its_shading(light_rad):
     track = between_edges(120.0 + 0.5 * hidden_px * np.sign(light_rad), 8.0 - 0.5 * hidden_px)
     flanks = Flanks()
     for _ in range(9):
-        flanks.look(lit_finger(light_rad), track)
-    line = measured_line(track, 0.0, flanks.aside)
+        flanks.update(lit_finger(light_rad), track)
+    line = measured_line(track, 0.0, flanks.axis_correction)
     assert line.anchor_px[1] == pytest.approx(120.0, abs=0.7)
     assert line.tip_px[1] == pytest.approx(120.0, abs=0.7)
     assert line.half_width_px == pytest.approx(8.0, abs=0.8)
@@ -1806,30 +1821,37 @@ def test_half_a_finger_is_told_whole_by_its_shading(light_rad):
     assert 0.2 < off_px < 1.0
     assert np.radians(0.5) < off_rad < np.radians(3.0)
     flanks.forget()
-    assert flanks.aside == Aside()
+    assert flanks.axis_correction == AxisCorrection()
 
 
 @pytest.mark.parametrize(("light_rad", "table"), [(0.0, 20.0), (0.5, 220.0), (-0.9, 220.0)])
 def test_where_both_flanks_show_shading_tells_no_more(light_rad, table):
     flanks = Flanks()
     for _ in range(9):
-        flanks.look(lit_finger(light_rad, table), between_edges(120.0, 8.0))
-    assert flanks.aside.offset == flanks.aside.turn_rad == flanks.aside.wider == 0.0
+        flanks.update(lit_finger(light_rad, table), between_edges(120.0, 8.0))
+    assert (
+        flanks.axis_correction.offset
+        == flanks.axis_correction.turn_rad
+        == flanks.axis_correction.log_width_ratio
+        == 0.0
+    )
 
 
 def test_as_soon_as_both_flanks_show_the_axis_is_between_them():
-    shaded = Shaded(offset_px=2.0, turn_rad=0.05, half_width_px=8.0, shown_px=6.0)
-    told = shaded.beside_edges(6.0)
+    shaded = ShadingFit(offset_px=2.0, turn_rad=0.05, half_width_px=8.0, shown_px=6.0)
+    told = shaded.correction_from_edges(6.0)
     assert told == pytest.approx((2.0 / 6.0, 0.05, np.log(8.0 / 6.0), 0.0))
-    half = shaded.beside_edges(7.0)
+    half = shaded.correction_from_edges(7.0)
     assert half == pytest.approx((1.0 / 7.0, 0.025, np.log(8.0 / 7.0), 0.0))
-    assert shaded.beside_edges(8.0) == shaded.beside_edges(9.5) == Aside()
+    assert (
+        shaded.correction_from_edges(8.0) == shaded.correction_from_edges(9.5) == AxisCorrection()
+    )
     # Edges of something slim are no reason to leave it by more.
-    assert shaded.beside_edges(2.0).offset * 2.0 == pytest.approx(3.0)
+    assert shaded.correction_from_edges(2.0).offset * 2.0 == pytest.approx(3.0)
 
 
 def test_most_looks_decide_and_most_fingers_are_looked_at_rarely(monkeypatch):
-    told = Shaded(offset_px=2.0, turn_rad=0.05, half_width_px=8.0, shown_px=6.0)
+    told = ShadingFit(offset_px=2.0, turn_rad=0.05, half_width_px=8.0, shown_px=6.0)
     answers = iter([told, None, told, None, told, *[None] * 100])
     taken = []
 
@@ -1837,12 +1859,12 @@ def test_most_looks_decide_and_most_fingers_are_looked_at_rarely(monkeypatch):
         taken.append(k)
         return next(answers)
 
-    monkeypatch.setattr(Shaded, "of", look)
+    monkeypatch.setattr(ShadingFit, "of", look)
     flanks, track, frame = Flanks(), between_edges(120.0, 6.0), lit_finger(0.0, 20.0)
     asides = []
     for k in range(1, 120):  # noqa: B007, what is looked at is noted by its number
-        flanks.look(frame, track)
-        asides.append(flanks.aside.offset)
+        flanks.update(frame, track)
+        asides.append(flanks.axis_correction.offset)
     assert taken[:7] == [1, 4, 8, 12, 16, 20, 24]
     # Three of five tell, then two, and in the end none does.
     assert [asides[k - 1] > 0.0 for k in taken[:6]] == [True, False, True, False, True, False]
@@ -1856,13 +1878,15 @@ def test_the_width_that_shading_tells_is_compared():
         for camera, w in zip(rig.cameras, (4.0, 7.0), strict=False)
     )
     compare_widths((slim, whole))
-    odd_width = slim.odd_width
+    log_width_ratio = slim.log_width_ratio
     told = Following(rig.cameras[0], rig, TIP_MM, half_width_px=4.0)
-    told.__class__ = type("Told", (Following,), {"aside": Aside(wider=np.log(7.0 / 4.0))})
-    whole.odd_width = None
+    told.__class__ = type(
+        "Told", (Following,), {"axis_correction": AxisCorrection(log_width_ratio=np.log(7.0 / 4.0))}
+    )
+    whole.log_width_ratio = None
     compare_widths((told, whole))
-    assert told.odd_width == pytest.approx(odd_width + np.log(7.0 / 4.0), abs=1e-9)
-    assert abs(told.odd_width) < 0.1
+    assert told.log_width_ratio == pytest.approx(log_width_ratio + np.log(7.0 / 4.0), abs=1e-9)
+    assert abs(told.log_width_ratio) < 0.1
 
 
 def test_a_hand_whose_lit_side_has_the_colour_of_the_table_gives_no_sure_line():
@@ -1888,6 +1912,6 @@ def test_a_hand_whose_lit_side_has_the_colour_of_the_table_gives_no_sure_line():
     )
     for sigma_px, least, most in ((1.0, 0.0, 0.0), (9.0, 0.2, 1.0)):
         view.search.found, view._flanks = found, Flanks()
-        view.look_at_flanks(painted((1.0, sigma_px), ([60.0], [150.0])))
-        assert least <= np.hypot(view.aside.offset, view.aside.off) <= most
-        assert view.aside.offset >= 0.0
+        view.test_flanks(painted((1.0, sigma_px), ([60.0], [150.0])))
+        assert least <= np.hypot(view.axis_correction.offset, view.axis_correction.sigma) <= most
+        assert view.axis_correction.offset >= 0.0

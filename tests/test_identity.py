@@ -8,12 +8,12 @@ import pytest
 from fingerpost import config
 from fingerpost._core import StartPose
 from fingerpost.capture import Frame
-from fingerpost.finding.body import Body, meeting_point, tell_from_hands
+from fingerpost.finding.body import Body, distinguish_body_from_hands, meeting_point
 from fingerpost.finding.identity import (
+    MEMORY_S,
     PRESENTED_FRAMES,
-    REMEMBERED_S,
+    Appearance,
     Identity,
-    Looks,
     Memory,
 )
 from fingerpost.finding.pairs import Viewpoint
@@ -27,62 +27,64 @@ STEEL = (148.0, 140.0, 133.0)
 HALF_WIDTH_PX = 8.0
 
 
-def looks(levels=SKIN, *, gain=1.0, half_width_px=HALF_WIDTH_PX, angle_rad=0.3, tip=(320.0, 240.0)):
+def appearance(
+    levels=SKIN, *, gain=1.0, half_width_px=HALF_WIDTH_PX, angle_rad=0.3, tip=(320.0, 240.0)
+):
     """How a finger of these colours looks in a picture of its own."""
     image = np.zeros((480, 640, 3), np.uint8)
     image[:] = np.clip(gain * np.array(levels), 0, 255)
     line = SimpleNamespace(tip_px=tip, angle_rad=angle_rad)
-    return Looks.of(Frame(0, 0.0, image), line, half_width_px)
+    return Appearance.of(Frame(0, 0.0, image), line, half_width_px)
 
 
 def test_a_hand_is_recognised_in_other_light_and_nearer():
     memory = Memory()
-    memory.learn(looks(), 1.0)
+    memory.learn(appearance(), 1.0)
     changed = ({"gain": 0.6}, {"gain": 1.15}, {"half_width_px": 10.0}, {"angle_rad": 0.8})
-    for other in (looks(**change) for change in changed):
-        assert memory.may_be(other, 2.0)
+    for other in (appearance(**change) for change in changed):
+        assert memory.is_compatible(other, 2.0)
         assert memory.recognises(other, 2.0)
 
 
 @pytest.mark.parametrize(
-    "other", [looks(STEEL), looks((200.0, 60.0, 40.0)), looks(half_width_px=24.0)]
+    "other", [appearance(STEEL), appearance((200.0, 60.0, 40.0)), appearance(half_width_px=24.0)]
 )
 def test_what_looks_otherwise_does_not_take_its_place(other):
     memory = Memory()
-    memory.learn(looks(), 1.0)
-    assert not memory.may_be(other, 2.0)
+    memory.learn(appearance(), 1.0)
+    assert not memory.is_compatible(other, 2.0)
     assert not memory.recognises(other, 2.0)
-    assert memory.may_be(other, 1.1 + REMEMBERED_S)  # by then the hand is forgotten
+    assert memory.is_compatible(other, 1.1 + MEMORY_S)  # by then the hand is forgotten
 
 
 def test_a_hand_from_another_side_is_another_one():
     memory = Memory()
-    memory.learn(looks(angle_rad=0.3), 1.0)
-    opposite = looks(angle_rad=0.3 + np.pi)
-    assert memory.may_be(opposite, 2.0)
+    memory.learn(appearance(angle_rad=0.3), 1.0)
+    opposite = appearance(angle_rad=0.3 + np.pi)
+    assert memory.is_compatible(opposite, 2.0)
     assert not memory.recognises(opposite, 2.0)
 
 
 def test_what_is_unlike_the_hand_teaches_nothing():
     memory = Memory()
-    memory.learn(looks(), 0.0)
+    memory.learn(appearance(), 0.0)
     for k in range(100):
-        memory.learn(looks(STEEL), 0.03 * k)
-    assert not memory.may_be(looks(STEEL), 3.0)
-    assert memory.recognises(looks(), 3.0)
+        memory.learn(appearance(STEEL), 0.03 * k)
+    assert not memory.is_compatible(appearance(STEEL), 3.0)
+    assert memory.recognises(appearance(), 3.0)
 
 
 def test_grey_pictures_tell_by_brightness_and_width():
     grey = np.full((480, 640), 150, np.uint8)
     line = SimpleNamespace(tip_px=(320.0, 240.0), angle_rad=0.0)
-    seen = Looks.of(Frame(0, 0.0, grey), line, HALF_WIDTH_PX)
-    dark = Looks.of(Frame(0, 0.0, grey // 12), line, HALF_WIDTH_PX)
+    seen = Appearance.of(Frame(0, 0.0, grey), line, HALF_WIDTH_PX)
+    dark = Appearance.of(Frame(0, 0.0, grey // 12), line, HALF_WIDTH_PX)
     memory = Memory()
     memory.learn(seen, 0.0)
     assert memory.recognises(seen, 1.0)
-    assert not memory.may_be(dark, 1.0)
+    assert not memory.is_compatible(dark, 1.0)
     at_the_rim = SimpleNamespace(tip_px=(5.0, 5.0), angle_rad=0.8)
-    assert Looks.of(Frame(0, 0.0, grey), at_the_rim, HALF_WIDTH_PX) is None
+    assert Appearance.of(Frame(0, 0.0, grey), at_the_rim, HALF_WIDTH_PX) is None
 
 
 def a_view(*, shows=True, sure=True, recognised=False, presented=None):
@@ -103,7 +105,7 @@ def test_a_hand_keeps_its_number_while_any_view_follows_it():
 
 @pytest.mark.parametrize(
     ("recognised", "gap_s", "number"),
-    [(True, 1.0, 1), (False, 1.0, 2), (True, REMEMBERED_S + 1.0, 2)],
+    [(True, 1.0, 1), (False, 1.0, 2), (True, MEMORY_S + 1.0, 2)],
 )
 def test_a_hand_that_comes_back(recognised, gap_s, number):
     identity = Identity()
@@ -146,16 +148,16 @@ class Shown:
         tip = None if tip_mm is None else camera.project(np.array(tip_mm, dtype=float))
         self.tip_px = None if tip is None else tuple(tip.ravel())
         self.may_show_body = covered and tip is not None
-        self.verdict = "not judged"
+        self.decision = "not judged"
 
     def judge_body(self, *, is_hand):
-        self.verdict = is_hand
+        self.decision = is_hand
 
 
-def verdicts(*tips_mm):
+def is_hand_of(*tips_mm):
     views = [Shown(camera, tip) for camera, tip in zip(RIG.cameras, tips_mm, strict=True)]
-    tell_from_hands(views, ARM)
-    return [view.verdict for view in views]
+    distinguish_body_from_hands(views, ARM)
+    return [view.decision for view in views]
 
 
 def test_two_tips_meet_where_the_finger_is():
@@ -166,9 +168,9 @@ def test_two_tips_meet_where_the_finger_is():
 
 def test_a_hand_in_front_of_the_arm_is_told_from_it():
     in_front, on_arm = (200.0, 60.0, 90.0), (200.0, 170.0, 100.0)
-    assert verdicts(in_front, in_front) == [True, True]
-    assert verdicts(on_arm, on_arm) == [False, False]
-    assert verdicts(in_front, None) == [None, "not judged"]
+    assert is_hand_of(in_front, in_front) == [True, True]
+    assert is_hand_of(on_arm, on_arm) == [False, False]
+    assert is_hand_of(in_front, None) == [None, "not judged"]
 
 
 def test_a_jaw_is_the_bodys_own_and_a_hand_that_points_past_it_is_not():

@@ -13,8 +13,8 @@ from fingerpost.lens import Lens
 from fingerpost.pipeline import LARGEST_PX, Pointer, steps
 from fingerpost.pointing import Status
 from fingerpost.references import PlaneMotion, Reduction
-from fingerpost.rehearsal import described
 from fingerpost.simulate import Background, DevicePose, Placement, SimulatedRig
+from fingerpost.simulated_rig_file import rig_from_simulation
 
 TIMES_AS_LARGE = 9
 SMALL = Placement(width_px=320, height_px=240)
@@ -45,7 +45,7 @@ def large_steps():
     rig = SimulatedRig(SMALL, background=Background(texture="wood", clutter=20.0))
     pose = DevicePose.pointing_at((190.0, 210.0), slant_deg=50.0, hover_mm=100.0)
     starts = [view.finger.start() for view in rig.truth(pose).views]
-    small = described(rig, starts=starts)
+    small = rig_from_simulation(rig, starts=starts)
     pointer = Pointer(Rig(plane=small.plane, views=tuple(map(enlarged, small.views))))
     rng = np.random.default_rng(3)
 

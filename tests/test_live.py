@@ -331,7 +331,7 @@ def test_steps_go_to_and_fro_without_tracking_anew(recorded):
 def test_a_jump_ahead_runs_there_and_shows_that_one(recorded):
     recording = recorded()
     recording.player.stop()
-    recording.run(20, {0: lambda: recording.player.seek(33)})
+    recording.run(20, {0: lambda: recording.player.go_to(33)})
     assert recording.player.shown == 33
     assert recording.made == 34
 
@@ -340,14 +340,14 @@ def test_a_jump_ahead_runs_there_and_shows_that_one(recorded):
 def test_jumps_end_at_the_ends(recorded, number, shown):
     recording = recorded()
     recording.player.stop()
-    recording.run(60, {0: lambda: recording.player.seek(number)})
+    recording.run(60, {0: lambda: recording.player.go_to(number)})
     assert recording.player.shown == shown
 
 
 def test_a_recording_shorter_than_it_says_ends_where_it_ends(recorded):
     recording = recorded(frames=20, told=50)
     recording.player.stop()
-    recording.run(60, {0: lambda: recording.player.seek(45)})
+    recording.run(60, {0: lambda: recording.player.go_to(45)})
     assert recording.player.shown == 19
     assert recording.player.total == 20
 
@@ -389,7 +389,7 @@ class Watcher:
     def offer(self, data, _begun_s):
         self.offered.append(data)
 
-    def tell(self):
+    def send_state(self):
         pass
 
 

@@ -24,7 +24,6 @@ from fingerpost.errors import InvalidInputError
 from fingerpost.homography import estimate_image_from_plane, transfer_to_image
 from fingerpost.pipeline import Observation, Pointer, Step, steps
 from fingerpost.pointing import PointingOptions, Status
-from fingerpost.rehearsal import described
 from fingerpost.simulate import (
     Background,
     DevicePose,
@@ -34,6 +33,7 @@ from fingerpost.simulate import (
     Trajectory,
     write_recording,
 )
+from fingerpost.simulated_rig_file import rig_from_simulation
 
 SEED = 20
 FRAMES = 24
@@ -190,7 +190,7 @@ def test_a_view_whose_camera_has_moved_from_a_plain_table_tells_nothing_until_it
 def as_configured(rig: SimulatedRig, motion: Trajectory) -> Rig:
     """The simulated rig as a rig file would have it."""
     fingers = [view.finger for view in rig.truth(motion, time_s=0.0).views]
-    return described(rig, starts=[finger.start() for finger in fingers])
+    return rig_from_simulation(rig, starts=[finger.start() for finger in fingers])
 
 
 def test_views_that_follow_different_fingers_give_no_point():
@@ -406,10 +406,10 @@ def test_an_observation_tells_what_the_search_found_and_why_the_frame_counts():
     assert detour[chosen] == pytest.approx(lengths[chosen])
     away = np.linalg.norm(search.edges_px[chosen, None] - tracked.contour_px, axis=-1).min(axis=1)
     assert np.median(away) < 1.0
-    verdict, details = tracked.reasons
-    assert verdict.startswith("accepted: ")
-    assert f"finger agreement {100 * diagnostics.agreement:.0f} % (min 3" in verdict
-    assert f"residual {diagnostics.residual_rms_px:.2f} px" in verdict
+    decision, details = tracked.reasons
+    assert decision.startswith("accepted: ")
+    assert f"finger agreement {100 * diagnostics.agreement:.0f} % (min 3" in decision
+    assert f"residual {diagnostics.residual_rms_px:.2f} px" in decision
     assert f"{diagnostics.inliers} agree" in details
     assert f"innovation {diagnostics.innovation:.1f}" in details
     assert f"line from {tracked.track.finger_line.source}" in details
@@ -427,7 +427,7 @@ def test_an_observation_tells_what_the_search_found_and_why_the_frame_counts():
 
 
 @pytest.mark.parametrize(
-    ("refusal", "verdict"),
+    ("refusal", "decision"),
     [
         ("no-fit", "refused: no fit that could be a finger"),
         ("size", "refused: not the size of the hand that was followed"),
@@ -437,7 +437,7 @@ def test_an_observation_tells_what_the_search_found_and_why_the_frame_counts():
         ("misfit", "refused: the finger is bent"),
     ],
 )
-def test_a_refusal_names_what_was_asked(refusal, verdict):
+def test_a_refusal_names_what_was_asked(refusal, decision):
     told = SimpleNamespace(
         accepted=False,
         refusal=refusal,
@@ -451,7 +451,7 @@ def test_a_refusal_names_what_was_asked(refusal, verdict):
     track = SimpleNamespace(diagnostics=told, finger_line=None)
     frame = Frame(0, 0.0, np.zeros((4, 4), np.uint8))
     observed = Observation("left", frame, track, np.empty((0, 2)), None)
-    assert observed.reasons[0] == verdict
+    assert observed.reasons[0] == decision
     assert "bend 34°" in observed.reasons[1]
 
 

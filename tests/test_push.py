@@ -12,7 +12,6 @@ import fingerpost as fp
 from fingerpost.config import LensParameters, Start
 from fingerpost.errors import InvalidInputError
 from fingerpost.pointing import PlaneView
-from fingerpost.rehearsal import described
 from fingerpost.simulate import (
     DevicePose,
     Placement,
@@ -20,6 +19,7 @@ from fingerpost.simulate import (
     Trajectory,
     write_recording,
 )
+from fingerpost.simulated_rig_file import rig_from_simulation
 
 FPS = 30.0
 FRAMES = 14
@@ -49,7 +49,7 @@ def rig_of(simulated: SimulatedRig) -> fp.Rig:
     """What a program would build by hand that knows where the hand waits."""
     truth = simulated.truth(path(), time_s=0.0)
     starts = [view.finger.start() for view in truth.views]
-    return described(simulated, starts=starts)
+    return rig_from_simulation(simulated, starts=starts)
 
 
 @pytest.fixture(scope="module")

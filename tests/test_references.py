@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from fingerpost.homography import transfer_to_image
-from fingerpost.references import LOOK_EVERY, MOVED_PX, ReferenceWatch
+from fingerpost.references import MOVED_PX, TEST_EVERY, ReferenceWatch
 from fingerpost.references.registration import PlaneRegistration
 from fingerpost.simulate import Background, DevicePose, Hand, SimulatedRig, Trajectory
 
@@ -37,7 +37,7 @@ def shift(u_px: float, v_px: float) -> np.ndarray:
 def shown(watch: ReferenceWatch, pictures: list[np.ndarray]) -> float:
     """What a watch says after each picture was there for as long as it takes to be looked at."""
     for picture in pictures:
-        for _ in range(LOOK_EVERY):
+        for _ in range(TEST_EVERY):
             watch.look(picture)
     return watch.moved_px
 
@@ -91,7 +91,7 @@ def test_the_corners_of_a_hand_and_its_sleeve_move_no_camera():
 
 def test_a_pointer_that_is_nearly_half_of_what_shows_moves_no_camera(monkeypatch):
     # On a table that is so dark that its pixels tell nothing:
-    monkeypatch.setattr(PlaneRegistration, "stands", lambda *_: False)
+    monkeypatch.setattr(PlaneRegistration, "is_static", lambda *_: False)
     # Three things stand on a plain table; what points has corners in two parts of the picture. It
     # begins to move by so little that one motion of the camera would nearly do for all five.
     tip = np.array([250.0, 30.0])
@@ -109,7 +109,7 @@ def test_a_pointer_that_is_nearly_half_of_what_shows_moves_no_camera(monkeypatch
     watch = ReferenceWatch([(150.0, 20.0), (480.0, 20.0), (480.0, 260.0), (150.0, 260.0)])
     for k, step_px in enumerate((0.0, 0.4, 0.8, 1.2, 1.6, 2.0, 4.0, 9.0, 18.0, 30.0)):
         table_and_pointer = np.maximum(still, moved(pointer, shift(step_px, 0.3 * step_px)))
-        for _ in range(LOOK_EVERY):
+        for _ in range(TEST_EVERY):
             watch.look(taken(table_and_pointer, k), (tip + step_px, tip + step_px - 20.0, 3.0))
             assert watch.moved_px == 0.0, step_px
 
@@ -165,7 +165,7 @@ def test_a_shadow_that_moves_on_a_white_table_leads_no_reference_point_away():
 def test_a_camera_that_begins_to_move_is_noticed_in_the_next_picture():
     picture = 120.0 + 0.4 * (table() - 120.0)
     watch = ReferenceWatch(REFERENCES_PX)
-    for k in range(LOOK_EVERY + 2):
+    for k in range(TEST_EVERY + 2):
         watch.look(taken(picture, k))
     assert watch.moved_px == 0.0
     watch.look(taken(moved(picture, shift(1.0, 0.6)), 99))

@@ -171,23 +171,23 @@ def test_a_plain_table_tells_nothing(level, shape):
     picture = np.full(shape, level, np.uint8)
     registration = PlaneRegistration(picture, REFERENCES_PX)
     assert registration.align(picture, np.eye(3)) is None
-    assert registration.unlike_px(picture) == 0.0
+    assert registration.apparent_motion_px(picture) == 0.0
 
 
 def test_levels_that_no_motion_changes_are_not_asked_how_far_they_have_moved():
     picture = np.full((480, 640), 90, np.uint8)
     picture[200:206, 200:206] = 200  # the square about it is flat for the most part
     registration = PlaneRegistration(picture, REFERENCES_PX)
-    assert registration.unlike_px(picture) == 0.0
+    assert registration.apparent_motion_px(picture) == 0.0
     flickering = picture.copy()
     flickering[::2] += 3
-    assert np.isfinite(registration.unlike_px(flickering))
+    assert np.isfinite(registration.apparent_motion_px(flickering))
 
 
 def test_another_place_is_not_this_one():
     registration = PlaneRegistration(taken(table(), 1), REFERENCES_PX)
     assert registration.align(taken(table()[::-1, ::-1], 2), np.eye(3)) is None
-    assert registration.unlike_px(taken(table()[::-1, ::-1], 2)) > 1.0
+    assert registration.apparent_motion_px(taken(table()[::-1, ::-1], 2)) > 1.0
 
 
 @settings(max_examples=25)
@@ -258,12 +258,12 @@ def test_an_arm_that_has_all_strong_corners_is_no_camera():
 
     shift = motion_of(np.tile([0.0, 6.0], (4, 1)))
     registration = PlaneRegistration(taken(at(40), 1), REFERENCES_PX)
-    assert registration.stands(taken(at(46), 2), shift)
-    assert not registration.stands(taken(shown(at(40), shift), 3), shift)
+    assert registration.is_static(taken(at(46), 2), shift)
+    assert not registration.is_static(taken(shown(at(40), shift), 3), shift)
 
 
 def test_a_table_in_other_light_stands():
     registration = PlaneRegistration(taken(table(), 1), REFERENCES_PX)
     shift = motion_of(np.tile([3.0, 1.0], (4, 1)))
-    assert registration.stands(taken(0.7 * table() + 10, 2), shift)
-    assert not registration.stands(taken(0.7 * shown(table(), shift) + 10, 3), shift)
+    assert registration.is_static(taken(0.7 * table() + 10, 2), shift)
+    assert not registration.is_static(taken(0.7 * shown(table(), shift) + 10, 3), shift)

@@ -14,7 +14,6 @@ from fingerpost.experiment import ExperimentOptions, run_experiment
 from fingerpost.experiment.bench import Bench
 from fingerpost.pipeline import Pointer
 from fingerpost.pointing import PointingOptions, Status
-from fingerpost.rehearsal import described
 from fingerpost.simulate import (
     Background,
     DevicePose,
@@ -25,6 +24,7 @@ from fingerpost.simulate import (
     SimulatedRig,
     Trajectory,
 )
+from fingerpost.simulated_rig_file import rig_from_simulation
 
 # Targets whose waiting templates mostly take something on the cluttered table for a hand first.
 TARGETS = 10
@@ -115,7 +115,7 @@ def test_a_disc_over_the_tip_is_no_short_finger():
         replace(held[0], tip_px=(482.5, 172.22), angle_deg=112.38, length_px=68.6),
         replace(held[1], tip_px=(477.07, 228.2), angle_deg=115.16, length_px=68.27),
     ]
-    pointer = Pointer(described(rig, starts=starts), pointing_options=PointingOptions())
+    pointer = Pointer(rig_from_simulation(rig, starts=starts), pointing_options=PointingOptions())
     rng = np.random.default_rng(0)
     for k in range(27):
         shot = rig.render(path, time_s=k / FPS, rng=rng, occluders=covers if k >= 12 else None)
@@ -152,7 +152,8 @@ def test_a_hand_that_has_passed_one_of_the_templates_is_found():
     u, v = elsewhere.tip_px
     elsewhere = replace(elsewhere, tip_px=(u - 150.0, v - 100.0))
     pointer = Pointer(
-        described(rig, starts=[first.start(), elsewhere]), pointing_options=PointingOptions()
+        rig_from_simulation(rig, starts=[first.start(), elsewhere]),
+        pointing_options=PointingOptions(),
     )
     rng = np.random.default_rng(0x706173736564)
     for k in range(TABLE_FRAMES + BACK_FRAMES):
@@ -169,7 +170,7 @@ def test_a_hand_is_found_where_one_view_follows_it_and_the_template_of_the_other
     first, second = (view.finger.start() for view in rig.truth(pose).views)
     u, v = second.tip_px
     starts = [first, replace(second, tip_px=(u - 150.0, v - 100.0))]
-    pointer = Pointer(described(rig, starts=starts), pointing_options=PointingOptions())
+    pointer = Pointer(rig_from_simulation(rig, starts=starts), pointing_options=PointingOptions())
     rng = np.random.default_rng(0x616C6F6E)
     for k in range(ALONE_AND_FOUND_FRAMES):
         images = rig.render(pose, rng=rng).images
@@ -181,7 +182,7 @@ def test_a_hand_is_found_where_one_view_follows_it_and_the_template_of_the_other
 def test_views_that_follow_different_hands_come_to_follow_one():
     rig, poses = SimulatedRig(device=Hand()), (held_up(), held_up((330, 90)))
     starts = [rig.truth(pose).views[k].finger.start() for k, pose in enumerate(poses)]
-    pointer = Pointer(described(rig, starts=starts), pointing_options=PointingOptions())
+    pointer = Pointer(rig_from_simulation(rig, starts=starts), pointing_options=PointingOptions())
     other = ((Hand(), Trajectory.hold(poses[1], 1.0)),)
     rng = np.random.default_rng(0x68616E64)
     for k in range(ALONE_AND_FOUND_FRAMES):
@@ -249,7 +250,7 @@ def test_a_table_that_looks_like_the_other_view_of_a_hand_is_left_for_it():
 def waiting_rig(rig: SimulatedRig, pose: DevicePose) -> Rig:
     """A rig whose templates wait exactly where a hand is in this pose."""
     fingers = [view.finger for view in rig.truth(pose).views]
-    return described(rig, starts=[finger.start() for finger in fingers])
+    return rig_from_simulation(rig, starts=[finger.start() for finger in fingers])
 
 
 class Session:
@@ -399,7 +400,7 @@ def test_a_shadow_that_a_template_has_followed_is_left_for_the_hand_that_throws_
         length_px=float(np.hypot(*along_px)),
         thumb="none",
     )
-    pointer = Pointer(described(rig, starts=starts), pointing_options=PointingOptions())
+    pointer = Pointer(rig_from_simulation(rig, starts=starts), pointing_options=PointingOptions())
     followed_px, errors_mm = [], []
     for k in range(int(path.duration_s * FPS)):
         time_s = k / FPS

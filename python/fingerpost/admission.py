@@ -192,7 +192,7 @@ class Admission:
                 raise InvalidInputError(f'view "{view.name}": {complaint}')
 
     def _refuse_other_sizes(self, frames: Sequence[Frame | Loss | None]) -> None:
-        """Refuse frames of another size than the rig's pixels are told for, as far as they tell."""
+        """Refuse frames of another size than the rig's pixel coordinates are for, if known."""
         for k, (view, frame) in enumerate(zip(self._views, frames, strict=True)):
             if not isinstance(frame, Frame):
                 continue

@@ -51,7 +51,7 @@ def finite_array(
         and _fits(value.shape, shape)
         and math.isfinite(np.vdot(value, value))
     ):
-        return value  # all is well, told in a microsecond: this runs in every frame
+        return value  # decided in a microsecond: this runs in every frame
     try:
         array = np.asarray(value)
     except ValueError as error:  # rows of different length

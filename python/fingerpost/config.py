@@ -164,7 +164,7 @@ class Plane(_Table, kw_only=True, frozen=True):
 class FixedReference(_Table, frozen=True, tag_field="kind", tag="fixed"):
     """The camera does not move: the reference points stay where the rig file says.
 
-    While it has moved all the same, its view tells nothing of the plane; see
+    While it has moved all the same, its view gives nothing of the plane; see
     `fingerpost.references`.
     """
 
@@ -183,7 +183,7 @@ class RectangleReference(_Table, kw_only=True, frozen=True, tag_field="kind", ta
         About where its corners are (u, v), in px, in the order of the plane's points: they tell
         which rectangle is meant, and which of its corners is which.
     near_px
-        A pixel (u, v) inside of it, which tells only which one is meant.
+        A pixel (u, v) inside of it, which only selects the one that is meant.
     """
 
     size: Size
@@ -366,13 +366,13 @@ class View(_Table, kw_only=True, frozen=True):
         its order. They may lie outside the image. None where the reference is to be found.
     size_px
         Width and height of the images in which pixels of this table were measured: images of
-        another size are refused. None where nobody has told.
+        another size are refused. None if unknown.
     offset_s
         What is added to this view's capture times, in s, at most an hour either way: for clocks
         that do not agree, and recordings that were not begun at once.
     reference_covariances_px2
         Covariance (uu, uv, vv) of each reference point in px², uu and vv from 1e-12 to 1e12; None
-        where nobody has told, and whoever uses the rig has to assume one.
+        if unknown, and whoever uses the rig has to assume one.
     reference
         How the reference points are found and followed.
     camera
@@ -490,7 +490,7 @@ class View(_Table, kw_only=True, frozen=True):
         Parameters
         ----------
         otherwise_sigma_px
-            Standard deviation that stands in where the rig tells none, in px, > 0.
+            Standard deviation that stands in where the rig gives none, in px, > 0.
 
         Returns
         -------
@@ -694,7 +694,7 @@ class Rig(_Table, kw_only=True, frozen=True):
             size = sides_of(reference.size, self.plane.unit)
         except InvalidInputError as error:
             raise InvalidInputError(f"{place}: {error}") from error
-        # What a sheet of markers shows, tells its width from its height.
+        # The contents of a sheet of markers distinguish its width from its height.
         is_bare = isinstance(reference, RectangleReference)
         points = np.array(self.plane.points)
         sides = np.linalg.norm(np.roll(points, -1, axis=0) - points, axis=1)

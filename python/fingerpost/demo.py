@@ -25,7 +25,6 @@ from fingerpost.errors import InvalidInputError
 from fingerpost.pipeline import DEFAULT_REFERENCE_SIGMA_PX, Pointer, Step, steps
 from fingerpost.recording import VideoWriter, write_picture, write_points, write_tracks
 from fingerpost.recording.picture import Composition
-from fingerpost.rehearsal import described
 from fingerpost.simulate import (
     Background,
     FrameTruth,
@@ -38,6 +37,7 @@ from fingerpost.simulate import (
     figure_eight,
     pointing_session,
 )
+from fingerpost.simulated_rig_file import rig_from_simulation
 
 T = TypeVar("T")
 Frames = tuple[Frame | Loss | None, ...]
@@ -205,7 +205,7 @@ class _Footage:
     count: int
     fps: float
     truth: dict[int, NDArray[np.float64]]
-    """Where the finger points, by frame, where every view shows all of it; the simulation tells it
+    """Where the finger points, by frame, where every view shows all of it; the simulation gives it
     as its frames come."""
 
 
@@ -261,7 +261,7 @@ def _rig_of(simulated: SimulatedRig, waiting: FrameTruth, rng: np.random.Generat
     for view, exact_px in zip(waiting.views, simulated.reference_points_px, strict=True):
         starts.append(None if view.finger is None else view.finger.start(_START_ERROR, rng))
         points_px.append(rng.normal(exact_px, _SIMULATED_REFERENCE_SIGMA_PX))
-    return described(simulated, reference_points_px=points_px, starts=starts)
+    return rig_from_simulation(simulated, reference_points_px=points_px, starts=starts)
 
 
 def _rendered(

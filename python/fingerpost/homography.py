@@ -65,7 +65,7 @@ def estimate_image_from_plane(
     Raises
     ------
     DegenerateReferencePointsError
-        Points that spread over less or more than `SPREADS` tells, repeated points, all points but
+        Points that spread over less or more than `SPREADS`, repeated points, all points but
         one on a line (three of four; on the plane or in the
         image), points seen on both sides of the horizon, points that no homography fits: the
         latter two mean that image points are not in the order of the plane points.

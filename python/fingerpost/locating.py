@@ -64,7 +64,7 @@ class Placed:
     measured
         The points, in their order.
     worth
-        Logarithm of how likely it is, as far as its own view tells.
+        Logarithm of its likelihood by its own view.
     """
 
     measured: Measured

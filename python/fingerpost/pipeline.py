@@ -4,9 +4,9 @@
     for fix in track(rig):
         print(fix.time_s, fix.status, fix.point)
 
-One step reads like the paper: track the hand in every view (section 3.2), bring the finger lines
-to one time, turn each into its constraint line on the plane and intersect them (section 2.2). The
-loop exists once; whatever plays, draws, records or drives stands around it.
+One step follows the paper: track the hand in every view (section 3.2), interpolate the finger
+lines to one time, transfer each to its constraint line on the plane and intersect them (section
+2.2). The loop exists once; display, recording and robot control are built around it.
 """
 
 from __future__ import annotations
@@ -38,19 +38,19 @@ from fingerpost.config import FixedReference, Rig, View
 from fingerpost.consistency import Monitor, Scenery
 from fingerpost.errors import FingerpostError, InvalidInputError
 from fingerpost.finding import (
-    BETWEEN_EDGES,
-    Aside,
+    NO_CORRECTION,
+    AxisCorrection,
     Hand,
     HandView,
     Identity,
-    Shared,
+    PairTests,
     compare_lengths,
     compare_widths,
+    distinguish_body_from_hands,
     find_hand,
-    how_flat,
+    flatness_of_followed,
     measured_line,
     other_fingers,
-    tell_from_hands,
 )
 from fingerpost.locating import ReferenceSearch, meter_of, stand_in
 from fingerpost.operators import Operator
@@ -79,19 +79,19 @@ from fingerpost.uncertainty import joint_of
 _log = logging.getLogger(__name__)
 
 DEFAULT_REFERENCE_SIGMA_PX = 0.5
-"""Standard deviation of a reference point that a person clicked or a line fit gave [px]."""
+"""Standard deviation of a reference point clicked by a person or given by a line fit [px]."""
 
 ANOTHER_FINGER = "its fingertip is not that of the other views"
-"""What is said of a view that follows another finger than all others."""
+"""Reason for a view whose fingertip agrees with that of no other view."""
 
-TOLD_OFF = 0.05
-"""From so many half-widths on, people are told that the axis may be off."""
+MIN_REPORTED_SIGMA = 0.05
+"""Least standard deviation of the axis correction that is reported to the user [half-widths]."""
 
 LARGEST_PX = 2560
-"""Frames with a longer side are followed at a reduced size: a finger is no sharper in them, and
+"""Frames with a longer side are processed at a reduced size: a finger is no sharper in them, and
 time and memory would be many times those of decoding."""
 
-# Standard deviations of reference points whose squares are something beside everything else [px].
+# Range of the standard deviation of reference points: its square stays above rounding [px].
 _REFERENCE_SIGMAS_PX = (1e-6, 1e6)
 
 WHOLE = Reduction(1)
@@ -102,37 +102,37 @@ Entry = TypeVar("Entry")
 
 @dataclass(frozen=True, eq=False)
 class Observation:
-    """What one view saw in one frame.
+    """Result of one view for one frame.
 
     Attributes
     ----------
     view
         The view's name.
     frame
-        The frame as it was followed, reduced if it is large (`LARGEST_PX`); None where there is
-        none of that time. All pixels here are this frame's.
+        The processed frame, reduced if it is large (`LARGEST_PX`); None where there is none of that
+        time. All pixel coordinates here are this frame's.
     loss
-        What is there in place of a frame: a damaged picture, or a camera that sends nothing.
+        In place of a frame: a damaged image, or a camera that sends nothing.
     reduction
-        How it was reduced.
+        Reduction of the frame.
     track
-        What the tracker made of it; None without a frame, and while no hand has been found.
+        The tracker's result; None without a frame, and while no hand has been found.
     contour_px
-        The template's outline after the frame, (N, 2) [px].
+        Contour after the frame, (N, 2) [px].
     searched
-        Where the last search looked, and what it found; None without a template.
+        Search lines of the last edge search, with their edges; None without a template.
     missing
-        What a view without a track is: it looks for its first hand, or for one that it has lost.
+        Status of a view without a track: acquiring its first hand, or lost.
     moved_px
-        How far the camera has moved the table in the picture, 0 while it keeps still [px].
+        Mean motion of the table in the image by a motion of the camera, 0 if static [px].
     is_adrift
-        Whether the camera has moved and it is not known where to.
+        Whether the camera has moved and its homography is unknown.
     plane_view
-        How the view saw the plane; of a camera that is adrift, when that was known last.
-    aside
-        How the finger's axis lies to the line between the edges that show.
+        Homography of the view; the last known one if the camera is adrift.
+    axis_correction
+        Correction from the line between the visible edges to the finger's axis.
     is_body
-        Whether the tracker has found what the system itself moves, as a robot's arm.
+        Whether the tracker follows a moving body of the system, as a robot's arm.
     """
 
     view: str
@@ -144,7 +144,7 @@ class Observation:
     moved_px: float = 0.0
     is_adrift: bool = False
     plane_view: PlaneView | None = None
-    aside: Aside = BETWEEN_EDGES
+    axis_correction: AxisCorrection = NO_CORRECTION
     is_body: bool = False
     reduction: Reduction = WHOLE
     loss: Loss | None = None
@@ -158,10 +158,10 @@ class Observation:
         watch: ReferenceWatch | ReferenceFollower,
         reduction: Reduction,
     ) -> Observation:
-        """Return what a view saw in the frame that it and the watch have had last."""
+        """Collect a view's result for the last frame of the view and the watch."""
         tracker = view.tracker
         moved = watch.moved_px, watch.is_adrift
-        camera = *moved, view.plane_view, view.aside, view.shows_body, reduction, loss
+        camera = *moved, view.plane_view, view.axis_correction, view.shows_body, reduction, loss
         if frame is None or tracker is None:
             return cls(view.name, frame, None, np.empty((0, 2)), None, view.missing, *camera)
         contour_px, searched = tracker.contour(), tracker.search_lines()
@@ -169,26 +169,26 @@ class Observation:
 
     @cached_property
     def search(self) -> SearchMarks:
-        """The last search, to be drawn: its lines, and the edges that it chose and rejected."""
+        """The last edge search for display: its lines, and the chosen and rejected edges."""
         return SearchMarks.none() if self.searched is None else _marks(self.searched)
 
     @cached_property
     def finger(self) -> FingerLine | Status:
-        """The finger line, or why there is none that shows a line of the plane."""
+        """The finger line, or the status of a view without a usable one."""
         if self.frame is None:
             return Status.LOST
         if self.track is None:
             return self.missing
         if self.is_body:
             return Status.LOST
-        line = measured_line(self.track, self.frame.time_s, self.aside)
+        line = measured_line(self.track, self.frame.time_s, self.axis_correction)
         if line is not None:
             return Status.ILL_CONDITIONED if self.is_adrift else line
         return Status.ACQUIRING if self.track.status == "acquiring" else Status.LOST
 
     @property
     def reasons(self) -> tuple[str, ...]:
-        """Why the frame went the way it did, for people: the verdict, then details."""
+        """Explanation of the result for the user: the decision, then details."""
         if self.loss is not None:
             return (self.loss.why,)
         if self.frame is None:
@@ -209,7 +209,7 @@ class Observation:
             return ("refused: it lies on the table",)
         if self.track is None:
             return ("no hand is followed: looked for everywhere",)
-        return _verdict(self.track), _details(self.track, self.search, self.aside)
+        return _decision(self.track), _details(self.track, self.search, self.axis_correction)
 
     def track_row(self) -> TrackRow | None:
         """Return the row of `tracks.csv`; None where there is neither a frame nor a loss."""
@@ -217,7 +217,7 @@ class Observation:
         if seen is None:
             return None
         cells: dict[str, float] = {}
-        line = None if self.loss else measured_line(self.track, seen.time_s, self.aside)
+        line = None if self.loss else measured_line(self.track, seen.time_s, self.axis_correction)
         status = "tracking" if line is not None else str(self.finger)
         if line is not None:
             sigma_offset_px, sigma_angle_rad = np.sqrt(np.diag(line.covariance)).tolist()
@@ -239,15 +239,17 @@ class Observation:
         )
 
 
-def _verdict(track: Track) -> str:
-    """Say whether the fit of a frame counts, and by what."""
-    told = track.diagnostics
-    percent, least = 100 * told.agreement, 100 * told.min_agreement
+def _decision(track: Track) -> str:
+    """Explain whether the fit of a frame is accepted, and by which quantities."""
+    diagnostics = track.diagnostics
+    percent, least = 100 * diagnostics.agreement, 100 * diagnostics.min_agreement
     agreement = f"finger agreement {percent:.0f} % (min {least:.0f})"
-    residual = f"residual {told.residual_rms_px:.2f} px (max {told.max_residual_px:.2f})"
-    if told.accepted:
-        verdict = "settling" if track.finger_line is None else "accepted"
-        return f"{verdict}: {agreement}, {residual}"
+    residual = (
+        f"residual {diagnostics.residual_rms_px:.2f} px (max {diagnostics.max_residual_px:.2f})"
+    )
+    if diagnostics.accepted:
+        decision = "settling" if track.finger_line is None else "accepted"
+        return f"{decision}: {agreement}, {residual}"
     reasons = {
         "size": "not the size of the hand that was followed",
         "motion": "no hand moves like that",
@@ -256,11 +258,11 @@ def _verdict(track: Track) -> str:
         "background": "it is no finger before the table",
         "misfit": "the finger is bent",
     }
-    return f"refused: {reasons.get(told.refusal or '', 'no fit that could be a finger')}"
+    return f"refused: {reasons.get(diagnostics.refusal or '', 'no fit that could be a finger')}"
 
 
-def _details(track: Track, search: SearchMarks, aside: Aside) -> str:
-    """Say what the lines of the last search found, and what else is known of the fit."""
+def _details(track: Track, search: SearchMarks, axis_correction: AxisCorrection) -> str:
+    """Summarise the search lines' edges and further quantities of the fit."""
     lines, agree = len(search.agrees), int(search.agrees.sum())
     hits = int(np.isfinite(search.edges_px).all(axis=1).sum())
     details = [f"{lines} lines: {agree} agree, {hits - agree} rejected, {lines - hits} no edge"]
@@ -270,32 +272,35 @@ def _details(track: Track, search: SearchMarks, aside: Aside) -> str:
         details.append(f"bend {np.degrees(track.diagnostics.bend_rad):.0f}°")
     if track.finger_line is not None:
         details.append(f"line from {track.finger_line.source}")
-        # First, for a picture has room for about half of this.
-        if aside.offset:
+        # First, for an overlay has room for about half of this.
+        if axis_correction.offset:
             details.insert(
-                0, f"a flank does not show: axis {abs(aside.offset):.1f} half-widths aside"
+                0,
+                f"a flank does not show: axis {abs(axis_correction.offset):.1f} half-widths aside",
             )
-        elif aside.off >= TOLD_OFF:
-            details.insert(0, f"a flank is not the finger's: up to {aside.off:.1f} half-widths off")
+        elif axis_correction.sigma >= MIN_REPORTED_SIGMA:
+            details.insert(
+                0, f"a flank is not the finger's: up to {axis_correction.sigma:.1f} half-widths off"
+            )
     return "   ".join(details)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Step:
-    """One frame of the first view, what all views saw at it, and the fix.
+    """One frame of the first view, the results of all views, and the fix.
 
     Attributes
     ----------
     index
         The frame's index in the source of the first view.
     observations
-        One per view, in the rig's order, of the frames that were captured together.
+        One per view, in the rig's order, of the frames captured together.
     fix
-        Where the hand points at the time of the first view's frame.
+        Fix at the time of the first view's frame.
     hand
-        Whose that is.
+        Identity of the hand.
     frames
-        What the views gave, one entry each, before anything was reduced.
+        The views' entries at full resolution.
     """
 
     index: int
@@ -305,7 +310,7 @@ class Step:
     frames: tuple[Frame | Loss | None, ...] = ()
 
     def point_row(self) -> PointRow:
-        """Return the row of `points.csv`; a covariance without bound is left empty."""
+        """Return the row of `points.csv`; an infinite covariance is left empty."""
         fix = self.fix
         cells: dict[str, float] = {}
         if fix.crossing_angle_rad is not None:
@@ -331,7 +336,7 @@ def _moved(seen: Observation) -> str:
 
 
 def _marks(lines: SearchLines) -> SearchMarks:
-    """Return where a tracker looked for edges, and what it found there."""
+    """Return a tracker's search lines and edges for display."""
     sides = np.array([-1.0, 1.0])[:, None] * lines.half_length_px[:, None, None]
     ends_px = lines.position_px[:, None] + sides * lines.normal[:, None]
     edges_px = lines.position_px + lines.normal * lines.offset_px[:, None]
@@ -352,14 +357,14 @@ class _Pending:
 
 @dataclass(frozen=True, slots=True)
 class _NoLine:
-    """Why a view has no finger line at a time.
+    """Status and reason of a view without a finger line at a time.
 
     Attributes
     ----------
     status
-        What the view is.
+        Status of the view.
     reason
-        Why, where the view itself has not lost its hand; else empty.
+        Reason beside the view's own loss of the hand; else empty.
     """
 
     status: Status
@@ -368,7 +373,7 @@ class _NoLine:
 
 @dataclass(slots=True)
 class _History:
-    """The latest entries of one view, oldest first: time, finger line or why not, plane view."""
+    """The latest entries of one view, oldest first: time, finger line or absence, plane view."""
 
     entries: list[tuple[float, FingerLine | _NoLine, PlaneView]] = field(default_factory=list)
 
@@ -380,12 +385,12 @@ class _History:
             self.entries.append((seen.time_s, entry, plane_view))
 
     def forget(self, time_s: float) -> None:
-        """Forget what is not needed to tell what the view has at a time, or later."""
+        """Drop the entries that are not needed at a time or later."""
         while len(self.entries) > 1 and self.entries[1][0] <= time_s:
             del self.entries[0]
 
     def at(self, time_s: float, options: PointingOptions) -> FingerLine | _NoLine | None:
-        """Tell what the view has at a time; None if its next frame is needed for that."""
+        """Interpolate the finger line at a time; None if the next frame is needed for it."""
         before: FingerLine | _NoLine = _NoLine(Status.ACQUIRING)
         for entry_time_s, entry, _ in self.entries:
             if entry_time_s == time_s:
@@ -396,7 +401,7 @@ class _History:
         return None
 
     def plane_view_at(self, time_s: float, latest: PlaneView) -> PlaneView:
-        """Tell how the view sees the plane at a time: as last known if nothing later is."""
+        """Interpolate the plane view at a time; `latest` if no later one is known."""
         before_s, before = -np.inf, latest
         for entry_time_s, _, plane_view in self.entries:
             if entry_time_s >= time_s:
@@ -414,7 +419,7 @@ def _between(
     time_s: float,
     options: PointingOptions,
 ) -> FingerLine | _NoLine:
-    """Finger line between two neighbours in time; why not, of the one that has none."""
+    """Interpolate between two neighbours in time; the absence of a line takes precedence."""
     if isinstance(before, _NoLine):
         return before
     if isinstance(after, _NoLine):
@@ -431,15 +436,15 @@ class Pointer:
     rig
         At least two views.
     tracker_options
-        What differs from the tracker's defaults, for all views.
+        Deviations from the tracker's defaults, for all views.
     pointing_options
-        When a point counts as one, and the allowance for what is no noise: by default that for a
+        Conditions for a point, and the allowance for systematic errors: by default those for a
         bare hand.
     reference_sigma_px
         Standard deviation of reference points that come without a covariance [px], 1e-6 to 1e6.
     moving
-        Asked with every frame where the system's own moving bodies may be, as a robot's arm, in
-        plane coordinates: what a view shows there is never a hand.
+        Called with every frame; returns the capsules of the system's moving bodies, as a robot's
+        arm, in plane coordinates: their silhouettes are never a hand.
     operator
         Whose habit of pointing is subtracted from the points; with None they are where the
         finger's axis meets the plane.
@@ -506,7 +511,7 @@ class Pointer:
 
     @property
     def plane_views(self) -> tuple[PlaneView, ...]:
-        """How each view sees the plane, as of its last frame."""
+        """Homography of each view, as of its last frame."""
         return tuple(view.plane_view for view in self.views)
 
     @property
@@ -548,7 +553,7 @@ class Pointer:
         return [step.fix for seen in rounds for step in self.update(seen)]
 
     def update(self, seen: Sequence[Frame | Loss | None]) -> list[Step]:
-        """Take one frame of every view; return the steps that can be told from them.
+        """Process one frame of every view; return the steps that are complete.
 
         Views that are captured at one time give their step at once. Where a view lags behind, the
         step of the first view's frame comes when the others have passed its time, or when that
@@ -558,7 +563,7 @@ class Pointer:
         ----------
         seen
             One per view, in the rig's order; None where a view has none of that time, a `Loss`
-            where that has been lost: nothing is followed or learned then.
+            where that has been lost: it is not processed.
 
         Raises
         ------
@@ -577,23 +582,23 @@ class Pointer:
         self._watch(frames)
         bodies = self._moving()
         for view, frame in zip(self.views, frames, strict=True):
-            view.look_past(bodies, frame)
+            view.exclude_bodies(bodies, frame)
         self._follow(frames)
-        tell_from_hands(self.views, bodies)
-        self._leave_table(frames)
+        distinguish_body_from_hands(self.views, bodies)
+        self._reject_table_pattern(frames)
         for view, frame in zip(self.views, frames, strict=True):
-            view.hear([other for other in self.views if other is not view])
+            view.update_from_other_views([other for other in self.views if other is not view])
             view.observe(frame)
         if any(view.is_searching for view in self.views):
             find_hand(self.views, frames)
         for view, frame in zip(self.views, frames, strict=True):
             view.settle()
-            view.look_at_flanks(frame)
+            view.test_flanks(frame)
         compare_widths(self.views)
-        shared = Shared()
+        shared = PairTests()
         compare_lengths(self.views, shared)
         for view in self.views:
-            view.doubt([other for other in self.views if other is not view], shared)
+            view.validate([other for other in self.views if other is not view], shared)
         observations = tuple(
             Observation.of(view, frame, loss, watch, reduction or WHOLE)
             for view, frame, loss, watch, reduction in zip(
@@ -623,7 +628,7 @@ class Pointer:
         return steps
 
     def _look_for_references(self, seen: Sequence[Frame | Loss | None]) -> list[Step]:
-        """Find the references of all views; the step to give in its place while one is missing.
+        """Find the references of all views; return a step without a fix while one is missing.
 
         Raises
         ------
@@ -648,7 +653,7 @@ class Pointer:
             raise InvalidInputError(f"{wrong.what}; {wrong.right}")
 
     def _step_without(self, first: Frame | Loss, missing: Mapping[int, str]) -> Step:
-        """Return the step of a frame in which references are still looked for."""
+        """Return the step of a frame in which the references are still being searched."""
         none = np.empty((0, 2))
         observations = tuple(
             Observation(view.name, None, None, none, None, Status.ACQUIRING) for view in self.views
@@ -660,12 +665,12 @@ class Pointer:
         )
 
     def _compare_scenery(self, seen: Sequence[Frame | Loss | None]) -> None:
-        """Refuse reference points that the first frames of all views belie, and warn of others.
+        """Refuse reference points that contradict the first frames, and warn of doubtful ones.
 
         Raises
         ------
         InvalidInputError
-            The views show the plane as one only when a mistake is undone that people make.
+            The views agree on the plane only after the correction of a common mistake.
         """
         if self._first is None:
             return
@@ -679,8 +684,8 @@ class Pointer:
         scenery = Scenery(self._rig, pictures)
         if (same := scenery.same_pictures()) is not None:
             raise InvalidInputError(f"{same.what}; {same.right}")
-        is_told = any(isinstance(view.reference, FixedReference) for view in self._rig.views)
-        if is_told and (mistake := scenery.mistake()) is not None:
+        has_fixed = any(isinstance(view.reference, FixedReference) for view in self._rig.views)
+        if has_fixed and (mistake := scenery.mistake()) is not None:
             words = f"{mistake.what}; {mistake.lines(self._rig)} would be right"
             if mistake.is_certain:
                 raise InvalidInputError(words)
@@ -696,7 +701,7 @@ class Pointer:
         return HandView(view, self._rig.plane.points, self._tracker_options, sigma_px)
 
     def _reduced(self, k: int, frame: Frame | Loss | None) -> Frame | Loss | None:
-        """Reduce a large frame; its view begins anew in reduced pixels with its first frame."""
+        """Reduce a large frame; with the first one its view restarts in reduced pixels."""
         if not isinstance(frame, Frame):
             return frame
         reduction = self._reductions[k]
@@ -709,7 +714,7 @@ class Pointer:
         return Frame(frame.index, frame.time_s, reduction.picture(frame.image))
 
     def _begin(self, k: int) -> None:
-        """Begin a view anew, as it is known by now."""
+        """Restart a view with its present parameters."""
         reduction = self._reductions[k] or WHOLE
         view = reduced_view(self._rig_views[k], reduction)
         hand_view = self._hand_view(view, reduction)
@@ -727,7 +732,7 @@ class Pointer:
         return ReferenceFollower(points, meter, first, view.lens)
 
     def _watch(self, frames: Sequence[Frame | None]) -> None:
-        """Tell the views how they see the plane: a camera may have moved."""
+        """Update the views' homographies: a camera may have moved."""
         for view, still, watch, frame in zip(
             self.views, self._still, self._watches, frames, strict=True
         ):
@@ -738,12 +743,12 @@ class Pointer:
                 view.move(plane_view)
 
     def _follow(self, frames: Sequence[Frame | None]) -> None:
-        """Update the trackers of all views in one call; the error of one keeps none from a frame.
+        """Update the trackers of all views in one call, each independently of the others' errors.
 
         Raises
         ------
         FingerpostError
-            Why a tracker has refused its frame; the first view's if there are several.
+            A tracker has refused its frame; the first view's error if there are several.
         """
         given = [
             (view, frame, taken)
@@ -758,18 +763,18 @@ class Pointer:
         if errors:
             raise errors[0]
 
-    def _leave_table(self, frames: Sequence[Frame | None]) -> None:
-        """Have templates wait anew that have locked on to what lies on the table."""
-        looks = [
-            how_flat(self.views, frames, k) if view.may_follow_table else None
+    def _reject_table_pattern(self, frames: Sequence[Frame | None]) -> None:
+        """Reject fingers that are patterns on the table."""
+        appearance = [
+            flatness_of_followed(self.views, frames, k) if view.may_follow_table else None
             for k, view in enumerate(self.views)
         ]
-        for view, flat in zip(self.views, looks, strict=True):
+        for view, flat in zip(self.views, appearance, strict=True):
             if flat is not None:
-                view.look_flat(flat)
+                view.reject_if_flat(flat)
 
     def notes(self) -> list[str]:
-        """Return what was noticed of the views so far, a line each: old pictures, other clocks."""
+        """Return observations on the views, a line each: repeated images, differing clocks."""
         return self._monitor.notes()
 
     def finish(self) -> list[Step]:
@@ -794,8 +799,11 @@ class Pointer:
         return steps
 
     def _step(self, pending: _Pending, without_frame: str) -> Step:
-        """Point at the time of a frame; `without_frame` says why a view may not have reached it."""
-        told: list[FingerLine | _NoLine] = [
+        """Compute the fix at the time of a frame.
+
+        `without_frame` is the reason for a view that has not reached that time.
+        """
+        lines: list[FingerLine | _NoLine] = [
             history.at(pending.time_s, self._options) or _NoLine(Status.LOST, without_frame)
             for history in self._histories
         ]
@@ -803,19 +811,19 @@ class Pointer:
             history.plane_view_at(pending.time_s, view.plane_view)
             for history, view in zip(self._histories, self.views, strict=True)
         ]
-        for k in other_fingers([view.viewpoint for view in self.views], told):
-            told[k] = _NoLine(Status.ILL_CONDITIONED, ANOTHER_FINGER)
+        for k in other_fingers([view.viewpoint for view in self.views], lines):
+            lines[k] = _NoLine(Status.ILL_CONDITIONED, ANOTHER_FINGER)
         for k, lag in enumerate(self._monitor.lags):
-            if lag is not None and isinstance(told[k], FingerLine):
-                told[k] = _NoLine(Status.ILL_CONDITIONED, f"it lags by {lag.lag_s:.2f} s")
-        fingers = [finger.status if isinstance(finger, _NoLine) else finger for finger in told]
+            if lag is not None and isinstance(lines[k], FingerLine):
+                lines[k] = _NoLine(Status.ILL_CONDITIONED, f"it lags by {lag.lag_s:.2f} s")
+        fingers = [finger.status if isinstance(finger, _NoLine) else finger for finger in lines]
         fix = indicated_point(
             fingers,
             plane_views,
             time_s=pending.time_s,
             options=self._options,
             names=[f'view "{view.name}"' for view in self.views],
-            absences=_absences(told, pending.observations),
+            absences=_absences(lines, pending.observations),
         )
         if self._operator is not None:
             size = max(view.plane_size for view in plane_views)
@@ -830,11 +838,11 @@ def _with(entries: tuple[Entry, ...], k: int, entry: Entry) -> tuple[Entry, ...]
 
 
 def _absences(
-    told: Sequence[FingerLine | _NoLine], observations: Sequence[Observation]
+    lines: Sequence[FingerLine | _NoLine], observations: Sequence[Observation]
 ) -> dict[int, str]:
-    """Say why views have no finger line, by place, where their status does not say it all."""
+    """Return the reasons of views without a finger line, by index, beyond their status."""
     absences = {}
-    for k, (finger, seen) in enumerate(zip(told, observations, strict=True)):
+    for k, (finger, seen) in enumerate(zip(lines, observations, strict=True)):
         if isinstance(finger, FingerLine):
             continue
         if finger.reason:
@@ -869,7 +877,7 @@ def steps(pointer: Pointer, frames: Iterable[Sequence[Frame | Loss | None]]) -> 
 
 
 Seen = tuple[Fix, tuple[Frame | Loss | None, ...]]
-"""A fix, and what every view gave with its frame of the first view."""
+"""A fix, and every view's entry with that frame of the first view."""
 
 
 @overload
@@ -909,8 +917,8 @@ def track(
     rig
         At least two views, each with a source.
     frames
-        Yield ``(fix, frames)`` instead: what every view gave, in the rig's order; a `Frame`, a
-        `Loss` in place of one, or None where a view has none of that time.
+        Yield ``(fix, frames)`` instead, the frames in the rig's order: a `Frame`, a `Loss` in place
+        of one, or None where a view has none of that time.
     max_frames
         Stop after as many frames of each view; None reads on to the end.
     give_up_after_s

@@ -64,7 +64,7 @@ class Status(StrEnum):
     LOST = "lost"
     """The hand is not where it was."""
     ILL_CONDITIONED = "ill_conditioned"
-    """The hand is seen, but where it points cannot be told; `Fix.reason` says why."""
+    """The hand is seen, but its point is not defined; `Fix.reason` says why."""
 
 
 # Where the 99 % ellipse ends, in standard deviations of two dimensions: √(−2 ln 0.01).
@@ -81,7 +81,7 @@ class PointingOptions:
     max_sigma: float = 0.2
     """Largest standard deviation of the indicated point in any direction [share of
     `PlaneView.plane_size`, > 0]. At 0.2 the 95 % ellipse is as long as the plane is: beyond, a
-    point tells nothing that the plane does not. Up to there a large ellipse is as honest as a small
+    point adds no information to the plane. Up to there a large ellipse is as honest as a small
     one, and what is to be done with the point decides how small it must be; robots have limits of
     their own. The system of 1994 was accurate to 0.037. One point in a hundred lies outside its
     99 % ellipse, however large that is: at 0.02 such errors stay below 0.05."""
@@ -137,7 +137,7 @@ DEFAULT_OPTIONS = PointingOptions()
 BARE_HAND = PointingOptions(bias_offset_px=0.4, bias_angle_rad=0.006)
 """What the main loop uses: a finger is not round, and shaded, and where its shaded flank is as
 bright as what is behind it the edge seems to lie inside of it. How much a finger is bent is
-seen, and counted in the covariance of its line (Rust, `tracker/sagitta.rs`). The likeliest
+seen, and counted in the covariance of its line (Rust, `axis`). The likeliest
 values for the lines of a rendered hand before tables of wood, stone and cloth, dark, grey and
 white ones, in colours and in grey. On 38 more films, of hands of many shapes, the points' 95 %
 ellipses hold 97 % of the intersections of the exact lines and their 50 % ellipses 69 %; of hands

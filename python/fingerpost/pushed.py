@@ -1,8 +1,8 @@
 """Images that a program pushes, one view's at a time or all together, as the frames of rounds.
 
-A hand is found, and told from other things, by what several views show at about one time. So what
-is pushed for one view waits for the others: a round is complete when every view has a frame, or
-when a view has its next one before some other has any.
+A hand is found, and distinguished from other things, by what several views show at about one time.
+So what is pushed for one view waits for the others: a round is complete when every view has a
+frame, or when a view has its next one before some other has any.
 """
 
 from __future__ import annotations

@@ -54,7 +54,7 @@ def parsed(data: bytes) -> dict[str, Any]:
     ------
     InvalidInputError
         It is none, or it is TOML that says something else than what was meant; the message is one
-        line with the place and, where that can be told, what would be right.
+        line with the place and, where it is known, what would be right.
     """
     text = _decoded(data)
     try:

@@ -202,10 +202,10 @@ def set_up(rig: Rig, frames: Iterator[Sequence[Frame | Loss | None]]) -> SetUp:
     if best is None:
         why = "no frame of all views could be read" if last is None else last.fix.reason
         raise NotFoundError(why)
-    return _told(pointer, best)
+    return _set_up_from(pointer, best)
 
 
-def _told(pointer: Pointer, best: Step) -> SetUp:
+def _set_up_from(pointer: Pointer, best: Step) -> SetUp:
     rig, views = pointer.rig, [seen.plane_view for seen in best.observations]
     composition = Composition(pointer.plane_views, unit=rig.plane.unit)
     lines, without = [], []

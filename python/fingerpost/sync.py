@@ -1,8 +1,8 @@
 """The offset between the clocks of a rig's views, from a film of a moving hand.
 
-The main loop follows the hand in every view; what each of them shows of its tip tells how far the
-clocks are apart (`fingerpost.consistency.offset`). Views far apart in time hinder each other, so a
-large offset is set right and looked at once more.
+The main loop follows the hand in every view; the motions of its tip in the views determine the
+offset of the clocks (`fingerpost.consistency.offset`). Views far apart in time hinder each other,
+so a large offset is set right and looked at once more.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ Together = Sequence[Frame | Loss | None]
 
 @dataclass(frozen=True)
 class Synced:
-    """A rig whose views are of one time, and how that was told.
+    """A rig whose views share one clock, and the estimates of their offsets.
 
     Attributes
     ----------
@@ -60,7 +60,7 @@ def synchronise(rig: Rig, footage: Callable[[Rig], Iterable[Together]]) -> Synce
     Raises
     ------
     InvalidInputError
-        A rig that cannot point, or an offset that cannot be told; it says of which view, and why.
+        A rig that cannot point, or an offset that cannot be estimated; names the view and reason.
     """
     for _ in range(ROUNDS):
         with _quiet():

@@ -83,8 +83,8 @@ def test_the_command_says_in_one_line_what_is_missing(tmp_path, no_mujoco):
     assert "pip install 'fingerpost[mujoco]'" in refused.stderr
 
 
-def test_an_errand_that_fails_fails_the_command(tmp_path, monkeypatch, no_mujoco):
-    monkeypatch.setattr("fingerpost.closed_loop.errand.FIX_S", 0.0)  # he does not wait for a fix
+def test_a_task_that_fails_fails_the_command(tmp_path, monkeypatch, no_mujoco):
+    monkeypatch.setattr("fingerpost.closed_loop.task.FIX_S", 0.0)  # he does not wait for a fix
     demo = ["demo", "--robot", "--output", str(tmp_path)]
     result = CliRunner().invoke(main, demo)
     assert result.exit_code == 1

@@ -34,7 +34,6 @@ from fingerpost.capture import Frame, open_views, read_views
 from fingerpost.config import Rig
 from fingerpost.pipeline import Observation, Pointer, Step, at_most, steps
 from fingerpost.pointing import FingerLine
-from fingerpost.rehearsal import described
 from fingerpost.simulate import (
     Background,
     Hand,
@@ -45,6 +44,7 @@ from fingerpost.simulate import (
     figure_eight,
     pointing_session,
 )
+from fingerpost.simulated_rig_file import rig_from_simulation
 
 GOLDEN = Path(__file__).with_name("tracks.json")
 DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
@@ -134,7 +134,7 @@ def simulated(placement: Placement, channels: Channels, *, with_start: bool) -> 
     if with_start:
         views = rig.truth(motion, time_s=COMES_FROM_MM / 600.0 + 0.2).views
         starts = [view.finger.start() for view in views if view.finger is not None]
-    return Clip(described(rig, starts=starts), _rendered(rig, motion))
+    return Clip(rig_from_simulation(rig, starts=starts), _rendered(rig, motion))
 
 
 def _rendered(rig: SimulatedRig, motion: Motion) -> Iterator[Together]:
@@ -241,7 +241,7 @@ def _of_observation(seen: Observation) -> Iterator[Any]:
         yield from (finger.tip_px, finger.angle_rad, finger.covariance)
     else:
         yield finger.value
-    yield from (seen.aside.offset, seen.aside.off)
+    yield from (seen.axis_correction.offset, seen.axis_correction.sigma)
     if seen.plane_view is not None:
         yield from (seen.plane_view.image_from_plane, seen.plane_view.entries_covariance)
     if seen.searched is not None:

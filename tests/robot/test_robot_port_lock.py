@@ -199,7 +199,7 @@ def test_a_serial_server_is_told_apart():
     with make_emulator("marlin", tcp_port=0) as emulator:
         line = SerialLine(emulator.address)
         line.open()
-        line._hear(b"ok\x13")
+        line._note_received(b"ok\x13")
         assert "at the serial server" in line.advice
         line.open()
         assert line.advice == ""

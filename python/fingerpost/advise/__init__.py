@@ -7,7 +7,7 @@ r"""The placement advisor: how well a rig will tell where hands point, before an
 
 From the reference points alone: they tell where each camera stands (`camera`); the hand poses to
 be expected (`poses`) are projected into the cameras, and `fingerpost.pointing.indicated_point`
-says what would come of them (`forecast`). Moving every camera a little tells which one stands
+says what would come of them (`forecast`). Moving every camera a little shows which one stands
 badly (`moves`).
 """
 

@@ -408,11 +408,11 @@ def _shares(
         return np.asarray(np.trace(covariance, axis1=1, axis2=2))
 
     whole = squared(options)
-    told = np.isfinite(whole)
-    if not told.any():
+    is_finite = np.isfinite(whole)
+    if not is_finite.any():
         return {}
     parts = {
-        part: float((whole - squared(without(options, part)))[told].clip(min=0.0).sum())
+        part: float((whole - squared(without(options, part)))[is_finite].clip(min=0.0).sum())
         for part in ("references", "noise", "bias")
     }
     total = sum(parts.values())

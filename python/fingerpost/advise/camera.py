@@ -9,7 +9,7 @@ sees no perspective, and every focal length fits.
 
 So the focal length, the principal point and the pose are estimated together, as the most probable
 ones given the reference points and what is known of cameras beforehand (`FOCAL_PRIOR`,
-`PRINCIPAL_POINT_PRIOR`): where the view tells, it decides, and where it does not, a usual camera
+`PRINCIPAL_POINT_PRIOR`): the view's data decide where they determine the camera, else a usual one
 is assumed, and `PlaneCamera.focal_sigma` says so. A lens that the rig file gives leaves only the
 pose to be found.
 

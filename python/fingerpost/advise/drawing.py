@@ -106,8 +106,8 @@ class _Scale:
     def of(cls, advice: Advice) -> _Scale:
         """Take the usual error of the map as the middle."""
         errors = [cell.figures.percentile_95 for cell in advice.cells]
-        told = [error for error in errors if math.isfinite(error) and error > 0.0]
-        return cls(float(np.median(told)) if told else 1.0, marked=bool(told))
+        known = [error for error in errors if math.isfinite(error) and error > 0.0]
+        return cls(float(np.median(known)) if known else 1.0, marked=bool(known))
 
     def share(self, error: float) -> float:
         """Place on the scale, 0 to 1."""

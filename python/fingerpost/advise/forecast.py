@@ -1,4 +1,4 @@
-"""How well a pose will be told: what the covariance of its indicated point will be.
+"""Predicted covariance of the indicated point of a pose.
 
 A pose of the finger is projected into every recovered camera. Its line there gets the covariance
 that two straight flanks of that length in pixels allow (`fingerpost.experiment.bound`), divided by
@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 SHORTEST_FLANK_PX = 10.0
 """A finger whose flanks are shorter in the image has no direction that a tracker could tell."""
 
-# Poses are told to this share of the largest error that counts.
+# Poses are computed to this share of the largest error that counts.
 _RADIUS_STEPS = 60
 # Directions over which the error's distribution is averaged: exact to five digits for 20 : 1.
 _TURNS = 64

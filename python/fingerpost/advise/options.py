@@ -1,4 +1,4 @@
-"""What the advisor is told about hands, pictures and units."""
+"""Options of the advisor about hands, images and units."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ class AdviceOptions:
     """Cells of the map along the longer side of the workspace, 2 to 50."""
 
     sectors: int = 36
-    """Directions of pointing that are told apart, 8 to 360."""
+    """Directions of pointing that are distinguished, 8 to 360."""
 
     samples: int = 300
     """Poses by which moves of the cameras are compared, 10 to 100,000."""
@@ -97,7 +97,7 @@ class AdviceOptions:
         Raises
         ------
         InvalidInputError
-            Its name tells no length, and `unit_mm` is not given.
+            Its name gives no length, and `unit_mm` is not given.
         """
         if self.unit_mm is not None:
             return self.unit_mm

@@ -2,7 +2,7 @@
 
 Only MP4 and AVI count their frames. For others FFmpeg makes a count of the duration, which sound,
 chapters and rounding stretch: a whole Matroska or FLV file may hold fewer frames than that. That
-its end is missing is told by the sizes that its parts have in writing.
+its end is missing is known by the sizes that its parts have in writing.
 """
 
 from __future__ import annotations

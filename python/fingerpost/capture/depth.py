@@ -16,7 +16,7 @@ DEPTHS = (8, 10, 12, 14, 16)
 """Bits a channel that cameras have."""
 
 SAMPLED = 16
-"""So many pictures of a sequence are asked for its depth: any bright pixel in one tells."""
+"""So many pictures of a sequence are asked for its depth: any bright pixel in one decides."""
 
 
 class Depth:

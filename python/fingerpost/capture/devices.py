@@ -1,7 +1,7 @@
 """Which cameras are plugged in: their numbers, names and modes, without opening a stream.
 
-On Linux the kernel tells (V4L2: /sys/class/video4linux, and the enumerations of videodev2.h).
-Elsewhere OpenCV is asked for one number after the other, which tells no names.
+On Linux the kernel lists them (V4L2: /sys/class/video4linux, and the enumerations of videodev2.h).
+Elsewhere OpenCV is asked for one number after the other, which gives no names.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class Mode:
     width, height
         In px; the largest where a camera has sizes of any kind.
     fps
-        The highest rate there is; 0 where that is not told.
+        The highest rate there is; 0 if unknown.
     """
 
     fourcc: str
@@ -143,9 +143,9 @@ def _name(node: Path) -> str:
 
 
 def _captures(descriptor: int, ioctl: Ioctl) -> bool:
-    told = bytearray(_CAPABILITY.size)
-    ioctl(descriptor, _QUERY_CAPABILITY, told)
-    *_, every, own = _CAPABILITY.unpack(told)
+    buffer = bytearray(_CAPABILITY.size)
+    ioctl(descriptor, _QUERY_CAPABILITY, buffer)
+    *_, every, own = _CAPABILITY.unpack(buffer)
     return bool((own if every & _HAS_DEVICE_CAPABILITIES else every) & _CAPTURES)
 
 
@@ -155,14 +155,14 @@ def _enumerated(
     """Give the entries of an enumeration: the kernel ends it with an error."""
     for index in range(_MOST_ENTRIES):
         empty = entry.unpack(bytes(entry.size))
-        told = bytearray(entry.pack(index, *key, *empty[1 + len(key) :]))
+        buffer = bytearray(entry.pack(index, *key, *empty[1 + len(key) :]))
         try:
-            ioctl(descriptor, request, told)
+            ioctl(descriptor, request, buffer)
         except OSError as error:
             if error.errno in (errno.EINVAL, errno.ENOTTY):
                 return
             raise
-        yield entry.unpack(told)
+        yield entry.unpack(buffer)
 
 
 def _modes(descriptor: int, ioctl: Ioctl) -> Iterator[Mode]:
@@ -179,7 +179,7 @@ def _modes(descriptor: int, ioctl: Ioctl) -> Iterator[Mode]:
 
 
 def _highest_rate(descriptor: int, ioctl: Ioctl, code: bytes, width: int, height: int) -> float:
-    """Highest number of frames a second; 0 where none is told."""
+    """Highest number of frames a second; 0 if unknown."""
     entries = _enumerated(descriptor, ioctl, _ENUM_INTERVALS, _INTERVAL, code, width, height)
     # An interval is a fraction of seconds; of those in steps the first is the shortest.
     shortest = [(entry[5], entry[6]) for entry in entries]

@@ -297,7 +297,7 @@ class LiveSource(Source):
         return error
 
     def _run(self, source: str | int) -> None:
-        """Open and read, again and again until told to stop: the life of the reader's thread."""
+        """Open and read, again and again until stopped: the life of the reader's thread."""
         pause_s = 0.0
         while not self._pause(pause_s):
             grabbed = self._frames_grabbed

@@ -99,7 +99,7 @@ class Listener:
 
     @property
     def complaint(self) -> str:
-        """The first line of the last block that tells of a damaged picture; empty without one."""
+        """The first line of the last block that reports a damaged picture; empty without one."""
         return next((line for line in self.lines if not _HARMLESS.search(line)), "")
 
     def _wish(self, level: int, flags: int) -> None:

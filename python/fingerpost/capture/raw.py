@@ -175,12 +175,12 @@ class RawStream:
         self._picture: Picture | None = None
         self._has_given = False
         try:
-            self._format = self._told(known, timeout_s)
+            self._format = self._read_format(known, timeout_s)
         except BaseException:
             self._file.close()
             raise
 
-    def _told(self, known: RawFormat | None, timeout_s: float) -> RawFormat:
+    def _read_format(self, known: RawFormat | None, timeout_s: float) -> RawFormat:
         """Return the format, by what comes first."""
         end_s = time.monotonic() + timeout_s
         while not self._fill(len(_Y4M)) and time.monotonic() < end_s:
@@ -194,7 +194,7 @@ class RawStream:
                 "view's table is needed, or a y4m stream"
             )
         if not self._is_y4m:
-            return known  # type: ignore[return-value]  # told above
+            return known  # type: ignore[return-value]  # not None: checked above
         while (line := self._line()) is None:
             if time.monotonic() > end_s:
                 raise CaptureError(f"its y4m header did not come within {timeout_s:g} s")
@@ -278,17 +278,17 @@ class RawStream:
 
 
 def y4m_format(header: str) -> RawFormat:
-    """Return the format that the first line of a y4m stream tells.
+    """Return the format in the first line of a y4m stream.
 
     Raises
     ------
     CaptureError
-        It tells none, or one that cannot be read.
+        There is none, or one that cannot be read.
     """
-    told = {word[0]: word[1:] for word in header.split()[1:]}
-    space = told.get("C", "420")
-    if not (told.get("W", "").isdecimal() and told.get("H", "").isdecimal()):
+    fields = {word[0]: word[1:] for word in header.split()[1:]}
+    space = fields.get("C", "420")
+    if not (fields.get("W", "").isdecimal() and fields.get("H", "").isdecimal()):
         raise CaptureError(f"its y4m header {header!r} has no size")
     if space not in _Y4M_SPACES:
         raise CaptureError(f"its y4m frames have the pixels {space}; -pix_fmt yuv420p is right")
-    return RawFormat(int(told["W"]), int(told["H"]), _Y4M_SPACES[space])
+    return RawFormat(int(fields["W"]), int(fields["H"]), _Y4M_SPACES[space])

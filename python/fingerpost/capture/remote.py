@@ -1,7 +1,7 @@
 """What a URL leads to, asked before anything is read from it: a film, a stream, or neither.
 
 A film on a web server is a recording: taken for a stream it would be played as fast as it comes.
-What a server answers is told apart by its content type and the first bytes. What is no stream, a
+Answers of a server are distinguished by its content type and the first bytes. What is no stream, a
 page or one picture, is refused; so is a server that refuses. Nothing that may be secret is shown:
 users, passwords, queries, and parts of paths that look like tokens.
 """

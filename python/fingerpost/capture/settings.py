@@ -1,7 +1,7 @@
 """What a rig asks of a view's source beside its name: settings of its camera, its picture turned.
 
 Drivers take what they like of what is asked and say nothing. So everything is read back, and what
-has become otherwise is told.
+has become otherwise is reported.
 """
 
 from __future__ import annotations

@@ -260,7 +260,7 @@ class VideoFile(Source):
         return None
 
     def _report_early_end(self) -> None:
-        """Warn of a file that has lost its end, as far as its container tells."""
+        """Warn of a file that has lost its end, as far as its container shows."""
         if is_cut_off(self._path):
             _log.warning(
                 "%s: ends at %.3f s: the file is shorter than it says: cut off",

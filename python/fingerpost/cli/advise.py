@@ -38,7 +38,7 @@ _PATH = click.Path(path_type=Path)
 @click.option("--noise", type=float, help="Image noise, sigma in grey levels.")
 @click.option("--blur", type=float, help="Sigma of the point spread function, px.")
 @click.option("--reference-noise", type=float, help="Sigma of the reference points, px.")
-@click.option("--unit-mm", type=float, help="Length of a plane unit, mm, if its name tells none.")
+@click.option("--unit-mm", type=float, help="Length of a plane unit, mm, if its name gives none.")
 @click.option(
     "--size",
     type=(int, int),

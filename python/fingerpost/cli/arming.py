@@ -169,7 +169,7 @@ def show_homing(progress: HomingProgress) -> None:
 
 def home(robot: Robot, timeout_s: float) -> None:
     """Home an arm that has just been connected."""
-    tell("homing; the arm moves")
+    say("homing; the arm moves")
     with stopped_by_signals(robot):
         robot.home(show_homing, timeout_s=timeout_s)
 
@@ -194,7 +194,7 @@ def _stopping_signals() -> list[signal.Signals]:
     return [signal.SIGINT, *ENDING_SIGNALS, *suspending]
 
 
-def tell(line: str) -> None:
+def say(line: str) -> None:
     """Say something to the operator, on stderr."""
     click.echo(line, err=True)
 

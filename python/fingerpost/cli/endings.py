@@ -1,4 +1,4 @@
-"""How a command ends that is told to; an interrupted one exits with 128 and the signal's number."""
+"""How a command ends on request; an interrupted one exits with 128 and the signal's number."""
 
 from __future__ import annotations
 

@@ -76,7 +76,7 @@ def experiment(
     A simulated device points at random targets. What is not given is the paper's rig at its
     ordinary settings.
 
-    --recording measures on footage instead, whose truth --truth tells; it takes --tracker, --draw
+    --recording measures on footage instead, whose truth --truth gives; it takes --tracker, --draw
     and --json.
 
     --guidance repeats the robot guidance experiment of section 3.4 under physics; it takes --seed

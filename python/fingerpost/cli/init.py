@@ -115,7 +115,7 @@ def init(
     click.echo("\n".join(found.lines))
     click.echo(f"picture   {picture}")
     if asks and not click.confirm("Is that right?", default=True, err=True):
-        raise InvalidInputError("--near VIEW=U,V tells which rectangle is meant")
+        raise InvalidInputError("--near VIEW=U,V says which rectangle is meant")
     found.rig.save(output)
     click.echo(f"rig file  {output}")
     for name in found.without_hand:

@@ -18,7 +18,7 @@ _FILE = click.Path(path_type=Path)
 def info(recording: Path, as_json: bool) -> None:
     """Tell what a recording holds: views, frames, topics, and whether it is whole.
 
-    MCAP files of other programs are told of as well.
+    MCAP files of other programs are described as well.
     """
     from fingerpost.recording.session.contents import contents
 

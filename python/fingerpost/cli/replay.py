@@ -31,7 +31,7 @@ def replay(recording: Path, beside: Path | None, **asked: Any) -> None:
     """Follow the hand in a recording again.
 
     With the options that it was recorded with, and images that were recorded as they came or
-    without loss, every fix is the same to the last bit. The summary tells how they compare.
+    without loss, every fix is the same to the last bit. The summary says how they compare.
     """
     with ending_at_once():
         need_opencv()

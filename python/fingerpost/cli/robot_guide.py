@@ -21,9 +21,9 @@ from fingerpost.cli.arming import (
     laid_over,
     need_consent,
     open_log,
+    say,
     seconds,
     show_homing,
-    tell,
 )
 from fingerpost.cli.endings import ending_orderly
 from fingerpost.cli.live_views import give_up_option, hush_streams
@@ -255,7 +255,7 @@ def _session(
         blocks=given.get("blocks", 1),
         keys=has_terminal(),
         home=home if has_terminal() else None,
-        say=tell,
+        say=say,
         on_report=_print_report if given["as_json"] else lambda _fix, _report: None,
     )
 

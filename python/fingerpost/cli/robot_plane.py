@@ -19,7 +19,7 @@ from fingerpost.cli.arming import (
     laid_over,
     need_consent,
     open_log,
-    tell,
+    say,
 )
 from fingerpost.cli.endings import ending_orderly
 from fingerpost.cli.live_views import give_up_option, hush_streams
@@ -330,9 +330,9 @@ def _asking(name: str, pictures: Path) -> Callable[[int, Frame], NDArray[np.floa
                 u, v = (float(number) for number in answer.replace(",", " ").split())
                 return pixel_of((u, v), frame, "the pixel")
             except InvalidInputError as error:
-                tell(str(error))
+                say(str(error))
             except ValueError:
-                tell("two numbers are needed")
+                say("two numbers are needed")
 
     return ask
 
@@ -340,7 +340,7 @@ def _asking(name: str, pictures: Path) -> Callable[[int, Frame], NDArray[np.floa
 def _progress(points: int) -> Callable[[Visit], None]:
     def show(visit: Visit) -> None:
         x, y, z = visit.position_m
-        tell(
+        say(
             f"place {visit.place + 1:2d} of {points}   ({x:.4f}, {y:.4f}, {z:.4f}) m   "
             f"{visit.problem or 'found'}"
         )

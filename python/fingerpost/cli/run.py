@@ -32,7 +32,7 @@ def run(rig_file: Path, **asked: Any) -> None:
     RIG.TOML names the views (video files, globs of images, camera numbers, URLs or views of a
     recording), the plane and where the hand is first seen. A live view that sends nothing is lost
     until it comes back; a damaged picture is lost for its view. Ctrl-C ends a run; what was written
-    stays, and the summary tells of the frames until then.
+    stays, and the summary covers the frames until then.
     """
     with ending_at_once():
         need_opencv()

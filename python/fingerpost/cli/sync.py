@@ -46,20 +46,20 @@ def sync(rig_file: Path, output: Path | None, max_frames: int | None, as_json: b
         found.rig.save(output)
     for view in found.rig.views[1:]:
         offset = found.offsets[view.name]
-        told = {
+        result = {
             "view": view.name,
             "offset_s": round(view.offset_s, 6),
             "sigma_s": round(offset.sigma_s, 6),
             "tips": offset.pairs,
             "off_px": round(offset.off_px, 3),
         }
-        click.echo(json.dumps(told) if as_json else _line(told))
+        click.echo(json.dumps(result) if as_json else _line(result))
 
 
-def _line(told: dict[str, object]) -> str:
+def _line(result: dict[str, object]) -> str:
     return (
-        f"{told['view']}: offset_s = {told['offset_s']:.4f}   ± {told['sigma_s']:.4f} s, from "
-        f"{told['tips']} places of the tip, {told['off_px']:.2f} px from their lines"
+        f"{result['view']}: offset_s = {result['offset_s']:.4f}   ± {result['sigma_s']:.4f} s, "
+        f"from {result['tips']} places of the tip, {result['off_px']:.2f} px from their lines"
     )
 
 

@@ -10,12 +10,12 @@ under physics, driven by the package's own driver through the emulated controlle
 """
 
 from fingerpost.closed_loop.demo import RobotDemoSummary, run_robot_demo
-from fingerpost.closed_loop.errand import Errand, Leg
 from fingerpost.closed_loop.kinematic import KinematicCell
 from fingerpost.closed_loop.layout import Aim, CameraPlacement
 from fingerpost.closed_loop.loop import ClosedLoop, LoopOptions, Moment
 from fingerpost.closed_loop.operator import Habits, Operator
 from fingerpost.closed_loop.physics import Optics, PhysicalCell
+from fingerpost.closed_loop.task import Leg, Task
 from fingerpost.closed_loop.trials import (
     GuidanceOptions,
     GuidanceResult,
@@ -30,7 +30,6 @@ __all__ = [
     "CameraPlacement",
     "Cell",
     "ClosedLoop",
-    "Errand",
     "GuidanceOptions",
     "GuidanceResult",
     "GuidanceTrial",
@@ -44,6 +43,7 @@ __all__ = [
     "PhysicalCell",
     "PlaneAccuracy",
     "RobotDemoSummary",
+    "Task",
     "World",
     "run_guidance",
     "run_robot_demo",

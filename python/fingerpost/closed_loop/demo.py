@@ -18,7 +18,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fingerpost.closed_loop.engine import require_mujoco
-from fingerpost.closed_loop.errand import ERRAND_S, Errand, Leg, block_and_place_mm
 from fingerpost.closed_loop.kinematic import KinematicCell
 from fingerpost.closed_loop.layout import Aim, CameraPlacement
 from fingerpost.closed_loop.loop import ClosedLoop, FixAccuracy, LoopOptions, Moment
@@ -32,6 +31,7 @@ from fingerpost.closed_loop.setup import (
     scorbot_in,
     with_start,
 )
+from fingerpost.closed_loop.task import TASK_S, Leg, Task, block_and_place_mm
 from fingerpost.closed_loop.world import Cell, World
 from fingerpost.config import Rig
 from fingerpost.errors import InvalidInputError, MissingExtraError
@@ -89,7 +89,7 @@ class RobotDemoSummary:
     fix_rms_mm
         From the indicated point to where the hand pointed; None without a fix.
     time_s
-        Length of the errand in the world [s].
+        Duration of the task in the simulated world [s].
     files
         What was written.
     """
@@ -314,12 +314,12 @@ def _play(
             raise _EnoughError
 
     loop.on_moment = on_moment
-    errand = Errand(stage.world, loop, operator, block_mm, place_mm)
+    task = Task(stage.world, loop, operator, block_mm, place_mm)
     shortened = False
     try:
-        loop.run(errand, ERRAND_S)
+        loop.run(task, TASK_S)
     except RobotError as error:
-        errand.problem = f"{type(error).__name__}: {error}"
+        task.problem = f"{type(error).__name__}: {error}"
     except _EnoughError:
         shortened = True
     film.picture()
@@ -327,9 +327,9 @@ def _play(
         cell=stage.name,
         note=note,
         plane=stage.plane,
-        legs=tuple(errand.legs),
-        placed_mm=errand.placed_mm,
-        problem=errand.problem,
+        legs=tuple(task.legs),
+        placed_mm=task.placed_mm,
+        problem=task.problem,
         shortened=shortened,
         table_steps=stage.table_steps(),
         line_bytes=stage.line_bytes(),

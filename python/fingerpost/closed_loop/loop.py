@@ -272,7 +272,7 @@ class ClosedLoop:
             keys=True,
             worker=self._turns,
             sleep=world.advance,
-            say=self._hear,
+            say=self._keep_words,
             on_report=self._see_report,
         )
         self._plane_mm = 1000 * table.height_m
@@ -322,7 +322,7 @@ class ClosedLoop:
         finally:
             self._world.on_frame = None
 
-    def _hear(self, words: str) -> None:
+    def _keep_words(self, words: str) -> None:
         self._said = words
 
     def _see_report(self, _: Fix, report: FollowReport) -> None:

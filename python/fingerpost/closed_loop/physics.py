@@ -1,6 +1,6 @@
 """The robot cell under physics: an emulated controller drives MuJoCo's arm, cameras look on.
 
-The controller's commands become the set points of the joints' motors, step by step; what it tells
+The controller's commands become the set points of the joints' motors, step by step; what it reports
 the driver of its position are the encoders of the arm that follows them. A block is lifted by
 friction between the fingers or it is not.
 """

@@ -21,7 +21,7 @@ from fingerpost.simulate import Body, Camera, Link
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
-SKIN_RGBA = (0.86, 0.62, 0.51, 1.0)
+HAND_RGBA = (0.86, 0.62, 0.51, 1.0)
 
 # A sphere-swept cone becomes a polyhedron of so many sides: a finger's flank is then off by
 # r (1 − cos π/48) = 0.02 mm at most.
@@ -111,7 +111,7 @@ def _add_hand(spec: Any, hand: Body) -> None:
         name="hand",
         type=require_mujoco().mjtGeom.mjGEOM_MESH,
         meshname="hand",
-        rgba=SKIN_RGBA,
+        rgba=HAND_RGBA,
         contype=0,
         conaffinity=0,
     )

@@ -23,17 +23,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fingerpost.closed_loop.engine import require_mujoco
-from fingerpost.closed_loop.errand import (
-    ERRAND_S,
-    SETTLED_S,
-    Absence,
-    Errand,
-    Leg,
-    Scripted,
-    Vanishing,
-    block_and_place_mm,
-    target_mm,
-)
 from fingerpost.closed_loop.layout import Aim, CameraPlacement
 from fingerpost.closed_loop.loop import CellViews, ClosedLoop, FixAccuracy, LoopOptions
 from fingerpost.closed_loop.operator import Habits, Operator
@@ -44,6 +33,17 @@ from fingerpost.closed_loop.setup import (
     robot_table,
     scorbot_in,
     with_start,
+)
+from fingerpost.closed_loop.task import (
+    SETTLED_S,
+    TASK_S,
+    Absence,
+    Leg,
+    Scripted,
+    Task,
+    Vanishing,
+    block_and_place_mm,
+    target_mm,
 )
 from fingerpost.closed_loop.world import World
 from fingerpost.config import Rig
@@ -121,16 +121,16 @@ class GuidanceTrial:
 
 @dataclass(frozen=True)
 class PlaneAccuracy:
-    """How well a plane that the robot defined tells the robot where a hand points exactly."""
+    """Accuracy of indicated points in robot coordinates, by a plane that the robot has defined."""
 
     height_mm: float
     sigma_mm: float  # what `define_plane` says of its worst corner
-    errors_mm: tuple[tuple[float, float], ...]  # robot's X, Y, told minus true
+    errors_mm: tuple[tuple[float, float], ...]  # robot's X, Y, estimated minus true
     missing: int  # targets without a fix
 
     @property
     def rms_mm(self) -> float:
-        """Of the distance from told to true; NaN without any."""
+        """Of the distance from estimate to truth; NaN without any."""
         if not self.errors_mm:
             return math.nan
         return float(np.sqrt((np.array(self.errors_mm) ** 2).sum(axis=1).mean()))
@@ -341,17 +341,17 @@ def guide(index: int, rig: Rig, options: GuidanceOptions) -> GuidanceTrial:
         Of the experiment.
     """
     with _staged(index, rig, options) as stage:
-        errand = Errand(stage.world, stage.loop, stage.operator, stage.block_mm, stage.place_mm)
-        stage.play(errand)
+        task = Task(stage.world, stage.loop, stage.operator, stage.block_mm, stage.place_mm)
+        stage.play(task)
         return GuidanceTrial(
             index,
-            tuple(errand.legs),
-            errand.placed_mm,
+            tuple(task.legs),
+            task.placed_mm,
             stage.cell.contacts.table_steps,
             stage.accuracy.rms_mm,
             stage.accuracy.moments,
             stage.accuracy.fixes,
-            errand.problem,
+            task.problem,
             stage.accuracy.false_fixes,
         )
 
@@ -425,7 +425,7 @@ class _Stage:
     def play(self, person: Scripted) -> None:
         """Run the session; what the robot raises is the person's problem."""
         try:
-            self.loop.run(person, ERRAND_S)
+            self.loop.run(person, TASK_S)
         except RobotError as error:
             person.problem = f"{type(error).__name__}: {error}"
 

@@ -1,7 +1,7 @@
-"""Whether a rig, its pictures and its views fit together.
+"""Consistency of a rig with its images and of its views with each other.
 
-Nothing here knows a hand from a table: pictures, times, points and tips come in, and what belies
-them comes out. `Monitor` watches while a rig runs; the doctor asks the same questions before.
+The tests use images, times, points and tips alone, and return contradictions. `Monitor` applies
+them while a rig runs; the doctor does before.
 """
 
 from fingerpost.consistency.contradiction import Contradiction

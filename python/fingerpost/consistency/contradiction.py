@@ -1,4 +1,4 @@
-"""A rig and what belies it."""
+"""A contradiction between a rig and its images."""
 
 from __future__ import annotations
 
@@ -6,14 +6,14 @@ from typing import NamedTuple
 
 
 class Contradiction(NamedTuple):
-    """What a rig says and its pictures or its other views belie.
+    """Statement of a rig that its images or its other views contradict.
 
     Attributes
     ----------
     what
-        What is wrong, with the values found.
+        The contradiction, with the measured values.
     right
-        What would be right.
+        The correction.
     """
 
     what: str

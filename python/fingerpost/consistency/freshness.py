@@ -1,9 +1,8 @@
-"""Whether a picture is a new one: cameras and drivers hand the same one out again.
+"""Detection of repeated images: cameras and drivers deliver the same image again.
 
-A picture is an old one if nothing in it has changed, not even by the noise that its view shows from
-picture to picture, though something must have: the hand that it showed moved a moment ago, or moves
-in another view. Where nothing moves anywhere an old picture does no harm, and none is suspected:
-recordings without noise and single stills show the same over and over.
+An image is a repetition if it has not even changed by the view's usual noise, although it should:
+its hand was moving a moment ago, or moves in another view. Without motion a repetition does no harm
+and none is reported: recordings without noise and single stills repeat by nature.
 """
 
 from __future__ import annotations
@@ -20,36 +19,35 @@ from fingerpost.capture import Frame
 Picture = NDArray[np.uint8]
 
 WIDTH_PX = 80
-"""Pictures are compared at this width: coarse enough for noise to be small, and fine enough for a
-fingertip to show."""
+"""Width at which images are compared: coarse enough for small noise, fine enough for a tip."""
 
 SAME_SHARE = 0.03
 SAME_LEVELS = 2.0
-"""Nothing has changed if the mean change is this part of the usual one, and the largest no more
-[grey levels]: a video codec leaves that much when it encodes a picture again."""
+"""Greatest mean change of an unchanged image, as a share of the usual one, and its greatest change
+at any pixel [grey levels]: a video codec leaves that much when it encodes an image twice."""
 
 MOVES_LEVELS = 8.0
-"""Something moves that changes a place by so much."""
+"""Least change of a pixel by motion."""
 
 KNOWN_CHANGES = 5
-"""Changes after which it is known how large they usually are."""
+"""Least number of changes from which the usual one is estimated."""
 
 STOPS = 3
 HELD_FRAMES = 3
-"""A hand that stops so often in full motion, for fewer frames than these, and goes on is seen by a
-sensor behind a driver that is faster."""
+"""Number of times that a hand stops in full motion for fewer than `HELD_FRAMES` frames and goes on,
+from which the sensor is slower than its driver."""
 
 OTHERS_FRAMES = 5
-"""A hand that has moved in so many pictures of another view since has moved: views that lag behind
-each other may see it stop in fewer."""
+"""Images of another view with motion since the last change, after which this view's hand has moved,
+too; lagging views may show a stop for fewer."""
 
 FROZEN_S = 0.5
-"""A view whose picture has been old for so long is frozen."""
+"""Time of repetition after which a view is frozen."""
 
 
 @dataclass(slots=True)
 class _View:
-    """What is known of one view's latest new picture, and since."""
+    """One view's latest new image, and the counts since."""
 
     small: Picture | None = None
     spare: Picture = field(default_factory=lambda: np.empty((0, 0), np.uint8))
@@ -63,27 +61,27 @@ class _View:
 
     @property
     def is_known(self) -> bool:
-        """Whether it is known how much its pictures usually change."""
+        """Whether the usual change is known."""
         return len(self.changes) >= KNOWN_CHANGES
 
     def make_room(self, shape: tuple[int, ...]) -> None:
-        """Keep room for pictures of a size: a frame is to borrow no memory."""
+        """Allocate for images of a size, so that frames allocate nothing."""
         self.small = None
         self.spare, self.change = np.empty(shape, np.uint8), np.empty(shape, np.uint8)
 
 
 class Freshness:
-    """Tells new pictures of several views from old ones that were handed out again.
+    """Distinguishes new images of several views from repeated ones.
 
     Parameters
     ----------
     views
-        How many there are.
+        Number of views.
 
     Attributes
     ----------
     repeats
-        How many pictures of each view were old ones.
+        Number of repeated images of each view.
     """
 
     def __init__(self, views: int) -> None:
@@ -92,7 +90,7 @@ class Freshness:
         self.frames = [0] * views
 
     def look(self, frames: Sequence[Frame | None]) -> tuple[bool, ...]:
-        """Take the next frames of all views; tell which of them are old pictures."""
+        """Take the next frames of all views; return which are repeated."""
         changed = [
             None if frame is None else self._changed(k, frame) for k, frame in enumerate(frames)
         ]
@@ -106,11 +104,11 @@ class Freshness:
         )
 
     def is_frozen(self, view: int, time_s: float) -> bool:
-        """Tell whether a view, whose picture is old, has shown it for long."""
+        """Whether a view has repeated its image for `FROZEN_S`."""
         return time_s - self._views[view].time_s >= FROZEN_S
 
     def _changed(self, k: int, frame: Frame) -> bool | None:
-        """Compare a picture with the last new one; tell whether something moves, None if same."""
+        """Compare an image with the last new one: whether there is motion, None if unchanged."""
         import cv2
 
         view, grey = self._views[k], frame.grey()

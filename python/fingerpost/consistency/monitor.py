@@ -1,4 +1,4 @@
-"""What is watched while a rig runs: that its pictures are new ones, and of one time."""
+"""Tests while a rig runs: images are new, and the views' clocks agree."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from fingerpost.pointing import FingerLine, PlaneView
 _log = logging.getLogger(__name__)
 
 FROZEN = "its picture stands still"
-"""What is said of a view that hands out an old picture."""
+"""Reason for a view that repeats its image."""
 
 LOOK_EVERY_S = 0.5
-"""The clocks are compared so often; it takes some ms."""
+"""Interval between comparisons of the clocks; each takes some ms."""
 
 REPEATS_SHARE = 0.1
-"""A view is said to repeat pictures from this part of them on."""
+"""Least share of repeated images that is reported."""
 
 
 class Monitor:
-    """Watches the pictures of several views, and the tip that they follow.
+    """Tests the images of several views, and the tip that they follow.
 
     Parameters
     ----------
@@ -35,7 +35,7 @@ class Monitor:
     Attributes
     ----------
     lags
-        How far the clock of each view is behind the first one's, as far as that is known.
+        Lag of each view's clock behind the first one's; None if unknown or none.
     """
 
     def __init__(self, names: Sequence[str]) -> None:
@@ -48,10 +48,9 @@ class Monitor:
         self.lags: list[Lag | None] = [None] * len(names)
 
     def look(self, seen: Sequence[Frame | Loss | None]) -> list[Frame | Loss | None]:
-        """Take what is there of the next frame of every view; give what counts of it.
+        """Take the next entry of every view; return it, or None or a `Loss` for a repeated image.
 
-        An old picture is no new measurement, so it counts as none; a view that has shown one for
-        long is lost.
+        A repeated image is no new measurement (None); a view that repeats one for long is lost.
         """
         old = self._freshness.look([one if isinstance(one, Frame) else None for one in seen])
         return [
@@ -71,7 +70,7 @@ class Monitor:
         fingers: Sequence[FingerLine | object],
         plane_views: Sequence[PlaneView],
     ) -> None:
-        """Take what every view has followed in its last frame; None without one."""
+        """Take the finger line of every view's last frame, and compare the clocks."""
         for tips, time_s, finger, view in zip(
             self._tips, times_s, fingers, plane_views, strict=True
         ):
@@ -110,7 +109,7 @@ class Monitor:
             _log.warning("%s", words)
 
     def notes(self) -> list[str]:
-        """Return what was noticed, a line each."""
+        """Return the observations, a line each."""
         notes = [self._lag_words(name, lag) for name, lag in self._worst.items()]
         for name, repeats, frames in zip(
             self._names, self._freshness.repeats, self._freshness.frames, strict=True

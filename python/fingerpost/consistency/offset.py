@@ -1,9 +1,9 @@
 """The constant offset between the clocks of two recordings, to a part of a millisecond.
 
-As `synchrony`, but for whole recordings, and with figures: at each lag the epipole that all pairs
-of tips share is fitted, and the tips' distances from its lines are what the lag costs. The cost is
-looked at over all lags, then followed to its least between frames; how far that moves when parts of
-the recording are left out says how sure it is.
+As `synchrony`, but for whole recordings and with a standard deviation: at each lag the epipole of
+all pairs of tips is fitted, and the tips' distances from its lines give the cost. The cost is
+evaluated at all lags, then minimised between frames; the scatter of the minimum when parts of the
+recording are left out gives the standard deviation.
 """
 
 from __future__ import annotations
@@ -19,20 +19,20 @@ from fingerpost.errors import InvalidInputError
 Array = NDArray[np.float64]
 
 MOST_LAG_S = 30.0
-"""Recordings that were begun further apart are set right to this first."""
+"""Greatest lag: recordings started further apart are to be aligned to this first."""
 
 LEAST_SHARE = 0.3
-"""Of the pairs that the best lag has, so many at least must overlap at a lag to count."""
+"""Least ratio of the number of pairs at a lag to that at the best lag."""
 
 AMBIGUITY = 1.25
-"""Another lag that costs less than this times the least one may as well be it: a motion that
-repeats itself."""
+"""Cost ratio of another lag to the least one below which the offset is ambiguous: the motion is
+periodic."""
 
 MOST_SIGMA_S = 0.01
-"""An offset that is less sure is none: a third of a frame."""
+"""Greatest standard deviation of an offset: a third of a frame."""
 
 STRANGE_PX = 3.0
-"""From about here on a tip is off its line for another reason than noise, and counts for less."""
+"""Scale of the robust cost: a tip farther from its line is an outlier."""
 
 _MOST_TIPS = 300  # looked at over all lags
 _WINDOW = 10  # frames that a place is fitted to
@@ -43,7 +43,7 @@ _CLOSE_ENOUGH_S = 2e-5
 
 @dataclass(frozen=True)
 class Track:
-    """Where a tip was, in the pixels of the first view's image of the plane.
+    """Positions of a tip, in pixels of the first view's image of the plane.
 
     Attributes
     ----------
@@ -58,14 +58,14 @@ class Track:
 
     @property
     def step_s(self) -> float:
-        """The usual time between two of them."""
+        """Median interval between two of them [s]."""
         return float(np.median(np.diff(self.times_s)))
 
     def at(self, times_s: Array) -> tuple[Array, NDArray[np.bool_]]:
-        """Where it was at other times, by a cubic fitted to its neighbours; and which are known.
+        """Interpolate at other times by a cubic fitted to the neighbours; and which are known.
 
-        A curve through the neighbours would be smoother between frames than at them, and draw lags
-        to halves of a frame. What a fit takes off a fast motion, it takes off in both views.
+        An interpolating curve would be smoother between frames than at them, and bias lags towards
+        halves of a frame. The fit attenuates a fast motion equally in both views.
 
         Returns
         -------
@@ -76,7 +76,9 @@ class Track:
         window = np.clip(after - _WINDOW // 2, 0, len(t) - _WINDOW)[:, None] + np.arange(_WINDOW)
         away = (t[window] - times_s[:, None]) / (_WINDOW / 2 * self.step_s)
         known = (times_s >= t[0]) & (times_s <= t[-1]) & (np.abs(away).max(axis=1) < 2.5)
-        weight = np.clip(1.0 - np.abs(away) ** 3, 1e-3, 1.0) ** 3  # none that comes or goes shows
+        weight = (
+            np.clip(1.0 - np.abs(away) ** 3, 1e-3, 1.0) ** 3
+        )  # continuous as neighbours enter and leave
         powers = away[..., None] ** np.arange(4)
         weighted = powers * weight[..., None]
         information = np.swapaxes(weighted, 1, 2) @ powers
@@ -86,16 +88,16 @@ class Track:
 
 @dataclass(frozen=True)
 class Offset:
-    """How far one clock is behind another.
+    """Offset of one clock behind another.
 
     Attributes
     ----------
     lag_s
-        What the first shows at a time t, the other one shows at t + `lag_s` [s].
+        The other recording shows at t + `lag_s` the scene of the first one at t [s].
     sigma_s
         Its standard deviation [s].
     pairs
-        Tips that it is told from.
+        Number of tips of the estimate.
     off_px
         Their median distance from their epipolar lines at that lag [px].
     """
@@ -107,18 +109,18 @@ class Offset:
 
 
 def offset_between(first: Track, other: Track) -> Offset:
-    """Tell how far the clock of another recording is behind the first one's.
+    """Estimate the offset of another recording's clock behind the first one's.
 
     Parameters
     ----------
     first, other
-        One tip, as both have followed it.
+        The same tip in both.
 
     Raises
     ------
     InvalidInputError
-        It cannot be told: too few tips, a tip that hardly moves or moves along the line between the
-        cameras, a motion that repeats itself, or no motion that is both recordings'.
+        It cannot be estimated: too few tips, a tip that hardly moves or moves along the line
+        between the cameras, a periodic motion, or no motion common to both recordings.
     """
     if min(len(first.times_s), len(other.times_s)) < LEAST_PAIRS:
         raise InvalidInputError(
@@ -153,7 +155,7 @@ def offset_between(first: Track, other: Track) -> Offset:
 
 
 def _costs(first: Track, other: Track) -> tuple[Array, Array]:
-    """Return lags, a step apart, and what each costs [px]; NaN where too few pairs overlap."""
+    """Return lags, a step apart, and their costs [px]; NaN where too few pairs overlap."""
     step_s = min(first.step_s, other.step_s)
     reach_s = min(
         MOST_LAG_S,
@@ -163,8 +165,8 @@ def _costs(first: Track, other: Track) -> tuple[Array, Array]:
     lags_s = step_s * np.arange(-count, count + 1, dtype=np.float64)
     stride = max(1, len(first.times_s) // _MOST_TIPS)
     some = np.arange(0, len(first.times_s), stride)
-    told = np.array([_cost_px(first, other, some, lag_s) for lag_s in lags_s])
-    costs, pairs = told.T
+    results = np.array([_cost_px(first, other, some, lag_s) for lag_s in lags_s])
+    costs, pairs = results.T
     costs[pairs < LEAST_SHARE * pairs.max()] = np.nan
     if not np.isfinite(costs).any():
         raise InvalidInputError("no frames of both recordings show the tip at one time")
@@ -191,13 +193,13 @@ def _refuse_ambiguous(lags_s: Array, costs: Array, best: int) -> None:
 def _cost_px(
     first: Track, other: Track, which: NDArray[np.int64], lag_s: float
 ) -> tuple[float, int]:
-    """Median distance from epipolar lines at a lag [px], and how many pairs it is of."""
+    """Median distance from epipolar lines at a lag [px], and the number of pairs."""
     off_px = _distances_px(first, other, which, lag_s)
     return (float(np.median(off_px)), len(off_px)) if len(off_px) else (np.nan, 0)
 
 
 def _smooth_cost(first: Track, other: Track, which: NDArray[np.int64], lag_s: float) -> float:
-    """Cost of a lag, without the steps of a median: Geman and McClure's sum."""
+    """Cost of a lag, differentiable unlike a median: Geman and McClure's sum."""
     off_px = _distances_px(first, other, which, lag_s)
     if not len(off_px):
         return np.inf
@@ -216,7 +218,7 @@ def _distances_px(first: Track, other: Track, which: NDArray[np.int64], lag_s: f
 def _least(
     first: Track, other: Track, which: NDArray[np.int64], near_s: float, step_s: float
 ) -> float:
-    """Follow the cost to its least within a step either way: golden sections."""
+    """Minimise the cost within a step either way by golden sections."""
     low_s, high_s = near_s - step_s, near_s + step_s
     while high_s - low_s > _CLOSE_ENOUGH_S:
         inner_s = high_s - _GOLDEN * (high_s - low_s)

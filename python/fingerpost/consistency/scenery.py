@@ -1,4 +1,4 @@
-"""Whether reference points are where a rig says, told by what the views show.
+"""Whether reference points are where a rig says, by the texture and the corners of its pictures.
 
 There are two kinds of evidence. Rectified to the plane by their own points, all views show one and
 the same table: its texture, high-pass filtered, correlates by 0.95 where points are right and by
@@ -103,7 +103,7 @@ class Mistake:
         How well the views agree by them, and by the points of the rig, −1 to 1.
     is_certain
         Whether a mistake that people make explains it by what all views show of the plane; else
-        corners alone tell, or something is wrong and it is not known in which view.
+        corners alone are evidence, or something is wrong and it is not known in which view.
     """
 
     what: str
@@ -188,7 +188,7 @@ class Scenery:
         return min(0.0 if other is None else _agreement(first, other) for other in others)
 
     def bends(self) -> dict[int, Bend]:
-        """Return how lenses bend the pictures of views that have none told, by their place."""
+        """Return how lenses bend the pictures of views that have none given, by their place."""
         found = {}
         for k, view in enumerate(self._rig.views):
             if view.lens is None:

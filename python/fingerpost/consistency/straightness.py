@@ -1,8 +1,8 @@
-"""Whether a lens bends what is straight: the sides between reference points.
+"""Detection of radial distortion by the straight sides between reference points.
 
 A sheet, a mat or a screen has straight edges from corner to corner. Along each side the edge is
 located across the chord; the radial distortion that makes all edges straightest (plumb lines:
-Brown 1971) is that of the lens, if they are much straighter by it.
+Brown 1971) is the lens's, if it reduces the residuals sufficiently.
 """
 
 from __future__ import annotations
@@ -23,19 +23,18 @@ Array = NDArray[np.float64]
 Grey = NDArray[np.uint8]
 
 BENT_PX = 0.4
-"""A lens that bends the sides by less, as a root mean square, is none [px]."""
+"""Least root mean square curvature of the sides that is attributed to the lens [px]."""
 
 TIMES_STRAIGHTER = 2.0
-"""So many times straighter must the sides be by the lens."""
+"""Least ratio of the residuals without and with the lens."""
 
 LEFT_PART = 0.25
-"""What such a lens leaves of its distortion."""
+"""Part of the distortion that such a lens leaves."""
 
 LEAST_SIDES = 2
 LEAST_SIDE_PX = 60.0
 LEAST_SHARE = 0.6
-"""Sides of which an edge is found at this part of the places, and that are so long, count; so many
-at least."""
+"""Least number of usable sides; least length of one, and least share of its points with an edge."""
 
 _K1 = np.linspace(-1.0, 1.0, 101)
 _PLACES = np.linspace(0.08, 0.92, 29)
@@ -47,17 +46,17 @@ _OFF_PX = 1.0  # an edge that is further off a smooth curve is another one's
 
 @dataclass(frozen=True)
 class Bend:
-    """How a lens bends the picture.
+    """Radial distortion of an image.
 
     Attributes
     ----------
     lens
         The lens that makes the sides straightest, with a focal length of the image's width: what
-        is seen of straight lines tells distortion and focal length only together.
+        straight lines determine distortion and focal length only jointly.
     bent_px, left_px
-        How far edges are off straight lines, without and by it, as a root mean square [px].
+        Root mean square distance of edges from straight lines, without and with it [px].
     off_px
-        By how much the plane between the reference points seems elsewhere without it, likewise.
+        Root mean square error of the plane between the reference points without it [px].
     """
 
     lens: Lens
@@ -67,7 +66,7 @@ class Bend:
 
     @property
     def what(self) -> str:
-        """What is wrong."""
+        """The contradiction."""
         return (
             f"the lens bends its picture: sides that are straight are {self.bent_px:.1f} px off a "
             f"line, and the plane between the reference points is {self.off_px:.1f} px off"
@@ -75,7 +74,7 @@ class Bend:
 
     @property
     def right(self) -> str:
-        """What would be right."""
+        """The correction."""
         lens = self.lens
         return (
             f"lens = {{ fx = {lens.fx:.0f}, fy = {lens.fy:.0f}, cx = {lens.cx:.1f}, "
@@ -84,9 +83,9 @@ class Bend:
         )
 
     def allowed_for(self, view: View, sigma_px: float) -> View:
-        """Return a view with this lens, and reference points as sure as it is.
+        """Return a view with this lens, and reference points with its uncertainty added.
 
-        It is about the lens, not the lens: a part of what it takes out is left (`LEFT_PART`).
+        The lens is approximate: a part of the distortion is left (`LEFT_PART`).
 
         Parameters
         ----------
@@ -97,26 +96,30 @@ class Bend:
         """
         left_px2 = 0.5 * (LEFT_PART * self.off_px) ** 2
         covariances = view.reference_covariances(sigma_px) + left_px2 * np.eye(2)
-        told = tuple((float(c[0, 0]), float(c[0, 1]), float(c[1, 1])) for c in covariances)
+        covariances_px2 = tuple(
+            (float(c[0, 0]), float(c[0, 1]), float(c[1, 1])) for c in covariances
+        )
         lens = LensParameters.of(self.lens)
-        return structs.replace(view, reference_covariances_px2=told, lens_parameters=lens)
+        return structs.replace(
+            view, reference_covariances_px2=covariances_px2, lens_parameters=lens
+        )
 
 
 def bend_of(
     still: Grey, plane_points: Array, points_px: Array, reduction: Reduction
 ) -> Bend | None:
-    """Tell how a lens bends the sides between reference points; None if it does not.
+    """Estimate the radial distortion from the sides between reference points; None if negligible.
 
-    None as well where no edges run along the sides, as between marks on a bare table.
+    None as well without edges along the sides, as between marks on a bare table.
 
     Parameters
     ----------
     still
-        (H, W) Grey levels of a picture, reduced.
+        (H, W) Grey levels of a reduced image.
     plane_points, points_px
         (N, 2) Reference points on the plane and in it.
     reduction
-        How it was reduced: the answer is in pixels of the whole picture.
+        Its reduction; the result is in pixels of the full image.
     """
     import cv2
 
@@ -141,7 +144,7 @@ def bend_of(
 
 
 def _off_by_px(lens: Lens, plane_points: Array, points_px: Array) -> float:
-    """By how much the plane seems elsewhere without a lens, as a root mean square [px].
+    """Root mean square error of the plane without a lens [px].
 
     Over the part of the plane about the reference points, which themselves fit.
     """
@@ -156,7 +159,7 @@ def _off_by_px(lens: Lens, plane_points: Array, points_px: Array) -> float:
 
 
 def _edge_along(smooth: NDArray[np.float32], a: Array, b: Array) -> Array | None:
-    """Locate the edge that runs from one corner to another, (M, 2) [px]; None if there is none."""
+    """Locate the edge from one corner to another, (M, 2) [px]; None if there is none."""
     import cv2
 
     length_px = float(np.linalg.norm(b - a))
@@ -185,7 +188,7 @@ def _edge_along(smooth: NDArray[np.float32], a: Array, b: Array) -> Array | None
 
 
 def _peaks(slope: Array, offsets_px: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Return where each profile is steepest, to part of a pixel, and whether it is an edge."""
+    """Return each profile's steepest position to subpixel accuracy, and whether it is an edge."""
     top = np.clip(slope.argmax(axis=1), 1, slope.shape[1] - 2)
     rows = np.arange(len(slope))
     before, here, after = (slope[rows, top + i] for i in (-1, 0, 1))
@@ -195,7 +198,7 @@ def _peaks(slope: Array, offsets_px: Array) -> tuple[Array, NDArray[np.bool_]]:
 
 
 def _curve(places: Array, at: Array, found: NDArray[np.bool_]) -> Array | None:
-    """Fit a parabola to most of the edges found, by the best of those through three of them."""
+    """Fit a parabola to the inliers of the best one through three edge points."""
     if found.sum() < 6:
         return None
     x, y = places[found], at[found]
@@ -211,7 +214,7 @@ def _curve(places: Array, at: Array, found: NDArray[np.bool_]) -> Array | None:
 
 
 def _crookedness_px(sides: Sequence[Array], lens: Lens) -> float:
-    """Root mean square distance of edges from straight lines once a lens is taken out [px]."""
+    """Root mean square distance of edges from straight lines after undistortion [px]."""
     squares, count = 0.0, 0
     for side in sides:
         ideal = lens.undistort(side)

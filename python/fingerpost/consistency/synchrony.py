@@ -1,11 +1,10 @@
-"""Whether the clocks of two views agree, told by one fingertip that both follow.
+"""Whether the clocks of two views agree, estimated from one fingertip that both follow.
 
-What one camera sees of a point above the plane, carried into another one's image by the homography
-between their images of the plane, lies on a line through that one's epipole, together with what the
-other camera sees of it (plane and parallax: Hartley & Zisserman 2004, §13.3). Of a tip that moves,
-this holds only between pictures of one instant. So the tips of one view are set against those of
-the other at other times: the epipole that all pairs share best is fitted at each lag, and the lag
-with the least distances from its lines is that of the clocks.
+A point above the plane, transferred from one image to another by the homography through the plane,
+lies on a line through the epipole and the point's own image (plane and parallax: Hartley &
+Zisserman 2004, §13.3). For a moving tip this holds only between images of one instant. For each lag
+the epipole of all pairs of tips is fitted, and the lag with the smallest distances from its lines
+is that of the clocks.
 """
 
 from __future__ import annotations
@@ -18,41 +17,40 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 SPAN_S = 1.0
-"""Lags up to this are looked at: views that were begun further apart share no motion."""
+"""Greatest lag that is tested: views started further apart share no motion."""
 
 KEPT_S = 6.0
 MOST_TIPS = 256
-"""Tips are compared for so long, and of so many frames at most."""
+"""Duration and greatest number of the tips that are compared."""
 
 LEAST_PAIRS = 24
-"""Fewer pairs of tips fit an epipole by chance."""
+"""Least number of pairs of tips: fewer fit an epipole by chance."""
 
 LEAST_SPREAD_PX = 5.0
-"""A tip that has kept this near to its middle place, as a median, has not moved: any lag fits."""
+"""Least median distance of a moving tip from its median position: for a static one any lag fits."""
 
 LEAST_SHARE = 0.6
-"""Fewer pairs than this part of those without a lag are another motion."""
+"""Least ratio of the number of pairs at a lag to that without: fewer are of another motion."""
 
 SHORTEST_LAG = 0.75
-"""Part of the usual step from frame to frame below which a lag is none: capture times are no better
-known."""
+"""Least lag [frame intervals]: capture times are known no better."""
 
 TIMES_BETTER = 2.0
 BETTER_PX = 0.7
-"""The distances at a lag are so many times less than those without, and less by so many pixels, or
-there is no lag: what a contour's tip is off by."""
+"""Least ratio and least difference of the distances without and with a lag: the difference is the
+error of a contour's tip."""
 
 _REFITS = 3
 
 
 @dataclass(frozen=True)
 class Lag:
-    """How far the clock of one view is behind another's.
+    """Lag of one view's clock behind another's.
 
     Attributes
     ----------
     lag_s
-        What one view shows at a time t, the other one shows at t + `lag_s` [s].
+        The other view shows at t + `lag_s` the scene of the first view at t [s].
     with_px, without_px
         Median distance of tips from their epipolar lines at that lag, and at none [px].
     """
@@ -63,10 +61,10 @@ class Lag:
 
 
 class Tips:
-    """The latest places of the fingertip in one view, in the pixels of the first view's image."""
+    """Latest positions of one view's fingertip, in pixels of the first view's image."""
 
     def __init__(self) -> None:
-        # Room for all of them: a frame is to keep no memory.
+        # Allocated once, so that frames allocate nothing.
         self._rows = np.empty((MOST_TIPS, 4))
         self._count = 0
 
@@ -81,7 +79,7 @@ class Tips:
 
     @property
     def has_moved(self) -> bool:
-        """Whether it has been at places well apart; quick to tell."""
+        """Whether its positions are well apart, by a fast test."""
         places = self._rows[: len(self), 1:3]
         return bool((places.max(axis=0) - places.min(axis=0)).max() > 2.0 * LEAST_SPREAD_PX)
 
@@ -94,9 +92,9 @@ class Tips:
 
 
 def lag_between(first: Tips, other: Tips) -> Lag | None:
-    """Tell by how much the clock of another view is behind the first one's; None if it is not.
+    """Estimate the lag of another view's clock behind the first one's; None if there is none.
 
-    None as well where it cannot be told: of a tip that is not followed by both or hardly moves.
+    None as well where it cannot be estimated: the tip hardly moves or is not followed by both.
 
     Parameters
     ----------
@@ -115,8 +113,8 @@ def lag_between(first: Tips, other: Tips) -> Lag | None:
     lags_s = step_s * np.arange(-none, none + 1)
     if _spread_px(points) < LEAST_SPREAD_PX:
         return None
-    told = [_distance_px(times_s + lag_s, points, other_s, there, step_s) for lag_s in lags_s]
-    off_px, pairs = np.array(told).T
+    costs = [_distance_px(times_s + lag_s, points, other_s, there, step_s) for lag_s in lags_s]
+    off_px, pairs = np.array(costs).T
     off_px[pairs < LEAST_SHARE * pairs[none]] = np.nan
     if not np.isfinite(off_px[none]):
         return None

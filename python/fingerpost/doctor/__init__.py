@@ -1,4 +1,4 @@
-r"""What is wrong with a set-up, from a look at some frames of every view.
+r"""Diagnosis of a set-up from some frames of every view.
 
     rig = Rig.load("rig.toml")
     diagnosis = examine(rig, frames)        # a sequence of `fingerpost.capture.Frame` per view

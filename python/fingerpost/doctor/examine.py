@@ -24,7 +24,7 @@ from fingerpost.pointing import DEFAULT_OPTIONS, PlaneView
 from fingerpost.references import Reduction
 
 DEFAULT_FRAMES = 120
-"""Frames of each view that are looked at: a hand that moves in them tells of the clocks."""
+"""Frames of each view that are examined: a hand that moves in them compares the clocks."""
 
 PATIENCE_S = 5.0
 """How long a live view may send nothing while it is looked at."""
@@ -36,7 +36,7 @@ UNEQUAL_RATES = 0.1
 """Views whose rates differ by more than this share are probably not recorded together."""
 
 GAP_FRAMES = 2.5
-"""A pause of more than so many usual frames has lost some."""
+"""Least pause that has lost frames [usual intervals]."""
 
 OFF_CENTRE_SHARE = 0.15
 """How far a principal point may lie from the middle of the image, as a share of the longer side."""
@@ -131,7 +131,7 @@ def examine(
         if not own:
             raise InvalidInputError(f'view "{view.name}": no frame; at least one is needed')
     sizes_px = sizes_px or [(own[0].image.shape[1], own[0].image.shape[0]) for own in frames]
-    told = rig
+    full_size_rig = rig
     rig = _in_pixels_of(rig, frames, sizes_px)
     plane_views = [
         PlaneView.from_reference_points(
@@ -151,7 +151,7 @@ def examine(
         findings += wrong
     findings += judge_views(rig, plane_views, stills)
     findings += judge_together(rig, plane_views, stills)
-    findings += judge_sizes(told, sizes_px)
+    findings += judge_sizes(full_size_rig, sizes_px)
     findings += _judge_rates(readings)
     findings += _judge_skew(rig, frames)
     if not any(finding.severity is Severity.ERROR for finding in findings):
@@ -176,7 +176,7 @@ def _judge_damage(views: Sequence[View], damage: Sequence[str]) -> Iterator[Find
 def _in_pixels_of(
     rig: Rig, frames: Sequence[Sequence[Frame]], sizes_px: Sequence[tuple[int, int]]
 ) -> Rig:
-    """Return the rig as it would be told of the frames that were kept."""
+    """Return the rig in pixels of the frames that were kept."""
     views = tuple(
         reduced_view(view, Reduction(size_px[0] // own[0].image.shape[1]))
         for view, own, size_px in zip(rig.views, frames, sizes_px, strict=True)

@@ -1,4 +1,4 @@
-"""What a look at a rig finds, as data, as lines of text and for programs."""
+"""Findings about a rig, as data, as lines of text and as JSON."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class Severity(StrEnum):
 
 
 class Check(StrEnum):
-    """What was looked at."""
+    """Subject of a finding."""
 
     PICTURES = "pictures"
     EXPOSURE = "exposure"
@@ -61,7 +61,7 @@ class Finding:
 
 @dataclass(frozen=True, slots=True)
 class ViewReadings:
-    """What was measured in one view; None where it could not be.
+    """Measurements of one view; None where not measurable.
 
     Attributes
     ----------
@@ -104,7 +104,7 @@ class ViewReadings:
 
 @dataclass(frozen=True, slots=True)
 class Diagnosis:
-    """What a look at a rig found.
+    """Result of the examination of a rig.
 
     Attributes
     ----------

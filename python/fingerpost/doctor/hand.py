@@ -26,7 +26,7 @@ CONTRAST = (20.0, 9.0)
 first; at 10 the tracker still settled on the simulated rig, at 8 it did not."""
 
 NOTHING = 2.5
-"""What stands out by less [grey levels] is no finger, however faint."""
+"""Least contrast of a finger [grey levels]."""
 
 FINGER_PX = (30.0, 15.0)
 """Visible length of the index finger [px]: a line's error grows as length^-3/2; below the second

@@ -160,7 +160,7 @@ def _above(value: float, limits: tuple[float, float]) -> Severity | None:
 
 
 def _spread(count: int, wanted: int) -> list[int]:
-    """At most so many indices, evenly from the first to the last."""
+    """Return indices evenly from the first to the last, at most the wanted number."""
     return sorted({round(k) for k in np.linspace(0, count - 1, min(count, wanted)).tolist()})
 
 

@@ -1,4 +1,4 @@
-"""What may be wrong with reference points.
+"""Tests of the reference points.
 
 - *outside*: most of them lie outside the image (`fingerpost.admission.points_outside`);
 - *mirrored*: the homographies of all views keep or reverse the sense of rotation alike, for all

@@ -34,7 +34,7 @@ def judge_times_by_motion(rig: Rig, frames: Sequence[Sequence[Frame]]) -> Iterat
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Have what is noticed told by the doctor alone."""
+    """Leave the report of observations to the doctor alone."""
     logger = logging.getLogger("fingerpost")
     before = logger.level
     logger.setLevel(logging.CRITICAL)

@@ -8,7 +8,7 @@ r"""The accuracy experiment of the paper's section 3.3, and beyond.
 A device at a random pose points at a random target. The views are pictured a few times with fresh
 noise, one tracker per view starts from a start pose that is off by some pixels, degrees and percent
 and settles, the reference points are off as well, and what the pointer (`fingerpost.Pointer`, the
-same as for real cameras) tells of the last pictures is compared with the exact truth.
+same as for real cameras) gives for the last images is compared with the exact truth.
 `run_recording` does the same on footage whose truth is known.
 
 `summary` says what each figure means, `bound` what the physics allows.

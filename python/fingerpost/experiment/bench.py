@@ -13,7 +13,6 @@ from fingerpost.experiment.options import ExperimentOptions
 from fingerpost.experiment.trial import LineTrial, Trial, line_error, trial_of
 from fingerpost.pipeline import Observation, Pointer, steps
 from fingerpost.pointing import FingerLine, PlaneView, Status
-from fingerpost.rehearsal import described
 from fingerpost.simulate import (
     Camera,
     DevicePose,
@@ -27,6 +26,7 @@ from fingerpost.simulate import (
     Trajectory,
 )
 from fingerpost.simulate.truth import finger_truth
+from fingerpost.simulated_rig_file import rig_from_simulation
 
 Array = NDArray[np.float64]
 
@@ -60,8 +60,8 @@ class Bench:
         )
         check_tracker_options(options.tracker)  # here, not in the middle of the work
         self._sampler = PoseSampler(self._rig, options.limits)
-        told = options.lens == "known"
-        self._lenses = [_lens(camera) if told else None for camera in self._rig.cameras]
+        is_known = options.lens == "known"
+        self._lenses = [_lens(camera) if is_known else None for camera in self._rig.cameras]
         sigma = options.reference_noise_px
         self._exact_views = tuple(
             PlaneView.from_reference_points(
@@ -164,7 +164,7 @@ class Bench:
                 scale=rng.uniform(*options.start_scale),
             )
             starts.append(finger.start(error, rng))
-        return described(
+        return rig_from_simulation(
             self._rig, reference_points_px=points_px, starts=starts, lenses=self._lenses
         )
 

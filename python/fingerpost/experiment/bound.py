@@ -1,7 +1,7 @@
 """The Cramér–Rao bound: how small the error of an unbiased estimate can be in a given picture.
 
 A step edge of contrast A behind a Gaussian blur σ_b and a pixel's aperture, in white noise σ_n,
-tells its position across itself with the Fisher information, per pixel of contour,
+determines its position across itself with the Fisher information, per pixel of contour,
 
     I = A² / (2 √π · s · σ_n²),   s² = σ_b² + 1/12.
 

@@ -1,4 +1,4 @@
-"""The experiment on footage: the same figures, where a file tells the truth."""
+"""The experiment on footage: the same figures, where a file gives the truth."""
 
 import csv
 import math
@@ -25,7 +25,7 @@ _ROUNDING_S = 0.01
 
 
 class _TrueRow(NamedTuple):
-    """What a truth tells of a frame, and where: the point, and perhaps the time."""
+    """Truth of a frame, and its place in the file: the point, and perhaps the time."""
 
     place: str
     time_s: float | None
@@ -124,8 +124,8 @@ def _read_truth(path: Path) -> dict[int, _TrueRow]:
                     raise InvalidInputError(f"{place}: frame {frame} has a row already")
                 if row["x"] or row["y"]:
                     x, y = (_number(row[name], name, place) for name in ("x", "y"))
-                    told = row.get("time_s")
-                    time_s = _number(told, "time_s", place) if told else None
+                    text = row.get("time_s")
+                    time_s = _number(text, "time_s", place) if text else None
                     truth[frame] = _TrueRow(place, time_s, np.array([x, y]))
     except OSError as error:
         raise InvalidInputError(f"{path}: {error.strerror}; a truth (CSV) is needed") from error

@@ -1,4 +1,4 @@
-"""What an experiment varies."""
+"""Options of an experiment."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -27,7 +27,7 @@ class ExperimentOptions:
     """
 
     tracker: Mapping[str, Any] = field(default_factory=dict)
-    """What differs from the defaults of `fingerpost.ContourTracker`, such as
+    """Deviations from the defaults of `fingerpost.ContourTracker`, such as
     ``{"model": "paper"}``; any option of the tracker may stand here."""
 
     targets: int = 400
@@ -39,7 +39,7 @@ class ExperimentOptions:
 
     frames: int = 8
     """Pictures of each pose, 1 to 1000, with fresh noise. The tracker settles on them; only what
-    it tells of the last one counts."""
+    its result for the last one counts."""
 
     background_frames: int = 0
     """Pictures of the table alone that come before, 0 to 10,000: enough of them, and the pointer
@@ -54,7 +54,7 @@ class ExperimentOptions:
     """How fast they follow each other [1/s], 0.1 to 1000."""
 
     device: Literal["rod", "hand"] = "rod"
-    """What points: the rod and prong of section 3.3, or a hand with its thumb up."""
+    """Pointing device: the rod and prong of section 3.3, or a hand with its thumb up."""
 
     taper: float = 0.10
     """How much thinner the tip is than the base, of the diameter, 0 to 0.6."""
@@ -79,7 +79,7 @@ class ExperimentOptions:
     target, and known to the pointer. 0: known exactly."""
 
     lens: Literal["known", "ignored"] = "known"
-    """Whether the pointer is told the distortion `cameras.k1`."""
+    """Whether the pointer knows the distortion `cameras.k1`."""
 
     cameras: Placement = field(default_factory=Placement)
     workspace: Workspace = field(default_factory=Workspace)

@@ -1,33 +1,33 @@
-"""Find the hand by itself: candidates in every view, tried by the fit, confirmed by another view.
+"""Automatic initialisation: find the hand in all views, and validate what each view follows.
 
-In one image much looks like a finger: pens, cables, other fingers. Three things tell. A fit that
-starts at the candidate must hold for some frames (`trial`, `search`). The finger lines of two
-views, turned into constraint lines on the plane, must meet at a point that lies ahead of both tips,
-where one may point (`pairs`). And what both views show must not lie in the plane: marks, pens and
-shadows on the table map to one and the same line, while a finger above it maps to two (`look`).
+Many structures in one image resemble a finger: pens, cables, other fingers. Three tests separate
+them. A tracker initialised at the candidate must hold for several frames (`search`, `trial`). The
+finger lines of two views, transferred to the plane as constraint lines, must intersect ahead of
+both tips at a point near the reference points (`pairs`). The detection must not lie in the plane:
+marks, pens and shadows on the table map to the same image under the homography between the views, a
+finger above the table does not (`pixel_tests`).
 
-Of two digits of a hand, which both pass all this, the one that reaches farther from the arm points.
+If two digits of one hand pass all tests, the one that reaches farther from the arm is followed.
 
-A template that waits for the hand takes it where it is held up to it; a hand that comes elsewhere
-is found as without one.
+A view with an initial template takes a hand that is held up to it; a hand that appears elsewhere is
+found by the search, as in a view without.
 
-A hand that one view has lost is looked for beside its tracker, which may still wait for it where it
-was. It need be found no longer than it was, and what moves with a hand that another view follows is
-believed sooner than what no view has followed.
+After a view has lost the hand, the search runs beside its tracker, which may still wait at the
+hand's last position. The template need be no longer than it was, and a trial that moves with a hand
+in another view is accepted after fewer frames than one that no other view has followed.
 
-Where a camera keeps still, what was there before is hardly the hand (`foreground`); a hand that
-waits in the first frames already is believed if it is a good one, and followed for good once it
-has moved (`views`). A template that waits for the hand may lock on to the table before any has come
-(`first_hand`); what each view follows, and when it lets go, is its own affair (`hand_view`).
+With a static camera, the learned background is a prior against a hand (`foreground`). A hand that
+is present in the first frames is accepted if its score is high, and followed for good once it has
+moved (`views`). An initial template may lock on to a pattern on the table before any hand has come
+(`first_hand`). `hand_view` holds the state of one view: what it follows, and when it rejects it.
 """
 
-from fingerpost.finding.body import tell_from_hands
-from fingerpost.finding.finger import BETWEEN_EDGES, Aside, Sighting, measured_line
+from fingerpost.finding.body import distinguish_body_from_hands
+from fingerpost.finding.finger import NO_CORRECTION, AxisCorrection, FingerDetection, measured_line
 from fingerpost.finding.hand_view import HandView
 from fingerpost.finding.identity import Hand, Identity
-from fingerpost.finding.look import flatness, widening
 from fingerpost.finding.one_finger import (
-    Shared,
+    PairTests,
     are_one,
     are_two,
     can_be_one,
@@ -36,31 +36,32 @@ from fingerpost.finding.one_finger import (
     other_fingers,
 )
 from fingerpost.finding.pairs import Viewpoint, pair_scores, width_ratio
+from fingerpost.finding.pixel_tests import flatness, widening
 from fingerpost.finding.search import HandSearch
-from fingerpost.finding.views import find_hand, how_flat
+from fingerpost.finding.views import find_hand, flatness_of_followed
 
 __all__ = [
-    "BETWEEN_EDGES",
-    "Aside",
+    "NO_CORRECTION",
+    "AxisCorrection",
+    "FingerDetection",
     "Hand",
     "HandSearch",
     "HandView",
     "Identity",
-    "Shared",
-    "Sighting",
+    "PairTests",
     "Viewpoint",
     "are_one",
     "are_two",
     "can_be_one",
     "compare_lengths",
     "compare_widths",
+    "distinguish_body_from_hands",
     "find_hand",
     "flatness",
-    "how_flat",
+    "flatness_of_followed",
     "measured_line",
     "other_fingers",
     "pair_scores",
-    "tell_from_hands",
     "widening",
     "width_ratio",
 ]

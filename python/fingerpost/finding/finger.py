@@ -1,4 +1,4 @@
-"""A finger in one view: what is seen of it, where it is, and whether it has moved."""
+"""A finger in one view: its detection, its finger line with a correction, and its motion."""
 
 from __future__ import annotations
 
@@ -15,32 +15,32 @@ from fingerpost._core import FingerLine, StartPose, Track
 Array = NDArray[np.float64]
 
 HALF_WIDTH = 0.115
-"""Half the width of the usual finger, in visible lengths."""
+"""Half-width of an average finger [visible lengths]."""
 
 HALF_WIDTH_NAME = "half_width [px]"
 """The component of the band model's shape vector."""
 
 
-class Sighting(NamedTuple):
-    """A finger that a view may be showing."""
+class FingerDetection(NamedTuple):
+    """A detected or followed finger of one view."""
 
     tip_px: tuple[float, float]
     angle_rad: float
     half_width_px: float
     score: float = 1.0
-    """How like a finger it is, 0 to 1."""
+    """Finger score, 0 to 1."""
     foreground: float = np.nan
-    """How like foreground it is, 0 to 1; NaN where no background is known."""
+    """Foreground probability of its inside, 0 to 1; NaN without a background model."""
     colour: tuple[float, float, float] = (np.nan, np.nan, np.nan)
-    """Mean colour of its inside; NaN where that is not known."""
+    """Mean colour of its inside; NaN if unknown."""
     length: float = np.nan
-    """How far back from its tip it is seen [half-widths]; NaN where that is not known."""
+    """Visible length behind the tip [half-widths]; NaN if unknown."""
 
 
-def followed(track: Track | None) -> list[Sighting]:
-    """Return the finger that a view follows, if it shows in this frame.
+def followed(track: Track | None) -> list[FingerDetection]:
+    """Return the finger that a view follows; empty without a finger line in this frame.
 
-    It is as wide as the fit has it, or as a usual finger where the fit has no width.
+    The half-width is the fit's, or that of an average finger if the shape space has none.
     """
     line = track.finger_line if track is not None else None
     if track is None or line is None:
@@ -48,87 +48,86 @@ def followed(track: Track | None) -> list[Sighting]:
     half_width_px = fitted_half_width_px(track)
     if half_width_px is None:
         half_width_px = HALF_WIDTH * 2.0 * math.dist(line.tip_px, line.anchor_px)
-    return [Sighting(line.tip_px, line.angle_rad, half_width_px)]
+    return [FingerDetection(line.tip_px, line.angle_rad, half_width_px)]
 
 
 def fitted_half_width_px(track: Track) -> float | None:
-    """Return half a finger's width; None without a fit in a shape space that has one."""
+    """Return the fitted half-width; None without a fit or a half-width in its shape space."""
     shape = track.shape_vector
     if shape is None or HALF_WIDTH_NAME not in track.shape_names:
         return None
     return float(shape[track.shape_names.index(HALF_WIDTH_NAME)])
 
 
-LIKE_WIDTH = 0.25
-"""By what logarithm a finger's width may differ from view to view: a finger is not round, and a
-blurred one looks wider. A real finger's differs by more in 3 frames of 100."""
+CONSISTENT_LOG_WIDTH_RATIO = 0.25
+"""Greatest absolute logarithm of the ratio of a finger's widths in two views that needs no
+explanation: a finger is not round, and blur widens it. Real fingers exceed it in 3 % of frames."""
 
 
-def off_by_width(odd_width: float) -> float:
-    """Return how far a finger's axis may be off if another view shows the finger unlike wide.
+def sigma_from_width_ratio(log_width_ratio: float) -> float:
+    """Return the standard deviation of a finger's axis that differing widths in two views imply.
 
-    One flank at least is not the finger's then, but that of a shadow beside it, of the thumb, of
-    the table, or a crease of the skin. The axis is off by as much as half the width is.
+    At least one edge is then not the finger's, but that of a shadow beside it, of the thumb, of the
+    table, or a crease of the skin. The axis is off by the error of the half-width.
 
     Parameters
     ----------
-    odd_width
-        Logarithm of how many times as wide the finger is here; see
-        `fingerpost.finding.pairs.width_ratio`.
+    log_width_ratio
+        Logarithm of this view's width over the other's; see `fingerpost.finding.pairs.width_ratio`.
 
     Returns
     -------
     float
         [half-widths]
     """
-    unlike = math.copysign(max(abs(odd_width) - LIKE_WIDTH, 0.0), odd_width)
-    return abs(1.0 - math.exp(-unlike))
+    excess = max(abs(log_width_ratio) - CONSISTENT_LOG_WIDTH_RATIO, 0.0)
+    return abs(1.0 - math.exp(-math.copysign(excess, log_width_ratio)))
 
 
-class Aside(NamedTuple):
-    """How a finger's axis lies to the line between the edges that show, for what is no noise."""
+class AxisCorrection(NamedTuple):
+    """Systematic correction from the line between the visible edges to the finger's axis."""
 
     offset: float = 0.0
-    """How far it runs beside that line, to the side of the normal (−sin, cos) [half-widths]."""
+    """Offset of the axis, positive towards the normal (−sin, cos) [half-widths]."""
     turn_rad: float = 0.0
-    """By how much it is turned against that line."""
-    wider: float = 0.0
-    """Logarithm of how many times as wide as between those edges the finger is."""
-    off: float = 0.0
-    """How far it may still be off [half-widths]: aside by that, and turned by that over half the
-    length that the line was measured on."""
+    """Angle of the axis to that line."""
+    log_width_ratio: float = 0.0
+    """Logarithm of the finger's width over the distance between those edges."""
+    sigma: float = 0.0
+    """Standard deviation of the corrected axis [half-widths]: of its offset, and, divided by half
+    the length that the line was measured on, of its angle."""
 
 
-BETWEEN_EDGES = Aside()
+NO_CORRECTION = AxisCorrection()
 """The axis is the line between the edges."""
 
 
 def measured_line(
-    track: Track | None, time_s: float, aside: Aside = BETWEEN_EDGES
+    track: Track | None, time_s: float, correction: AxisCorrection = NO_CORRECTION
 ) -> pointing.FingerLine | None:
-    """Return the line of the finger that a view follows, to point with; None if it shows none.
+    """Return the corrected finger line of a view; None if the frame has none.
 
     Parameters
     ----------
     track
-        What the tracker made of a frame.
+        The tracker's result for a frame.
     time_s
         The frame's time [s].
-    aside
-        How the axis lies to the line that was measured. Half-widths are those of the fit.
+    correction
+        Correction of the measured line, in half-widths of the fit.
     """
     if track is None or track.finger_line is None:
         return None
     line, half_width_px = track.finger_line, fitted_half_width_px(track) or 0.0
     covariance = line.covariance
-    if aside.off > 0.0:
-        off_px = aside.off * half_width_px
+    if correction.sigma > 0.0:
+        off_px = correction.sigma * half_width_px
         covariance = covariance + np.diag([off_px**2, (off_px / line.half_length_px) ** 2])
     anchor_px, tip_px, angle_rad = np.array(line.anchor_px), np.array(line.tip_px), line.angle_rad
-    if aside.offset or aside.turn_rad:
+    if correction.offset or correction.turn_rad:
         normal = np.array([-math.sin(angle_rad), math.cos(angle_rad)])
-        anchor_px = anchor_px + aside.offset * half_width_px * normal
-        angle_rad = math.remainder(angle_rad + aside.turn_rad, 2.0 * math.pi)
+        anchor_px = anchor_px + correction.offset * half_width_px * normal
+        angle_rad = math.remainder(angle_rad + correction.turn_rad, 2.0 * math.pi)
         ahead_px = math.dist(line.tip_px, line.anchor_px)
         tip_px = anchor_px + ahead_px * np.array([math.cos(angle_rad), math.sin(angle_rad)])
     return pointing.FingerLine(
@@ -138,13 +137,13 @@ def measured_line(
         tip_px,
         time_s,
         line.half_length_px,
-        half_width_px * math.exp(aside.wider),
+        half_width_px * math.exp(correction.log_width_ratio),
         line.stretch_px,
     )
 
 
 def are_near(one: StartPose, other: StartPose, reach_px: float, turn_rad: float) -> bool:
-    """Tell whether two poses have about the same tip and direction."""
+    """Whether two poses have tips within `reach_px` and directions within `turn_rad`."""
     apart = np.hypot(*np.subtract(one.tip_px, other.tip_px))
     return bool(apart < reach_px and _turn_rad(one.angle_rad, other.angle_rad) < turn_rad)
 
@@ -154,90 +153,91 @@ def _turn_rad(one_rad: float, other_rad: float) -> float:
     return abs((one_rad - other_rad + math.pi) % (2 * math.pi) - math.pi)
 
 
-TURN_RAD = 0.5
-TURN_RATE_RAD_S = 2.0
-"""By how much a finger may lead elsewhere than when it was last seen, and by how much more for
-every second since, as a standard deviation."""
+DIRECTION_SIGMA_RAD = 0.5
+DIRECTION_SIGMA_RATE_RAD_S = 2.0
+"""Standard deviation of the change of direction since a finger was last seen: a constant part,
+and its growth per second."""
 
 
 class LastSeen(NamedTuple):
-    """A finger as it was seen last."""
+    """Direction of a finger in the last frame that showed it."""
 
     angle_rad: float
-    """Direction of pointing."""
+    """Pointing direction in the image."""
     time_s: float
-    """When that was."""
+    """Time of that frame [s]."""
 
-    def leads_to(self, angle_rad: float, time_s: float) -> float:
-        """Return how likely it leads there at another time, beside where it did then, 0 to 1."""
-        sigma_rad = TURN_RAD + TURN_RATE_RAD_S * abs(time_s - self.time_s)
+    def direction_likelihood(self, angle_rad: float, time_s: float) -> float:
+        """Return the likelihood of a direction at another time, relative to its maximum, 0 to 1."""
+        sigma_rad = DIRECTION_SIGMA_RAD + DIRECTION_SIGMA_RATE_RAD_S * abs(time_s - self.time_s)
         return math.exp(-0.5 * (_turn_rad(angle_rad, self.angle_rad) / sigma_rad) ** 2)
 
 
 PROVEN_MOTION = 2.0
-"""A finger that has moved by so many half-widths is elsewhere."""
+"""Least motion that counts as a change of place [half-widths]."""
 
 
 def has_moved(before: FingerLine, now: FingerLine) -> bool:
-    """Tell whether a finger is farther from where it was than noise ever puts it."""
+    """Whether the tip has moved by more than `PROVEN_MOTION`, which noise never reaches."""
     return _motion(before, now) > PROVEN_MOTION
 
 
 def has_moved_across(before: FingerLine, now: FingerLine) -> bool:
-    """Tell whether a finger has moved across its length, as no edge of the table ever seems to.
+    """Whether a finger has moved by more than `PROVEN_MOTION` perpendicular to its axis.
 
-    Along it, a template slides on an edge as far as that goes: where a hand covers the rest, it
-    goes where the edge still shows.
+    An edge of the table never appears to do so. Motion along the axis proves nothing: a template
+    slides along an edge (aperture problem), to the part of it that no hand covers.
     """
     across = np.array([-np.sin(before.angle_rad), np.cos(before.angle_rad)])
-    aside_px = [
+    across_px = [
         abs(across @ np.subtract(now.tip_px, before.tip_px)),
         abs(across @ np.subtract(now.anchor_px, before.anchor_px)),
     ]
-    return bool(max(aside_px) > PROVEN_MOTION * _half_width_px(before))
+    return bool(max(across_px) > PROVEN_MOTION * _half_width_px(before))
 
 
 STILL = 0.3
 LATELY = 3
-"""A finger whose tip has moved by less than so many half-widths in the last frames keeps still."""
+"""A tip is static if it has moved by less than `STILL` half-widths in the last `LATELY` frames."""
 
 
 def moves(lines: Sequence[FingerLine]) -> bool:
-    """Tell whether a finger that was followed through these lines is moving in the end."""
+    """Whether the tip is moving at the end of a sequence of finger lines."""
     return _motion(lines[max(len(lines) - LATELY, 0)], lines[-1]) > STILL
 
 
 KEPT_PLACE = 0.5
 MOVED_ON = 3.0
-"""A finger that has stayed within so many half-widths of its place while another view showed its
-tip move by so many is left behind. Real tips do so in no 8 frames in a row of the recordings."""
+"""A finger is static while another view's moves if its tip has stayed within `KEPT_PLACE`
+half-widths and the other's has moved by more than `MOVED_ON`. In the recordings, no real fingertip
+does so in 8 consecutive frames."""
 
 
 def is_left_behind(lines: Sequence[FingerLine], others: Sequence[FingerLine]) -> bool:
-    """Tell whether a finger has kept its place while another view showed it move.
+    """Whether a finger is static in one view while it moves in another.
 
     Parameters
     ----------
     lines, others
-        The finger in the latest frames of the view and of the other one, oldest first.
+        Finger lines of the view and of the other one in their latest frames, oldest first.
     """
     has_kept = all(_motion(lines[0], line) < KEPT_PLACE for line in lines)
     return has_kept and _motion(others[0], others[-1]) > MOVED_ON
 
 
 def _motion(before: FingerLine, now: FingerLine) -> float:
-    """Return how far a tip has moved [half-widths]."""
+    """Return the motion of the tip [half-widths]."""
     return math.dist(now.tip_px, before.tip_px) / _half_width_px(before)
 
 
 def _half_width_px(line: FingerLine) -> float:
-    """Return half the usual width of a finger as long as the line."""
+    """Return the half-width of an average finger of the line's length."""
     return HALF_WIDTH * 2.0 * math.dist(line.tip_px, line.anchor_px)
 
 
 def hand_region(line: FingerLine) -> tuple[Array, Array, float]:
-    """Return the part of the image that a finger and its hand cover: a segment and a radius."""
+    """Return the image region of a finger and its hand: end points of a segment, and a radius."""
     tip, anchor = np.array(line.tip_px), np.array(line.anchor_px)
-    # The anchor is the finger's middle; hand and wrist lie within thrice its length.
+    # The anchor is the finger's midpoint; hand and wrist lie within three finger lengths.
     finger = 2.0 * (tip - anchor)
     return tip + 0.2 * finger, tip - 3.0 * finger, 0.8 * float(np.hypot(*finger))

@@ -1,7 +1,7 @@
-"""The first hand that comes to a view whose template waits for it.
+"""First hand of a view with an initial template.
 
-A template may lock on to the table, on which anything can lie, before any hand has come: what it
-follows counts as a hand for the rest of the view only once it is proven.
+The template may lock on to a pattern on the table before any hand has come: what it follows is a
+hand for the rest of the run only once it is proven.
 """
 
 from __future__ import annotations
@@ -23,46 +23,46 @@ from fingerpost.finding.finger import (
 )
 from fingerpost.finding.foreground import has_come, has_come_whole, stands_out
 
-IS_FLAT = 0.4
-"""What a waiting template follows lies on the table where it has looked this flat of late; a hand,
-even with its finger on the table, does not at all in colour, and by 0.27 at most without."""
+MIN_TABLE_FLATNESS = 0.4
+"""Running mean of the flatness from which a pattern on the table is followed. A hand has 0 in
+colour and 0.27 at most in grey, even with its finger on the table."""
 
-FLAT_KEPT = 0.5
-"""What that keeps from look to look; the rest is what the present frames show."""
+FLATNESS_DECAY = 0.5
+"""Factor of the previous mean in the running mean of the flatness."""
 
 ONE_HAND_RAD = 0.1
-"""What moves and has turned by less than this between two frames may be one hand."""
+"""Greatest change of direction of one moving hand between two frames."""
 
 RAISED_FRAMES = 30
-"""What has looked raised above the table for so many frames is looked at no more."""
+"""Number of frames in which the flatness is tested."""
 
 
 class FirstHand:
-    """Tells whether what a view follows is a hand, and has a second template wait if it may not be.
+    """Decides whether a view follows a hand; a second template waits while it may not.
 
-    Every frame goes to `welcome` before the view's tracker has had it, and to `prove` after.
+    Call `confirm` with every frame before the view's tracker is updated, and `prove` after.
 
     Parameters
     ----------
     background
-        What the view has learned of the table.
+        The view's background model.
     start
-        Where the template waits.
+        Pose of the initial template.
     waiting
-        Makes a tracker that waits there.
+        Makes a tracker with the initial template.
     """
 
     def __init__(
         self, background: Background, start: StartPose, waiting: Callable[[], ContourTracker]
     ) -> None:
         self.is_proven = False
-        """Whether the view has followed a hand; from then on none is waited for."""
+        """Whether the view has followed a hand; the initial template then waits no more."""
         self.has_come = False
-        """Whether something has come in this frame to where nothing was followed yet."""
+        """Whether the initial template's region is foreground and nothing was followed yet."""
         self.is_newcomer = False
-        """Whether the hand has come after the table was known, and did not stand there before."""
+        """Whether the hand has come after the background was learned."""
         self.body = Body.none()
-        """What the system itself moves, as the next frame shows it: no hand."""
+        """Silhouette of the system's moving bodies in the next frame."""
         self._background = background
         self._start = start
         self._waiting = waiting
@@ -70,59 +70,59 @@ class FirstHand:
         self._latest: deque[FingerLine] = deque(maxlen=LATELY)
         self._second: ContourTracker | None = None
         self.has_rival = False
-        """Whether the second template has found something else to follow."""
+        """Whether the second template has found another finger."""
         self._flat = 0.0
         self._raised_frames = 0
 
-    def looks_flat(self, flat: float) -> bool:
-        """Tell whether what is followed lies on the table.
+    def update_flatness(self, flat: float) -> bool:
+        """Update the running mean of the flatness; True if the table is followed.
 
         Parameters
         ----------
         flat
-            How flat it looks to the other views in this frame, 0 to 1.
+            Flatness with respect to the other views in this frame, 0 to 1.
         """
-        self._flat = FLAT_KEPT * self._flat + (1.0 - FLAT_KEPT) * flat
+        self._flat = FLATNESS_DECAY * self._flat + (1.0 - FLATNESS_DECAY) * flat
         self._raised_frames += 1
-        return self._flat >= IS_FLAT
+        return self._flat >= MIN_TABLE_FLATNESS
 
     @property
     def has_moved(self) -> bool:
-        """Whether what is followed is where it was not at first, as a hand comes to be."""
+        """Whether the followed finger has moved across its axis since its first line."""
         earliest = self._earliest
         return earliest is not None and any(
             has_moved_across(earliest, line) for line in self._latest
         )
 
-    def wait_anew(self) -> ContourTracker:
-        """Forget what was followed; return a tracker that waits for the hand."""
+    def restart_waiting(self) -> ContourTracker:
+        """Reset; return a tracker with the initial template."""
         self._earliest, self._raised_frames, self.has_come = None, 0, False
         self._latest.clear()
         return self._waiting()
 
     @property
     def may_be_flat(self) -> bool:
-        """Whether what is followed may lie on the table."""
+        """Whether the flatness is still to be tested."""
         return not self.is_proven and self._raised_frames < RAISED_FRAMES
 
-    def welcome(
-        self, frame: Frame, followed: FingerLine | None, *, is_backed: bool
+    def confirm(
+        self, frame: Frame, followed: FingerLine | None, *, is_supported: bool
     ) -> ContourTracker | None:
-        """Return the tracker that has found the hand in a frame which is new, if it is another.
+        """Return the second template's tracker if it has confirmed a hand in a new frame, or None.
 
-        What is followed by the time that something comes to the template may lie on the table,
-        unless it moves: a second template waits for the hand beside it, and goes on waiting in
-        vain once it does, for its thumb may come there as well.
+        A finger followed when foreground comes to the template may be the table, unless it moves: a
+        second template then waits beside it. Once the finger moves, the second one is discarded,
+        for the thumb may come there as well.
 
         Parameters
         ----------
         frame
-            The search has looked behind it.
+            The frame; the background model is prepared for it.
         followed
-            What the view's tracker has seen in the last frame, unless that was the table.
-        is_backed
-            Whether another view follows the same finger, and has found nothing else beside it, by
-            the last frame: then what has come here alone covers the hand.
+            Finger line of the view's tracker in the last frame; None if it was the table.
+        is_supported
+            Whether another view followed the same finger in the last frame, and had found no other:
+            then a newcomer in this view alone is an object that covers the hand.
         """
         had_rival, self.has_rival = self.has_rival, False
         self.has_come = False
@@ -135,7 +135,7 @@ class FirstHand:
         if followed is not None and moves(self._latest):
             self._second = None
             return None
-        return self._wait_beside(frame, waits=is_backed or not had_rival)
+        return self._wait_beside(frame, waits=is_supported or not had_rival)
 
     def _wait_beside(self, frame: Frame, *, waits: bool) -> ContourTracker | None:
         second = self._second = self._second or self._waiting()
@@ -149,26 +149,26 @@ class FirstHand:
             self._second = None
             return None
         if not has_come_whole(self._background, frame, line):
-            # It may be what covers the hand that is followed already, in part.
+            # It may be an object that covers part of the hand that is followed.
             self._second = None
             return None
         self.has_rival = True
         if waits:
             return None
         if self._earliest is not None and self._is_same(line):
-            # Both follow one hand: what was learned where it stood from the start is it.
+            # Both follow one hand: the background learned at its first place is the hand.
             self._background.forget(hand_region(self._earliest))
         self._second, self.is_proven, self.is_newcomer = None, True, True
         return second
 
     def _is_same(self, line: FingerLine) -> bool:
-        """Whether the second template may have found the hand that is followed already."""
+        """Whether the second template may have found the finger that is followed."""
         turn_rad = line.angle_rad - self._latest[-1].angle_rad
         has_turned = abs(np.remainder(turn_rad + np.pi, 2 * np.pi) - np.pi) >= ONE_HAND_RAD
         return (moves(self._latest) and not has_turned) or not has_moved(self._latest[-1], line)
 
     def prove(self, frame: Frame, line: FingerLine | None) -> None:
-        """Believe in a hand once it has come, or has moved before the background."""
+        """Accept a hand that has come, or has moved in front of the background."""
         if line is None or self.is_proven:
             return
         earliest = self._earliest = self._earliest or line
@@ -181,20 +181,20 @@ class FirstHand:
             and stands_out(self._background, frame, line)
         ):
             self.is_proven = True
-            # What was learned where it stood from the start is the hand.
+            # The background learned at its first place is the hand.
             self._background.forget(hand_region(earliest))
 
-    def believe(self) -> None:
-        """Take the search's word for it that the view follows a hand."""
+    def accept_from_search(self) -> None:
+        """Accept the hand that the search has found."""
         self.is_proven = True
 
     @property
-    def waits_beside(self) -> bool:
-        """Whether something has come to the template beside what is followed: perhaps the hand."""
+    def has_second_template(self) -> bool:
+        """Whether a second template waits or follows beside the followed finger."""
         return self._second is not None
 
-    def recognise(self) -> None:
-        """Take another view's word for it that what is followed is a hand, not the table."""
+    def accept_from_view(self) -> None:
+        """Accept the followed finger as a hand, by another view's evidence."""
         self.is_proven = True
         if self._earliest is not None:
             self._background.forget(hand_region(self._earliest))

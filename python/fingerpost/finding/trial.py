@@ -1,4 +1,4 @@
-"""A trial: a tracker that was started at a candidate, and when a pair of them is believed."""
+"""Trial: a tracker initialised at a candidate, and the rank of a pair of trials."""
 
 from __future__ import annotations
 
@@ -25,57 +25,57 @@ from fingerpost.finding.finger import (
     are_near,
     fitted_half_width_px,
 )
-from fingerpost.finding.foreground import IN_FOREGROUND, foreground_part
-from fingerpost.finding.identity import Looks
-from fingerpost.finding.length import Lengthening, length_px
-from fingerpost.finding.look import widening
+from fingerpost.finding.foreground import MIN_FOREGROUND, foreground_part
+from fingerpost.finding.identity import Appearance
+from fingerpost.finding.length import TemplateExtension, length_px
+from fingerpost.finding.pixel_tests import widening
 
-MISSES = 2
-"""Frames in a row without an accepted fit that end a trial."""
+MAX_MISSES = 2
+"""Consecutive frames without an accepted fit that end a trial."""
 
-FORGET = 0.8
-"""What a trial's scores keep from frame to frame; the rest is what the pixels say of it now."""
+SCORE_DECAY = 0.8
+"""Factor of the previous mean in the running means of a trial's scores."""
 
 PROVEN_FRAMES = 10
-"""A finger that has been foreground for so many frames is followed for good."""
+"""Frames after which a trial in the foreground is followed for good."""
 
 MOVER_FRAMES = 6
 MOVER_SCORE = 0.5
-"""What moves on is a hand if it has held for so many frames and is that much like a finger, before
-something like a hand."""
+"""Least number of frames and least finger score of a moving trial with a hand behind it that is
+taken for a hand."""
 
 
 def precedence(foreground: float) -> float:
-    """Return what a finger is worth trying, as one that has come into view is tried first."""
+    """Return the factor of a finger's priority: foreground is tried first."""
     return 0.5 + 0.5 * foreground
 
 
 @dataclass(slots=True)
 class Trial:
-    """A tracker that was started at a candidate, and how it fares.
+    """A tracker initialised at a candidate, with its scores.
 
     Attributes
     ----------
     candidate
-        What it was started at.
+        Its start.
     tracker, track
-        The tracker, and what it made of the last frame.
+        The tracker, and its result for the last frame.
     first_line, line
-        The finger where it was seen first and last.
+        Its first and last finger line.
     score, foreground
-        How like a finger and how like foreground it has been lately, 0 to 1.
+        Running means of the finger score and of the foreground probability, 0 to 1.
     hand
-        How far it has widened to a hand behind the finger lately, 0 to 1.
+        Running mean of the widening to a hand behind the finger, 0 to 1.
     is_late
-        Whether it was started when the background had long been known.
+        Whether it was started long after the background became known.
     frames
-        How many frames it has held: those with an accepted fit; one without takes half of them.
+        Number of frames with an accepted fit; each frame without one halves it.
     misses
-        Frames in a row without an accepted fit.
-    looks
-        How it looked when it was judged last.
-    lengthening
-        What has a template as long as the finger take over.
+        Consecutive frames without an accepted fit.
+    appearance
+        Appearance at the last update of the scores.
+    extension
+        Replaces the template by one as long as the finger.
     """
 
     candidate: Candidate
@@ -87,71 +87,71 @@ class Trial:
     foreground: float
     hand: float
     is_late: bool
-    lengthening: Lengthening
+    extension: TemplateExtension
     frames: int = 1
     misses: int = 0
-    looks: Looks | None = None
+    appearance: Appearance | None = None
 
     @property
     def is_over(self) -> bool:
-        """Whether it has lost what it followed."""
-        return self.misses >= MISSES or self.track.status != "tracking"
+        """Whether its tracker has lost the finger."""
+        return self.misses >= MAX_MISSES or self.track.status != "tracking"
 
     @property
     def has_come(self) -> bool:
-        """Whether it is foreground."""
-        return self.foreground >= IN_FOREGROUND
+        """Whether it is foreground, and so has come into view."""
+        return self.foreground >= MIN_FOREGROUND
 
     @property
-    def worth(self) -> float:
-        """What it is worth to go on with it, 0 to 1."""
+    def priority(self) -> float:
+        """Priority of continuing it, 0 to 1."""
         return self.score * precedence(self.foreground)
 
     @property
     def half_width_px(self) -> float:
-        """Half the finger's width, by the fit if its shape space has one."""
+        """Fitted half-width, or the candidate's if the shape space has none [px]."""
         return fitted_half_width_px(self.track) or self.candidate.half_width_px
 
     @property
     def length(self) -> float:
-        """How far back from its tip it is followed [half-widths]."""
+        """Length of its template [half-widths]."""
         return length_px(self.tracker, self.line) / self.half_width_px
 
     @property
-    def place(self) -> tuple[tuple[float, float], float, float]:
-        """Tip, direction and half-width where it was seen last."""
+    def pose(self) -> tuple[tuple[float, float], float, float]:
+        """Tip, direction and half-width of the last finger line."""
         return self.line.tip_px, self.line.angle_rad, self.half_width_px
 
     @property
     def has_moved(self) -> bool:
-        """Whether it is elsewhere than where it was seen first."""
+        """Whether the tip has moved by more than `PROVEN_MOTION`."""
         return self._motion > PROVEN_MOTION
 
     @property
-    def stands(self) -> bool:
-        """Whether it was there when the search began, and has kept its place since."""
+    def is_static(self) -> bool:
+        """Whether it is background and has not moved since its start."""
         return not self.has_come and self._motion < KEPT_PLACE
 
     @property
-    def moves_on(self) -> bool:
-        """Whether it has held and is elsewhere, a finger before its hand: no part of the table."""
-        is_hand = self.score >= MOVER_SCORE and self.hand >= HAND_SEEN
+    def is_moving(self) -> bool:
+        """Whether it has held, has moved and has a hand behind it: no part of the table."""
+        is_hand = self.score >= MOVER_SCORE and self.hand >= MIN_WIDENING
         return is_hand and self.frames >= MOVER_FRAMES and self._motion > MOVED_ON
 
     @property
     def _motion(self) -> float:
-        """How far the tip is from where it was seen first [half-widths]."""
+        """Distance of the tip from its first position [half-widths]."""
         moved_px = math.dist(self.line.tip_px, self.first_line.tip_px)
         return moved_px / self.candidate.half_width_px
 
     @property
     def is_proven(self) -> bool:
-        """Whether it has moved, or has stood before the background for a while."""
+        """Whether it has moved, or has been foreground for `PROVEN_FRAMES`."""
         has_stood = self.has_come and self.frames >= PROVEN_FRAMES
         return self.track.finger_line is not None and (self.has_moved or has_stood)
 
     def update(self, frame: Frame, background: Background) -> None:
-        """Follow for one frame; before the background, if the finger stands out from it."""
+        """Track one frame, with the background model if the finger is foreground."""
         self.track = self.tracker.update(
             frame.grey(),
             frame.time_s,
@@ -159,45 +159,44 @@ class Trial:
             background=background if self.has_come else None,
         )
         if self.track.finger_line is None:
-            # Before a pattern the best of fits is refused at times; what holds anew tells less.
+            # On a pattern even a good fit is rejected at times; one found anew is weaker evidence.
             self.misses, self.frames = self.misses + 1, self.frames // 2
         else:
             self.misses, self.frames = 0, self.frames + 1
             self.line = self.track.finger_line
 
-    def lengthen(self, frame: Frame, *, is_likely: bool = False, is_followed: bool = False) -> None:
-        """Follow with a template as long as the finger, if this frame shows all of it.
+    def extend(self, frame: Frame, *, is_likely: bool = False, is_followed: bool = False) -> None:
+        """Replace the template by one as long as the finger, if this frame shows it in full.
 
-        One that fits another view's finger well, and so is likely one, may be short; one that
-        another view follows already, sooner.
+        For the keywords see `TemplateExtension.update`.
         """
-        self.tracker, self.track = self.lengthening.look(
+        self.tracker, self.track = self.extension.update(
             self.tracker, self.track, frame, is_likely=is_likely, is_followed=is_followed
         )
         self.line = self.track.finger_line or self.line
 
-    def judge(self, frame: Frame, background: Background, worth: float) -> None:
-        """Learn from the pixels of a frame how like a finger of a hand it is where it is now.
+    def update_scores(self, frame: Frame, background: Background, factor: float) -> None:
+        """Update the appearance and the running means of the scores from a frame's pixels.
 
-        `worth` is the factor of its score.
+        `factor` multiplies the finger score.
         """
         line = self.track.finger_line
         if line is None:
             return
         half_width_px = self.half_width_px
-        self.looks = Looks.of(frame, line, half_width_px)
+        self.appearance = Appearance.of(frame, line, half_width_px)
         likeness = HandFinder.likeness(
             frame.grey(), line.tip_px, line.angle_rad, half_width_px, frame.colour()
         )
         if likeness is not None:
-            self.score += (1.0 - FORGET) * (likeness * worth - self.score)
+            self.score += (1.0 - SCORE_DECAY) * (likeness * factor - self.score)
         foreground = np.nan_to_num(foreground_part(background, frame, line))
-        self.foreground += (1.0 - FORGET) * (float(foreground) - self.foreground)
+        self.foreground += (1.0 - SCORE_DECAY) * (float(foreground) - self.foreground)
         hand = widening(frame, line, half_width_px)
-        self.hand += (1.0 - FORGET) * (hand - self.hand)
+        self.hand += (1.0 - SCORE_DECAY) * (hand - self.hand)
 
     def is_at(self, start: StartPose, half_width_px: float) -> bool:
-        """Tell whether it follows what a candidate would."""
+        """Whether it follows the same finger as a candidate at this pose."""
         line = self.track.finger_line
         if line is None:
             return False
@@ -206,7 +205,7 @@ class Trial:
 
 
 def distinct(trials: Iterator[Trial]) -> list[Trial]:
-    """Return the trials without those that have run into an older one."""
+    """Return the trials without those that have converged to an older one."""
     kept: list[Trial] = []
     for trial in trials:
         line, candidate = trial.track.finger_line, trial.candidate
@@ -216,60 +215,60 @@ def distinct(trials: Iterator[Trial]) -> list[Trial]:
     return kept
 
 
-FRAMES_TO_TRUST = {True: (2.0, 4.0), False: (3.0, 6.0)}
-"""Frames that both trials of a pair must have held, if its score is 1 and if it is 0: for a pair
-that has come into view, and for one that may have been there all the time."""
+MIN_FRAMES = {True: (2.0, 4.0), False: (3.0, 6.0)}
+"""Least number of frames that both trials of a pair have held, at score 1 and at score 0: for a
+pair in the foreground (True), and for one that may have been there from the start."""
 
-LEAST_SCORE = 0.25
-"""The least score of a pair that is believed. In 150 runs on rendered films one finger's have more
-in 99 % of the frames, though its skin hardly differs from the wood behind it; others in 12 %."""
+MIN_PAIR_SCORE = 0.25
+"""Least score of an accepted pair. In 150 runs on rendered films the pairs of one finger exceed it
+in 99 % of the frames, though its colour hardly differs from the wood behind it; others in 12 %."""
 
-HAND_SEEN = 0.5
-"""A pair that may have been there all the time is worth in full from where its fingers widen that
-much to a hand in both views [0 to 1]: what stands on the table, as a bottle or a pen, does not."""
+MIN_WIDENING = 0.5
+"""Widening in both views from which the score of a pair that may have been there from the start is
+not reduced [0 to 1]: an object that stands on the table, as a bottle or a pen, has less."""
 
-HAND_COME = 0.2
-NO_HAND = 0.4
-"""One that has come may be a device, and is worth in full from where its fingers widen that much:
-hands that came had 0.24 and more in 57 recordings, a stick and a fold of a fist 0 to 0.05. One that
-does not widen at all is worth that part less, and goes after a hand that is seen as well."""
+MIN_WIDENING_FOREGROUND = 0.2
+NO_WIDENING_PENALTY = 0.4
+"""Widening from which the score of a foreground pair is not reduced, and the part by which it is
+without any widening: it may be a pointing device, and ranks below a hand. In 57 recordings hands
+that came had 0.24 and more, a stick and a fold of a fist 0 to 0.05."""
 
-STAYS = 1.25
-"""How much better another pair must be than the one that is followed already."""
+CURRENT_PAIR_FACTOR = 1.25
+"""Factor of the rank of the pair that is followed already."""
 
 
-def belief(
-    score: float, trials: Sequence[Trial], stays: bool, *, hand: float, is_backed: bool
+def pair_rank(
+    score: float, trials: Sequence[Trial], is_current: bool, *, hand: float, is_supported: bool
 ) -> tuple[float, bool]:
-    """Return how much a pair with these trials is worth, 0 if nothing, and if it has held enough.
+    """Return the rank of a pair, 0 if it cannot be the hand, and whether it has held long enough.
 
-    One that has yet to hold may turn out to be the hand: what is worth less has to wait for it.
+    A pair that has not may turn out to be the hand: pairs of lower rank wait for it.
 
     Parameters
     ----------
     score
-        How well the pair fits together, 0 to 1.
+        Score of the pair, 0 to 1.
     trials
-        One, where the other view follows its finger for good, or two.
-    stays
-        Whether the pair is the one that is believed already.
+        Two, or one where the other view follows its finger for good.
+    is_current
+        Whether the pair is the accepted one.
     hand
-        How far the fingers widen to a hand, in the view where they do so less, 0 to 1.
-    is_backed
-        Whether the other view's finger is a hand's: then one that has moved with it is no part of
-        the background, though the background may have been learned with the hand in it.
+        Widening to a hand, in the view where it is less, 0 to 1.
+    is_supported
+        Whether the other view's finger is validated as a hand: then a trial that has moved is no
+        background, though the background may have been learned with the hand in it.
     """
     has_come = all(trial.has_come for trial in trials)
     if has_come:
-        score *= 1.0 - NO_HAND * (1.0 - min(hand / HAND_COME, 1.0))
+        score *= 1.0 - NO_WIDENING_PENALTY * (1.0 - min(hand / MIN_WIDENING_FOREGROUND, 1.0))
     else:
-        score *= min(hand / HAND_SEEN, 1.0)
-    worth = score if has_come else 0.5 * score
-    if stays:
-        return STAYS * worth, True
-    least, most = FRAMES_TO_TRUST[has_come]
+        score *= min(hand / MIN_WIDENING, 1.0)
+    rank = score if has_come else 0.5 * score
+    if is_current:
+        return CURRENT_PAIR_FACTOR * rank, True
+    least, most = MIN_FRAMES[has_come]
     too_new = min(trial.frames for trial in trials) < score * least + (1.0 - score) * most
     too_late = not has_come and any(
-        trial.is_late and not (is_backed and trial.has_moved) for trial in trials
+        trial.is_late and not (is_supported and trial.has_moved) for trial in trials
     )
-    return 0.0 if too_late or score < LEAST_SCORE else worth, not too_new
+    return 0.0 if too_late or score < MIN_PAIR_SCORE else rank, not too_new

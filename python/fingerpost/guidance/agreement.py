@@ -457,8 +457,8 @@ def _ambiguous(explained: Sequence[tuple[int, ...]], count: int, numbers: Sequen
     suspects = sorted({place for wrong in explained for place in wrong})
     named = ", ".join(f"{numbers[place]}" for place in suspects)
     return (
-        f"one of the places {named} is wrong, but which one cannot be told from {count}: visit "
-        "more places"
+        f"one of the places {named} is wrong, but which one cannot be determined from {count}: "
+        "visit more places"
     )
 
 

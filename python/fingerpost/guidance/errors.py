@@ -18,4 +18,4 @@ class PoorPlaneError(PlaneError):
 
 
 class InconsistentPlaneError(PlaneError):
-    """The places visited contradict each other, and which of them is wrong cannot be told."""
+    """The places visited contradict each other, and which of them is wrong is not determined."""

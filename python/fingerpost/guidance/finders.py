@@ -162,7 +162,7 @@ class MarkerFinder(GripperFinder):
         if numbers is None:
             return None
         places = np.flatnonzero(np.asarray(numbers).ravel() == self._marker_id)
-        if len(places) != 1:  # none, or two that cannot be told apart
+        if len(places) != 1:  # none, or two that cannot be distinguished
             return None
         return np.asarray(corners[places[0]], dtype=np.float64).reshape(4, 2)
 
@@ -203,13 +203,13 @@ class ContourFinder(GripperFinder):
     start
         Where it waits: tip, direction and length in the image.
     along_sigma_px
-        Standard deviation of the tip along the gripper, beyond what the fit tells [px], in
+        Standard deviation of the tip along the gripper, beyond the fit's own [px], in
         `SIGMAS_PX`.
     across_sigma_px
         The same across it [px], ≥ 0.
     polarity
-        Whether the gripper is brighter or darker than what is behind it; a thin one needs to be
-        told, as the search lines reach across it.
+        Whether the gripper is brighter or darker than what is behind it; required for a thin
+        one, as the search lines reach across it.
     options
         What else differs from the tracker's defaults.
     """

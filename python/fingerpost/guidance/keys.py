@@ -90,12 +90,12 @@ class Keys:
             except OSError:
                 pressed = b""
             if not pressed:
-                self._tell(self._on_end)
+                self._call(self._on_end)
                 return
             for key in pressed.decode("utf-8", errors="replace"):
-                self._tell(self._on_key, key)
+                self._call(self._on_key, key)
 
-    def _tell(self, callback: Callable[..., None], *keys: str) -> None:
+    def _call(self, callback: Callable[..., None], *keys: str) -> None:
         try:
             callback(*keys)
         except Exception as error:  # whatever it is, the stop key must go on working

@@ -51,7 +51,7 @@ KEY_HELP = (
 )
 
 HIDDEN_S = 2.0
-"""A hand without a fix for so long may be hidden: the operator is told of the key [s]."""
+"""Time without a fix after which a hand may be hidden and the operator is shown the key [s]."""
 
 HALTED = (NotArmedError, NotHomedError, StoppedError)
 """What a command raises that the guard has halted meanwhile, or that no arm can carry out before it
@@ -195,13 +195,13 @@ class Session:
         self._machine: PickPlace | None = None
         self._paused = False
         self._quit = False
-        self._told_disarmed = False
+        self._reported_disarmed = False
         self._last: FollowReport | None = None
         self._making_way = False
-        self._aside = False
+        self._is_out_of_the_way = False
         self._seen_s: float | None = None
         self._hand: int | None = None
-        self._told_of_hand: int | None = None
+        self._reported_hand: int | None = None
 
     @property
     def has_hand(self) -> bool:
@@ -209,9 +209,9 @@ class Session:
         return self._hand is not None
 
     @property
-    def is_aside(self) -> bool:
+    def is_out_of_the_way(self) -> bool:
         """Whether the arm stands where it has made way to."""
-        return self._aside
+        return self._is_out_of_the_way
 
     @property
     def is_carrying(self) -> bool:
@@ -325,7 +325,7 @@ class Session:
             self._go_on_carrying(self._machine)
         elif not self._making_way:
             self._worker.offer(lambda: self._follow(fix))
-            self._tell_of_hidden_hand(fix)
+            self._report_hidden_hand(fix)
             if self._dwell is not None and self._carry is not None:
                 self._selected(self._dwell.update(fix, self._last))
 
@@ -338,8 +338,8 @@ class Session:
             self._accept_hand(hand.number)
         if fix.status is not Status.OK or hand.number == self._hand:
             return fix
-        if self._told_of_hand != hand.number:
-            self._told_of_hand = hand.number
+        if self._reported_hand != hand.number:
+            self._reported_hand = hand.number
             key = f", or press {HAND_KEY} if it is yours" if self._keys else ""
             self._say(f"{STRANGER}: bring it to its template and hold it there{key}")
         return replace(fix, status=Status.LOST, point=None, covariance=None, reason=STRANGER)
@@ -428,18 +428,18 @@ class Session:
         except (NotReadyError, StoppedError) as error:
             self._say(f"not armed: {error}")
             return False
-        self._told_disarmed = False
+        self._reported_disarmed = False
         self._say("armed")
         return True
 
     def _start_making_way(self) -> None:
         """Take it that the key is held: it repeats, and one retreat answers all of it."""
-        idle = self._machine is None and not self._making_way and not self._aside
+        idle = self._machine is None and not self._making_way and not self._is_out_of_the_way
         if idle and self._guard.armed:
             self._making_way = True
             self._worker.offer(self._make_way)
 
-    def _tell_of_hidden_hand(self, fix: Fix) -> None:
+    def _report_hidden_hand(self, fix: Fix) -> None:
         """Tell once that a hand without a fix for long may be hidden."""
         if fix.status is Status.OK:
             self._seen_s = fix.time_s
@@ -452,9 +452,9 @@ class Session:
         if self._quit:
             return
         self._paused = True
-        if not self._told_disarmed:
+        if not self._reported_disarmed:
             self._say_stopped()
-            self._told_disarmed = True
+            self._reported_disarmed = True
 
     def _say_stopped(self) -> None:
         """Say why the arm has been stopped.
@@ -484,7 +484,7 @@ class Session:
         held = before is not None and before.state is FollowState.HOLDING
         if report.state is FollowState.HOLDING and not held:
             self._say(f"holding: {report.reason}")
-        self._aside = self._aside and report.state is not FollowState.MOVING
+        self._is_out_of_the_way = self._is_out_of_the_way and report.state is not FollowState.MOVING
         self._on_report(report.fix or fix, report)
 
     def _home_again(self, home: Callable[[], None]) -> None:
@@ -495,7 +495,7 @@ class Session:
             self._guard.enter()
         except HALTED:
             return  # the next step says so
-        self._told_disarmed = False
+        self._reported_disarmed = False
         self._say(f"armed   {CONTINUE_KEY} continues")
 
     def _make_way(self) -> None:
@@ -508,7 +508,7 @@ class Session:
         except RefusedError as error:
             self._say(f"not out of the way: {error}")
         else:
-            self._aside = True
+            self._is_out_of_the_way = True
             self._say("out of the way")
         finally:
             self._follower.reset()
@@ -519,7 +519,7 @@ class Session:
             return
         if machine.done:
             self._machine = None
-            self._last, self._aside = None, False
+            self._last, self._is_out_of_the_way = None, False
             self._follower.reset()
             self.report.blocks += 1
             self._say("placed")

@@ -1,7 +1,7 @@
 """Who does what waits for the arm: one job at a time, the newest of those that wait.
 
 `Worker` does it in a thread, so that views and keys are taken meanwhile. `Turns` does it in the
-caller's thread, when it is told to: for a simulated world, in which nothing happens at one time.
+caller's thread, on request: for a simulated world, in which nothing happens at one time.
 """
 
 from __future__ import annotations

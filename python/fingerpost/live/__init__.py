@@ -1,6 +1,6 @@
 """The operator's page: see where you point, at camera rate, in a browser.
 
-The main loop goes on as ever (`operate`); what it tells is handed to a process of its own (`page`,
+The main loop goes on as ever (`operate`); its results are handed to a process of its own (`page`,
 `process`), which serves one page and one WebSocket (`web`, `client`). A binary message carries one
 moment: what is drawn over the pictures and the pictures themselves, which therefore always belong
 to one instant (`moment`, `scene`, `composer`). The newest moment wins, and a page that does not

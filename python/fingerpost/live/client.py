@@ -31,7 +31,7 @@ class Client:
     websocket
         Its connection, accepted.
     hub
-        Who tells it what to show, and takes its commands.
+        The hub, which sends what to show, and takes its commands.
     """
 
     def __init__(self, websocket: WebSocket, hub: Hub) -> None:
@@ -49,7 +49,7 @@ class Client:
         self._newest = message, begun_s
         self._wake.set()
 
-    def tell(self) -> None:
+    def send_state(self) -> None:
         """Send the state anew, once."""
         self._has_news = True
         self._wake.set()

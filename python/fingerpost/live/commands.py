@@ -36,7 +36,7 @@ class Step(_Command, frozen=True, tag="step"):
     by: int
 
 
-class Seek(_Command, frozen=True, tag="seek"):
+class GoTo(_Command, frozen=True, tag="seek"):
     """Show a moment.
 
     Attributes
@@ -86,7 +86,7 @@ class SetUp(_Command, frozen=True, tag="setup"):
     views: tuple[Chosen, ...]
 
 
-Command = Ack | Stop | Play | Step | Seek | Take | SetUp
+Command = Ack | Stop | Play | Step | GoTo | Take | SetUp
 
 decode = msgspec.json.Decoder(Command).decode
 """From JSON to a command; raises `msgspec.MsgspecError`."""

@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable
 from typing import Any, Protocol
 
-from fingerpost.live.commands import Command, Play, Seek, SetUp, Step, Stop, Take
+from fingerpost.live.commands import Command, GoTo, Play, SetUp, Step, Stop, Take
 from fingerpost.live.player import Player
 from fingerpost.live.reel import Message, Strip
 from fingerpost.live.scene import RigScene
@@ -27,7 +27,7 @@ class Watcher(Protocol):
     def offer(self, message: bytes, begun_s: float | None) -> None:
         """Take the newest moment; None where it is shown again."""
 
-    def tell(self) -> None:
+    def send_state(self) -> None:
         """Send the state anew."""
 
 
@@ -67,7 +67,7 @@ class Hub:
 
     def start(self) -> None:
         """Begin to tell watchers of the state, in the running event loop."""
-        self._tasks.append(asyncio.create_task(self._tell_always()))
+        self._tasks.append(asyncio.create_task(self._send_state_regularly()))
 
     def open_rig(self, rig: RigScene) -> None:
         """Take a rig from which moments will come, in place of any before."""
@@ -80,13 +80,13 @@ class Hub:
         else:
             self._player = Player(self._ask, self._show, rig.frames, self._clock)
             self._tasks.append(asyncio.create_task(self._player.run()))
-        self.tell()
+        self.send_state()
 
     def open_setup(self, offers: list[dict[str, Any]], stills: list[bytes], problem: str) -> None:
         """Offer sources to set a rig up from; say what was wrong with the last one."""
         self.stills = stills
         self._setup = {"offers": offers, "problem": problem}
-        self.tell()
+        self.send_state()
 
     def close_rig(self) -> None:
         """Forget the rig's recording."""
@@ -108,28 +108,28 @@ class Hub:
     def note(self, words: str) -> None:
         """Show a line that people should know of."""
         self._notes = [*self._notes, words][-_MOST_NOTES:]
-        self.tell()
+        self.send_state()
 
     def end(self, words: str) -> None:
         """Take it that no more moments will come, and why."""
         self._ended = words
         if self._player is not None:
             self._player.end()
-        self.tell()
+        self.send_state()
 
     def add(self, watcher: Watcher) -> None:
         """Show everything to one more client."""
         self.watchers.add(watcher)
         if self.newest is not None:
             watcher.offer(self.newest, None)
-        self.tell()
+        self.send_state()
 
     def remove(self, watcher: Watcher) -> None:
         """Forget a client."""
         self.watchers.discard(watcher)
         if self.controller is watcher:
             self.controller = None
-        self.tell()
+        self.send_state()
 
     def obey(self, command: Command, watcher: Watcher) -> str:
         """Do what a client commands; return why not, or nothing.
@@ -144,7 +144,7 @@ class Hub:
             self._do(command)
         else:
             return "another page has the control; take it over first"
-        self.tell()
+        self.send_state()
         return ""
 
     def _do(self, command: Command) -> None:
@@ -155,8 +155,8 @@ class Hub:
                 player.play() if player else self._ask(math.inf)
             case Step(by=by) if player:
                 player.step(by)
-            case Seek(number=number) if player:
-                player.seek(number)
+            case GoTo(number=number) if player:
+                player.go_to(number)
             case SetUp() if self._setup is not None:
                 self._setup = {**self._setup, "problem": "", "busy": True}
                 self._hand(command)
@@ -179,7 +179,7 @@ class Hub:
         is_new = strip is not self.strip
         player = self._player
         playing = not self._stopped and not self._ended if player is None else player.is_playing
-        told: dict[str, Any] = {
+        state: dict[str, Any] = {
             "playing": playing,
             "setup": self._setup,
             "ended": self._ended,
@@ -191,18 +191,18 @@ class Hub:
             "controls": self.controller in (None, watcher),
         }
         if is_new:
-            told["rig"] = None if self.rig is None else self.rig.as_dict()
-        return told
+            state["rig"] = None if self.rig is None else self.rig.as_dict()
+        return state
 
-    def tell(self) -> None:
-        """Have every client told of the state."""
+    def send_state(self) -> None:
+        """Send every client the state."""
         for watcher in self.watchers:
-            watcher.tell()
+            watcher.send_state()
 
-    async def _tell_always(self) -> None:
+    async def _send_state_regularly(self) -> None:
         while True:
             await asyncio.sleep(_STATE_S)
-            self.tell()
+            self.send_state()
 
     def _show(self, number: int, data: bytes) -> None:
         self._shown, self.newest = number, data

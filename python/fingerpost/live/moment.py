@@ -98,8 +98,8 @@ class Moment:
     fix
         Where the hand points.
     begun_s, told_s
-        When the work on it began, and when its fix was told, by the monotonic clock; of a camera it
-        begins with the capture.
+        When the work on it began, and when its fix was reported, by the monotonic clock; a
+        camera's begins with the capture.
     """
 
     number: int

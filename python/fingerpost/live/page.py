@@ -94,13 +94,13 @@ class Page:
     def _listening(self, host: str, port: int) -> int:
         """Wait until the process listens, and return its port."""
         try:
-            kind, told = self._pipe.recv()
+            kind, content = self._pipe.recv()
         except EOFError:
             raise FingerpostError("the page's process has ended before it began") from None
         if kind == "listening":
-            return int(told)
+            return int(content)
         raise InvalidInputError(
-            f"{host}:{port}: the page cannot be served there: {told}; another --port is right, "
+            f"{host}:{port}: the page cannot be served there: {content}; another --port is right, "
             "or none"
         )
 
@@ -134,7 +134,7 @@ class Page:
         """
         with self._changed:
             self._wanted = None
-        self._tell("setup", (offers, stills, problem))
+        self._post("setup", (offers, stills, problem))
         with self._changed:
             self._changed.wait_for(lambda: self._lost or self._wanted is not None)
         self._refuse_lost()
@@ -147,7 +147,7 @@ class Page:
             self._is_live = scene.is_live
             self._allowed = 0.0
             self._given = self._number = 0
-        self._tell("rig", scene)
+        self._post("rig", scene)
 
     def allowed(self, frames: Iterator[Frames]) -> Iterator[Frames]:
         """Give frames of all views as long as the page lets the loop go on.
@@ -188,7 +188,7 @@ class Page:
 
     def note(self, words: str) -> None:
         """Show a line that people should know of."""
-        self._tell("note", words)
+        self._post("note", words)
 
     def end(self, words: str) -> None:
         """Say that no step will come any more, and why."""
@@ -196,7 +196,7 @@ class Page:
             self._changed.wait_for(
                 lambda: self._lost or (self._next is None and self._unanswered == 0)
             )
-        self._tell("ended", words)
+        self._post("ended", words)
 
     def wait(self) -> None:
         """Wait until the page's process has ended.
@@ -211,7 +211,7 @@ class Page:
         self._refuse_lost()
 
     def close(self) -> None:
-        """End the page's process; clients are told."""
+        """End the page's process; clients are notified."""
         with self._changed:
             self._closed = self._lost = True
             self._changed.notify_all()
@@ -229,9 +229,9 @@ class Page:
         if self._lost:
             raise FingerpostError("the page's process has ended; start the command again")
 
-    def _tell(self, kind: str, told: Any) -> None:
+    def _post(self, kind: str, content: Any) -> None:
         with suppress(OSError), self._lock:  # a process that is gone is noticed by who listens
-            self._pipe.send((kind, told))
+            self._pipe.send((kind, content))
 
     def _send_moments(self) -> None:
         """Encode and send what is to be shown: the life of a thread."""
@@ -246,20 +246,20 @@ class Page:
                 taken, self._next = self._next, None
                 self._unanswered += 1
                 self._changed.notify_all()
-            self._tell("moment", Moment.of(*taken))
+            self._post("moment", Moment.of(*taken))
 
     def _listen(self) -> None:
         """Hear what the page answers and asks: the life of a thread."""
         with suppress(EOFError, OSError):
             while True:
-                kind, told = self._pipe.recv()
+                kind, content = self._pipe.recv()
                 with self._changed:
                     if kind == "done":
                         self._unanswered -= 1
                     elif kind == "allow":
-                        self._allowed = told
+                        self._allowed = content
                     elif kind == "setup":
-                        self._wanted = told
+                        self._wanted = content
                     self._changed.notify_all()
         with self._changed:
             self._lost = True

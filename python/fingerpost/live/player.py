@@ -84,7 +84,7 @@ class Player:
         self.is_playing = True
         self._change()
 
-    def seek(self, number: int) -> None:
+    def go_to(self, number: int) -> None:
         """Show a moment, or run there."""
         last = max(self.total - 1, 0) if self._frames or self.has_ended else number
         self._goal = min(max(number, 0), last)
@@ -95,7 +95,7 @@ class Player:
     def step(self, by: int) -> None:
         """Stand still, so many moments further."""
         self.is_playing = False
-        self.seek(self.shown + by)
+        self.go_to(self.shown + by)
 
     async def run(self) -> None:
         """Play until cancelled."""

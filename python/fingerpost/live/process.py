@@ -24,7 +24,7 @@ def serve(pipe: Connection, host: str, port: int, token: str) -> None:
     Parameters
     ----------
     pipe
-        Pairs of a kind and what is told: "setup", "rig", "moment", "note", "ended" and "close"
+        Pairs of a kind and its content: "setup", "rig", "moment", "note", "ended" and "close"
         come in; "listening" or "refused", "done", "allow" and "setup" go out.
     host, port
         Where; port 0 takes any that is free.
@@ -78,25 +78,25 @@ async def _serve(pipe: Connection, listening: socket.socket, host: str, token: s
 
 
 def _read(pipe: Connection, hub: Any, loop: asyncio.AbstractEventLoop, server: Any) -> None:
-    """Take what the program tells, and hand it to the event loop: the life of a thread."""
+    """Take the program's messages, and hand it to the event loop: the life of a thread."""
     from fingerpost.live.composer import Composer
 
     composer: Composer | None = None
     with suppress(EOFError, OSError, RuntimeError):  # RuntimeError: the event loop has ended
         while True:
-            kind, told = pipe.recv()
+            kind, content = pipe.recv()
             if kind == "moment" and composer is not None:
-                loop.call_soon_threadsafe(hub.arrived, composer.message(told))
+                loop.call_soon_threadsafe(hub.arrived, composer.message(content))
                 _send(pipe, "done", None)
             elif kind == "rig":
-                composer = Composer(told)
-                loop.call_soon_threadsafe(hub.open_rig, told)
+                composer = Composer(content)
+                loop.call_soon_threadsafe(hub.open_rig, content)
             elif kind == "setup":
-                loop.call_soon_threadsafe(hub.open_setup, *told)
+                loop.call_soon_threadsafe(hub.open_setup, *content)
             elif kind == "note":
-                loop.call_soon_threadsafe(hub.note, told)
+                loop.call_soon_threadsafe(hub.note, content)
             elif kind == "ended":
-                loop.call_soon_threadsafe(hub.end, told)
+                loop.call_soon_threadsafe(hub.end, content)
             elif kind == "close":
                 break
     server.should_exit = True
@@ -105,6 +105,6 @@ def _read(pipe: Connection, hub: Any, loop: asyncio.AbstractEventLoop, server: A
 _sending = threading.Lock()
 
 
-def _send(pipe: Connection, kind: str, told: Any) -> None:
+def _send(pipe: Connection, kind: str, content: Any) -> None:
     with suppress(OSError), _sending:  # the program may be gone
-        pipe.send((kind, told))
+        pipe.send((kind, content))

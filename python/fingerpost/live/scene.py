@@ -194,7 +194,7 @@ def _view(view: ViewMoment, index: int, fix: Fix) -> dict[str, Any]:
 
 
 def _add_plane(said: dict[str, Any], plane_view: PlaneView, index: int, fix: Fix) -> None:
-    """Project back into a view what is told of the plane."""
+    """Project results on the plane back into a view."""
     points = plane_view.plane_points
     said["outline"] = _polylines(plane_view.project(outline(points)))
     said["references"] = [_place(place) for place in plane_view.project(points)]
@@ -226,10 +226,10 @@ def _band(line: ConstraintLine | None, plane_points: Points, digits: int) -> dic
     with np.errstate(invalid="ignore"):  # the variance of an exact line may round to below zero
         away = line.sigma_at(points)[:, None] * line.line[:2]
     band = np.concatenate([points + away, (points - away)[::-1]])
-    told = {"ends": _flat(ends, digits)}
+    coordinates = {"ends": _flat(ends, digits)}
     if np.isfinite(band).all():
-        told["band"] = _flat(band, digits)
-    return told
+        coordinates["band"] = _flat(band, digits)
+    return coordinates
 
 
 def _search(search: SearchMarks) -> dict[str, Any]:

@@ -96,7 +96,7 @@ def offers_of(folder: Path) -> list[Offer]:
 
 
 def _cameras() -> list[int]:
-    """Give the numbers of cameras, where the system tells them without opening any."""
+    """Give the numbers of cameras, where the system lists them without opening any."""
     if not sys.platform.startswith("linux"):
         return []
     numbers = [path.name.removeprefix("video") for path in Path("/dev").glob("video*")]

@@ -59,7 +59,7 @@ def headline(moment: Moment, digits: int) -> Headline:
         return Headline(fix.status.value, "", detail, (x, y, sigma_x, sigma_y))
     without = [view for view in moment.views if view.finger is None]
     if not without:
-        return Headline(fix.status.value, "where the views point cannot be told", fix.reason)
+        return Headline(fix.status.value, "where the views point is undetermined", fix.reason)
     return Headline(fix.status.value, _said(without), _why(without))
 
 

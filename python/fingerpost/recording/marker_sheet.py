@@ -20,7 +20,7 @@ Cells = Mapping[tuple[float, float, float], NDArray[np.bool_]]
 
 
 def write_sheet_pdf(path: Path, size_mm: tuple[float, float], markers: Cells, title: str) -> None:
-    """Write a sheet of markers with a ruler, which tells whether it was printed in true size.
+    """Write a sheet of markers with a ruler, which shows whether it was printed in true size.
 
     Parameters
     ----------

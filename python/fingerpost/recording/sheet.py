@@ -157,7 +157,7 @@ class Sheet:
         cv2.polylines(self.pixels, fixed, False, colour, width, cv2.LINE_AA, _SHIFT)
 
     def area(self, points: Points, colour: Colour, opacity: float = 1.0) -> None:
-        """Fill a polygon (N, 2) of the scene; nothing if any corner cannot be told.
+        """Fill a polygon (N, 2) of the scene; nothing if any corner is not finite.
 
         `opacity` runs from 0 to 1, which hides what is below.
         """

@@ -18,8 +18,8 @@ def check_picture(path: Path) -> None:
     Raises
     ------
     InvalidInputError
-        A name whose ending OpenCV does not know or cannot be told, a folder that does not exist, or
-        a name that is a folder's.
+        A name that cannot be passed to OpenCV or has an ending it does not know, a folder that does
+        not exist, or a name that is a folder's.
     """
     _encoded(path, np.zeros((2, 2, 3), np.uint8))
     # Path.is_dir would raise where a name is too long to exist.
@@ -44,7 +44,7 @@ def write_picture(path: Path, image: NDArray[np.uint8]) -> None:
     Raises
     ------
     InvalidInputError
-        A name whose ending OpenCV does not know or cannot be told, or a file that cannot be
+        A name whose ending OpenCV does not know or cannot be passed, or a file that cannot be
         written.
     """
     data = _encoded(path, image)

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 _CODECS = {".webm": "VP8", ".mp4": "mp4v", ".mkv": "mp4v", ".avi": "MJPG"}
 DEFAULT_FPS = 25.0
-"""Of frames that come without times, where nobody has told a rate."""
+"""Of frames that come without times, if the rate is unknown."""
 
 _LEAST_FREE_BYTES = 1 << 20
 _FPS = (1.0, 240.0)
@@ -56,8 +56,8 @@ class VideoWriter:
     Raises
     ------
     InvalidInputError
-        The suffix is another, the folder does not exist or cannot be written into, OpenCV cannot
-        be told the file's name, or `fps` is not above 0.
+        The suffix is another, the folder does not exist or cannot be written into, the file's name
+        cannot be passed to OpenCV, or `fps` is not above 0.
 
     Attributes
     ----------

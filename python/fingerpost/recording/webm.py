@@ -28,7 +28,7 @@ _QUALITY = 80
 _UNKNOWN_SIZE = b"\x01" + b"\xff" * 7
 _CUE_EVERY_MS = 1000
 _LAST_SHOWN_MS = 40  # a film of one picture
-_SEEK_ROOM = 160
+_INDEX_ROOM = 160
 
 _EBML, _SEGMENT, _VOID = "1A45DFA3", "18538067", "EC"
 _SEEK_HEAD, _SEEK, _SEEK_ID, _SEEK_POSITION = "114D9B74", "4DBB", "53AB", "53AC"
@@ -145,7 +145,7 @@ class WebmFilm:
         self._write(_element(_EBML, *head, _element("4282", b"webm")))
         self._write(bytes.fromhex(_SEGMENT) + _UNKNOWN_SIZE)
         self._segment = self._file.tell()
-        self._write(_void(_SEEK_ROOM))
+        self._write(_void(_INDEX_ROOM))
         self._places[_INFO] = self._file.tell() - self._segment
         names = _element(_MUXER, b"fingerpost"), _element(_WRITER, b"fingerpost")
         info = _element(_INFO, _number(_TIME_SCALE, 10**6), *names, _void(len(_duration(0))))
@@ -178,7 +178,7 @@ class WebmFilm:
             for identifier, place in self._places.items()
         )
         head = _element(_SEEK_HEAD, *seeks)
-        self._write_at(self._segment, head + _void(_SEEK_ROOM - len(head)))
+        self._write_at(self._segment, head + _void(_INDEX_ROOM - len(head)))
         self._write_at(self._duration, _duration(self._last_ms + self._interval_ms))
         size = end + len(written)
         self._write_at(self._segment - 8, (size | 1 << 56).to_bytes(8, "big"))

@@ -1,6 +1,6 @@
 """Where the reference points of a view are, also when its camera moves.
 
-`ReferenceWatch` looks at the frames of one view and tells whether its camera keeps still, and how
+`ReferenceWatch` looks at the frames of one view and decides whether its camera is static, and how
 the working plane has moved in its picture if it does not.
 """
 
@@ -11,12 +11,12 @@ from fingerpost.references.rectangles import Candidate, find_rectangles, likenes
 from fingerpost.references.reduction import Reduction
 from fingerpost.references.registration import PlaneMotion, PlaneRegistration, Segment
 from fingerpost.references.sides import Sides, fit_sides
-from fingerpost.references.watch import ADRIFT_PX, LOOK_EVERY, MOVED_PX, ReferenceWatch
+from fingerpost.references.watch import ADRIFT_PX, MOVED_PX, TEST_EVERY, ReferenceWatch
 
 __all__ = [
     "ADRIFT_PX",
-    "LOOK_EVERY",
     "MOVED_PX",
+    "TEST_EVERY",
     "Candidate",
     "MarkersMeter",
     "Measured",

@@ -3,7 +3,7 @@
 While a camera keeps still its measurements are averaged, until the covariance falls no further:
 what pixels' noise adds is another in every frame, what is rough about an edge is not. A camera that
 was knocked shows most of the four points elsewhere at once; from there the average begins anew.
-Where too little of them shows, the texture of the plane tells whether the camera has moved
+Where too little of them is visible, the texture of the plane shows whether the camera has moved
 (`ReferenceWatch`): what is known of a plane that stands still is held, and a plane that has moved
 is followed by it until its references are seen again.
 """
@@ -44,11 +44,11 @@ LITTLE_LEFT = 0.1
 averaged up to so many."""
 
 LEAST_SCATTER = 3
-"""Measurements from which on their scatter tells what of the covariance is noise."""
+"""Least number of measurements whose scatter estimates the noise part of the covariance."""
 
 ALL_NOISE = 0.8
-"""The scatter is all that covariances tell of if it is this part of them: of few edges they are
-told a little larger."""
+"""Ratio of the scatter to the covariances from which these are taken for noise alone: from few
+edges they are estimated a little too large."""
 
 MEASURE_EVERY = 3
 """One frame in so many of a camera that keeps still is measured then."""

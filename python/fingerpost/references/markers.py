@@ -129,7 +129,7 @@ class MarkersMeter:
     sheet
         Its number.
     plane_points
-        (4, 2) The points that are told of: its corners.
+        (4, 2) The points to be measured: its corners.
     lens
         The view's distortion, if it is known.
     """
@@ -202,12 +202,12 @@ class MarkersMeter:
         T = estimate_image_from_plane(X, x, each)
         left = x - transfer_to_image(T, X)
         squares = float(np.einsum("ki,kij,kj->", left, np.linalg.inv(each), left))
-        # A sheet that bends, or a lens that nobody told of, puts markers off by more than noise.
+        # A sheet that bends, or an unknown distortion, puts markers off by more than noise.
         worse = max(squares / max(2 * len(x) - 8, 1), 1.0)
         Σ = worse * homography_covariance(T, X, joint)
-        return self._told(T, Σ)
+        return self._corners_of(T, Σ)
 
-    def _told(self, T: Array, entries_covariance: Array) -> Measured | None:
+    def _corners_of(self, T: Array, entries_covariance: Array) -> Measured | None:
         corners = transfer_to_image(T, self._plane_points)
         if not np.isfinite(corners).all():
             return None

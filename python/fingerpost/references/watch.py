@@ -1,15 +1,14 @@
-"""Whether the camera of a view keeps still, and if not, how it shows the plane now.
+"""Detection of a camera's motion, and the view's homography after it.
 
-A rig file says where the reference points are in the picture. A camera that is bumped or held by
-hand shows them elsewhere, and every point told from then on would be off by as much as the table
-has moved in the picture, and surely so. The reference points themselves tell, where they are
-corners of something, and so does what stands on the table: corners of the first picture are
-followed by optical flow (Lucas & Kanade 1981, in pyramids: Bouguet 2001). They count by where they
-are in the picture, so that a hand with many corners on it moves no camera.
+A rig file gives the image positions of the reference points. After a bump, or with a hand-held
+camera, they are elsewhere, and every indicated point would have a bias as large as the motion of
+the table in the image. Corners of the first image, the reference points among them where they are
+corners, are tracked by optical flow (Lucas & Kanade 1981; pyramids: Bouguet 2001). One corner per
+cell of the image is sampled, so that a hand with many corners cannot pass for a camera motion.
 
-Corners tell that the camera has moved, and about where to. From then on the registration tells
-where the plane is in every frame, until it is where it was at first. Where it cannot, the camera is
-adrift: no point is better than a wrong one.
+The corners detect the motion and give an initial estimate. From then on every frame is registered
+(`registration`), until the plane is back at its first position. Where registration fails, the
+camera is adrift: no point is better than a wrong one.
 """
 
 from __future__ import annotations
@@ -24,92 +23,92 @@ from fingerpost.pointing import PlaneView
 from fingerpost.references.reduction import Reduction
 from fingerpost.references.registration import PlaneMotion, PlaneRegistration, Segment, is_within
 
-LOOK_EVERY = 5
-"""One frame in so many of a camera that keeps still is looked at."""
+TEST_EVERY = 5
+"""Interval between tested frames of a static camera."""
 
 LARGEST_PX = 1280
-"""Pictures with a longer side are watched at a reduced size."""
+"""Images with a longer side are tested at a reduced size."""
 
-WIDEST_PX = 320
-"""Wider pictures are halved until they are not; all lengths below are of the halved picture."""
+MAX_WIDTH_PX = 320
+"""Wider images are halved until they are not; all lengths below are of the reduced image."""
 
-CORNERS_A_CELL = 6
-LEAST_CORNER = 1.5
-CORNERS_APART_PX = 6
-"""How many corners of each cell are followed, how much the picture changes about them at least,
-along either axis, as a root mean square [levels a pixel], and how far apart they are."""
+MAX_CORNERS_PER_CELL = 6
+MIN_CORNER_STRENGTH = 1.5
+MIN_CORNER_DISTANCE_PX = 6
+"""Greatest number of corners in a cell, their least strength, the root mean square gradient along
+the weaker axis [levels a pixel], and their least distance."""
 
 NEAR_PX = 2
-"""A reference point is a corner if there is one this near to it."""
+"""Greatest distance of a corner from a reference point that it represents."""
 
 WINDOW_PX = 11
 LEVELS = 3
-"""Side of the window that is followed, and how often the picture is halved again for that."""
+"""Side of the optical flow's window, and number of its further pyramid levels."""
 
-RETURNS_PX = 0.3
-"""A corner that is followed there and back ends this near to where it began, or is lost."""
+MAX_ROUND_TRIP_PX = 0.3
+"""Greatest error of a corner tracked forwards and backwards, beyond which it is lost."""
 
 CELLS = (4, 3)
-"""Columns and rows of the picture that have a vote each; so has each reference point."""
+"""Columns and rows of the cells that give one sample each; each reference point gives one, too."""
 
-LEAST_CORNERS = 2
-"""Corners that a cell needs for its vote."""
+MIN_CORNERS = 2
+"""Least number of tracked corners in a sampled cell."""
 
-LEAST_VOTES = 7
-LEAST_OTHERS = 5
-LEAST_REFERENCES = 3
-"""Votes without which nothing is told, unless there are those of so many reference points: a hand
-and its arm have fewer; and votes without those of a hand that is known."""
+MIN_SAMPLES = 7
+MIN_SAMPLES_BESIDE_HAND = 5
+MIN_REFERENCES = 3
+"""Least numbers of samples for a decision: a hand and its arm give fewer; the same where the region
+of the hand is known and excluded; least number of reference points, which suffices alone."""
 
-LEAST_SHARE = 0.75
-"""Part of the votes that must agree on one motion: a shift, a turn and a change of scale."""
+MIN_INLIER_SHARE = 0.75
+"""Least share of samples that are inliers of one similarity."""
 
-STANDS_PX = 0.12
-STANDING_SHARE = 0.5
-"""A vote stands still that is no further from where it was; a camera has not moved if such are
-more than this part of all votes: they would agree as well on a small motion of whatever else."""
+STATIC_PX = 0.12
+MIN_STATIC_SHARE = 0.5
+"""Greatest motion of a static sample, and the share of static samples above which the camera has
+not moved: they would also be inliers of a small motion of something else."""
 
-AGREES_PX = 0.75
-AGREES_PART = 0.1
-"""Votes agree that are off it by no more, or by no more than this part of their middle motion."""
+INLIER_PX = 0.75
+INLIER_PART = 0.1
+"""Greatest residual of an inlier: absolute, or as a part of the median motion."""
 
 MOVED_PX = 0.75
 STILL_PX = 0.3
-"""A plane that has moved by more, on average, is followed until it has moved by less [px of the
-whole picture]."""
+"""Mean motion above which the plane is registered, until it is below the second value [px of the
+full image]."""
 
 ADRIFT_PX = 2.0
-"""Less motion is hardly more than what reference points are uncertain by: a camera that has moved
-by no more is not adrift."""
+"""Least motion of a camera that is adrift: below, it is comparable to the uncertainty of the
+reference points."""
 
-MET_PX = 1.5
-MET_SHARE = 0.7
-"""A plane is where the corners say if this part of them are so near to where it puts them."""
+CONSISTENT_PX = 1.5
+MIN_CONSISTENT_SHARE = 0.7
+"""A registration is consistent if this share of the samples is within this distance of it."""
 
 FIRST_FRAMES = 10
-"""A hand that is followed after so few frames was there in the first one."""
+"""Number of frames within which a followed hand was present in the first one."""
 
-FIRST_UNLIKE_PX = 0.3
-UNLIKE = 1.5
-UNLIKE_PX = 0.2
-"""A picture is looked at, too, that seems to be off the first one by so much more, in part and in
-pixels, than the last one whose turn it was; and by how much at first."""
+INITIAL_APPARENT_MOTION_PX = 0.3
+APPARENT_MOTION_FACTOR = 1.5
+APPARENT_MOTION_MARGIN_PX = 0.2
+"""A frame out of turn is tested if its apparent motion exceeds that of the last regular one by this
+factor and margin; and the initial value of the latter."""
 
 _Picture = NDArray[np.uint8]
 _Points = NDArray[np.float32]
 
 
 class ReferenceWatch:
-    """Watches whether a view's camera stands where it stood when the first frame was taken.
+    """Detects the motion of a view's camera since the first frame.
 
-    Large pictures are watched at a reduced size (`Reduction`).
+    Large images are tested at a reduced size (`Reduction`).
 
     Parameters
     ----------
     reference_points_px
         The view's N ≥ 4 reference points (u, v) [px].
     lens
-        The view's distortion, if it is known.
+        The view's distortion, if known.
     """
 
     def __init__(
@@ -123,10 +122,7 @@ class ReferenceWatch:
 
     @property
     def moved_px(self) -> float:
-        """How far what stands on the table has moved in the picture [px].
-
-        On average, by the last look that could tell; 0 while the camera keeps still.
-        """
+        """Mean motion of the corners in the image, by the last decision [px]; 0 if static."""
         return self._reduction.factor * self._watch.moved_px
 
     @property
@@ -136,22 +132,19 @@ class ReferenceWatch:
 
     @property
     def motion(self) -> PlaneMotion | None:
-        """How the plane has moved in the picture since the first frame.
-
-        None while the camera keeps still, and where it cannot be told.
-        """
+        """Motion of the plane since the first frame; None if static, or if unknown."""
         motion = self._watch.motion
         if motion is None or self._reduction.factor == 1:
             return motion
         return motion.scaled(self._reduction.whole_from_reduced)
 
     def plane_view(self, still: PlaneView) -> PlaneView | None:
-        """Return how the view sees the plane; None while that is not known.
+        """Return the view's homography; None while unknown.
 
         Parameters
         ----------
         still
-            How the first frame has shown it.
+            That of the first frame.
         """
         if self.is_adrift:
             return None
@@ -166,16 +159,16 @@ class ReferenceWatch:
     ) -> None:
         """Take the next frame.
 
-        One in `LOOK_EVERY` is looked at, one that is unlike the first one, and every one once the
-        camera has moved. Where too little is seen to tell, as on a table without texture, nothing
-        changes. Pictures of another size than the first one begin anew.
+        Tested are one frame in `TEST_EVERY`, frames with a large apparent motion, and every frame
+        once the camera has moved. With too few samples, as on a table without texture, nothing
+        changes. A frame of another size restarts the test.
 
         Parameters
         ----------
         grey
             (H, W) Its grey levels.
         hand
-            Where a hand was in the frame before, if one is followed: it moves no camera.
+            Region of a followed hand in the previous frame: excluded.
         picture
             The same frame with its colours, which are not needed here.
         """
@@ -193,7 +186,7 @@ class ReferenceWatch:
 
 
 class _Watch:
-    """Watches pictures of one size, none of them large.
+    """The test for images of one size, not above `LARGEST_PX`.
 
     Attributes
     ----------
@@ -226,11 +219,11 @@ class _Watch:
             self._compare(grey, hand)
 
     def _begin(self, grey: _Picture) -> None:
-        """Find the corners of the first picture, the reference points before all others."""
+        """Find the corners of the first image, those of reference points first."""
         self._has_begun, self._halves = True, _halves(grey)
         self._first = _halved(grey, self._halves).copy()
         self._whole_px = grey.shape[1] / self._first.shape[1]
-        self._frames, self._unlike_px = 0, FIRST_UNLIKE_PX
+        self._frames, self._apparent_motion_px = 0, INITIAL_APPARENT_MOTION_PX
         self._registration = PlaneRegistration(grey, self._reference_points_px, self._lens)
         self._rest()
         strength = _corner_strength(self._first)
@@ -243,68 +236,71 @@ class _Watch:
         self._cells = self._sorted_into_cells()
 
     def _rest(self) -> None:
-        """Take the camera for one that keeps still."""
+        """Set the camera to static."""
         self.moved_px, self.motion = 0.0, None
         self._now_from_first, self._further = np.eye(3), np.eye(3)
 
     def _forget(self, hand: Segment) -> None:
-        """Leave out what the first picture shows of a hand that has been there from the start."""
+        """Exclude a hand that was present in the first image."""
         self._knows_hand = True
         self._is_hand = is_within(hand, self._whole(self._corners_px))
         self._registration.forget(hand)
 
     def _is_due(self, grey: _Picture) -> bool:
-        """Tell whether a picture is to be looked at."""
+        """Whether a frame is to be tested."""
         if self.moved_px > 0.0:
             return True
-        unlike_px = self._registration.unlike_px(grey)
-        is_unlike = unlike_px > UNLIKE * self._unlike_px + UNLIKE_PX
-        is_its_turn = self._frames % LOOK_EVERY == 0
+        apparent_motion_px = self._registration.apparent_motion_px(grey)
+        is_unlike = (
+            apparent_motion_px
+            > APPARENT_MOTION_FACTOR * self._apparent_motion_px + APPARENT_MOTION_MARGIN_PX
+        )
+        is_its_turn = self._frames % TEST_EVERY == 0
         if is_its_turn:
-            self._unlike_px = unlike_px
+            self._apparent_motion_px = apparent_motion_px
         return is_its_turn or is_unlike
 
     def _compare(self, grey: _Picture, hand: Segment | None) -> None:
-        """Follow the corners from the first picture to this one, and let them vote."""
+        """Track the corners from the first image to this one, and decide by their samples."""
         if self.motion is not None:
             self._last_px = self._shown(self._corners_px, self._further @ self._now_from_first)
         here_px, is_sure = self._followed(_halved(grey, self._halves))
         is_sure &= ~self._is_hand
         if hand is not None:
             is_sure &= ~is_within(hand, self._whole(here_px))
-        from_px, to_px = self._votes(here_px, is_sure)
+        from_px, to_px = self._samples(here_px, is_sure)
         references = int(is_sure[: self._references].sum())
-        least = LEAST_VOTES if hand is None else LEAST_OTHERS
-        is_told = len(from_px) >= least or references >= LEAST_REFERENCES
-        if is_told and _stand_still(from_px, to_px):
+        least = MIN_SAMPLES if hand is None else MIN_SAMPLES_BESIDE_HAND
+        is_sufficient = len(from_px) >= least or references >= MIN_REFERENCES
+        if is_sufficient and _are_static(from_px, to_px):
             self._rest()
             return
-        gone = self._agreed(from_px, to_px) if is_told else None
+        gone = self._estimated_step(from_px, to_px) if is_sufficient else None
         if self.moved_px == 0.0:
             return
         before = self._now_from_first
-        if gone is not None and self.motion is None and self._stands(grey, gone @ before, hand):
+        if gone is not None and self.motion is None and self._is_static(grey, gone @ before, hand):
             self._rest()
             return
         guesses = [] if gone is None else [gone @ before]
         guesses += [self._further @ before, before]
-        self._register(grey, hand, guesses, (from_px, to_px) if is_told else None)
+        self._register(grey, hand, guesses, (from_px, to_px) if is_sufficient else None)
 
-    def _stands(self, grey: _Picture, guess: NDArray[np.float64], hand: Segment | None) -> bool:
-        """Tell whether it is not the plane that has moved, but something with many corners."""
-        return self._registration.stands(grey, guess / guess[2, 2], hand)
+    def _is_static(self, grey: _Picture, guess: NDArray[np.float64], hand: Segment | None) -> bool:
+        """Whether the plane is static and an object with many corners has moved."""
+        return self._registration.is_static(grey, guess / guess[2, 2], hand)
 
     def _followed(self, now: _Picture) -> tuple[_Points, NDArray[np.bool_]]:
-        """Return where the corners of the first picture are now, and which of them surely so."""
+        """Return the corners' present positions, and which of them are reliable."""
         here_px, is_seen = _flow(self._first, now, self._corners_px, self._last_px)
         back_px, is_back = _flow(now, self._first, here_px, self._corners_px)
-        returns = np.linalg.norm(back_px - self._corners_px, axis=1) < RETURNS_PX
+        returns = np.linalg.norm(back_px - self._corners_px, axis=1) < MAX_ROUND_TRIP_PX
         is_sure = is_seen & is_back & returns
         self._last_px = np.where(is_sure[:, None], here_px, self._last_px)
         return here_px, is_sure
 
-    def _agreed(self, from_px: _Points, to_px: _Points) -> NDArray[np.float64] | None:
-        """Return the homography by which votes have gone on since the last look, if they agree."""
+    def _estimated_step(self, from_px: _Points, to_px: _Points) -> NDArray[np.float64] | None:
+        """Return the similarity of the samples' motion since the last frame, if they agree."""
         import cv2
 
         away_px = float(np.median(np.linalg.norm(to_px - from_px, axis=1)))
@@ -313,11 +309,11 @@ class _Watch:
             expected_px,
             to_px,
             method=cv2.RANSAC,
-            ransacReprojThreshold=max(AGREES_PX, AGREES_PART * away_px),
+            ransacReprojThreshold=max(INLIER_PX, INLIER_PART * away_px),
         )
-        if gone is None or np.mean(agrees) < LEAST_SHARE:
+        if gone is None or np.mean(agrees) < MIN_INLIER_SHARE:
             return None
-        # Not of the reference points, which may lie far outside of the picture.
+        # Not by the reference points, which may lie far outside the image.
         there_px = expected_px @ gone[:, :2].T + gone[:, 2]
         moved_px = self._whole_px * float(np.mean(np.linalg.norm(there_px - from_px, axis=1)))
         if self.motion is None:
@@ -332,9 +328,9 @@ class _Watch:
         grey: _Picture,
         hand: Segment | None,
         guesses: Sequence[NDArray[np.float64]],
-        votes: tuple[_Points, _Points] | None,
+        samples: tuple[_Points, _Points] | None,
     ) -> None:
-        """Follow the plane from the first guess that leads to where the votes are, if any."""
+        """Register the plane from the first guess whose result agrees with the samples, if any."""
         before, was_followed = self._now_from_first, self.motion is not None
         self.motion = None
         for guess in guesses:
@@ -345,15 +341,15 @@ class _Watch:
             if moved_px < STILL_PX:
                 self._rest()
                 return
-            is_backed = was_followed if votes is None else self._meets(motion, *votes)
+            is_backed = was_followed if samples is None else self._is_consistent(motion, *samples)
             if is_backed:
                 self.motion, self.moved_px = motion, moved_px
                 self._now_from_first = motion.now_from_first
-                self._further = self._gone(before) if was_followed else np.eye(3)
+                self._further = self._similarity_step(before) if was_followed else np.eye(3)
                 return
 
-    def _gone(self, before: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the shift, turn and change of scale by which the corners have gone on."""
+    def _similarity_step(self, before: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the similarity of the corners' motion since the last frame."""
         from_px = self._whole(self._shown(self._corners_px, before)) @ [1.0, 1j]
         to_px = self._whole(self._shown(self._corners_px, self._now_from_first)) @ [1.0, 1j]
         about = from_px - from_px.mean()
@@ -368,21 +364,21 @@ class _Watch:
         )
 
     def _moved_px(self, motion: PlaneMotion) -> float:
-        """Return how far a motion takes corners, on average [px of the whole picture]."""
+        """Return the mean motion of the corners [px of the full image]."""
         off_px = self._shown(self._corners_px, motion.now_from_first) - self._corners_px
         return self._whole_px * float(np.mean(np.linalg.norm(off_px, axis=1)))
 
-    def _meets(self, motion: PlaneMotion, from_px: _Points, to_px: _Points) -> bool:
-        """Tell whether a motion takes most votes to where they are."""
+    def _is_consistent(self, motion: PlaneMotion, from_px: _Points, to_px: _Points) -> bool:
+        """Whether a motion agrees with most samples."""
         off_px = np.linalg.norm(self._shown(from_px, motion.now_from_first) - to_px, axis=1)
-        return bool(np.mean(off_px < MET_PX) >= MET_SHARE)
+        return bool(np.mean(off_px < CONSISTENT_PX) >= MIN_CONSISTENT_SHARE)
 
     def _whole(self, half_px: _Points) -> NDArray[np.float64]:
-        """Return where points of the halved picture are in the whole one [px]."""
+        """Return points of the reduced image in pixels of the full one."""
         return np.asarray((half_px.astype(np.float64) + 0.5) * self._whole_px - 0.5)
 
     def _shown(self, from_px: _Points, now_from_first: NDArray[np.float64]) -> _Points:
-        """Return where a motion takes points of the first picture; both halved [px]."""
+        """Transfer points of the first image by a motion; both in pixels of the reduced image."""
         px = self._whole(from_px)
         px = px if self._lens is None else self._lens.undistort(px)
         y = np.column_stack([px, np.ones(len(px))]) @ now_from_first.T
@@ -391,45 +387,44 @@ class _Watch:
         return np.asarray((px + 0.5) / self._whole_px - 0.5, np.float32)
 
     def _sorted_into_cells(self) -> list[NDArray[np.intp]]:
-        """Return which corners are in each cell of the picture, but for the reference points."""
+        """Return the indices of each cell's corners, reference points excluded."""
         cell = _cell_of(self._corners_px, self._first.shape)
         cell[: self._references] = -1
         return [np.flatnonzero(cell == c) for c in range(CELLS[0] * CELLS[1])]
 
-    def _votes(self, here_px: _Points, is_sure: NDArray[np.bool_]) -> tuple[_Points, _Points]:
-        """Return (M, 2) where voters were and are: reference points, and a corner for each cell.
+    def _samples(self, here_px: _Points, is_sure: NDArray[np.bool_]) -> tuple[_Points, _Points]:
+        """Return first and present positions (M, 2) of reference points, and of one corner a cell.
 
-        Of those that were followed, and of cells with corners enough; theirs is the one that has
-        moved as most of them have.
+        A cell with at least `MIN_CORNERS` gives the corner nearest to its median motion.
         """
-        voters = list(np.flatnonzero(is_sure[: self._references]))
+        chosen = list(np.flatnonzero(is_sure[: self._references]))
         for corners in self._cells:
             corners = corners[is_sure[corners]]
-            if len(corners) >= LEAST_CORNERS:
+            if len(corners) >= MIN_CORNERS:
                 moved_px = here_px[corners] - self._corners_px[corners]
                 off_px = np.linalg.norm(moved_px - np.median(moved_px, axis=0), axis=1)
-                voters.append(corners[np.argmin(off_px)])
-        return self._corners_px[voters], here_px[voters]
+                chosen.append(corners[np.argmin(off_px)])
+        return self._corners_px[chosen], here_px[chosen]
 
 
-def _stand_still(from_px: _Points, to_px: _Points) -> bool:
-    """Tell whether most votes are where they were."""
-    stands = np.linalg.norm(to_px - from_px, axis=1) <= STANDS_PX
-    return bool(np.mean(stands) > STANDING_SHARE)
+def _are_static(from_px: _Points, to_px: _Points) -> bool:
+    """Whether most samples are static."""
+    is_static = np.linalg.norm(to_px - from_px, axis=1) <= STATIC_PX
+    return bool(np.mean(is_static) > MIN_STATIC_SHARE)
 
 
 def _halves(grey: _Picture) -> list[_Picture]:
-    """Return room for a picture and its halves, down to one that is no wider than `WIDEST_PX`."""
+    """Allocate the pyramid of an image, down to a width of `MAX_WIDTH_PX`."""
     halves: list[_Picture] = []
     height, width = grey.shape
-    while width > WIDEST_PX:
+    while width > MAX_WIDTH_PX:
         height, width = max(height // 2, 1), width // 2
         halves.append(np.empty((height, width), np.uint8))
     return halves
 
 
 def _halved(grey: _Picture, halves: list[_Picture]) -> _Picture:
-    """Return the last half of a picture, in the room for it; itself if it has none."""
+    """Return the coarsest level of an image's pyramid, in the given arrays."""
     import cv2
 
     for half in halves:
@@ -439,9 +434,9 @@ def _halved(grey: _Picture, halves: list[_Picture]) -> _Picture:
 
 
 def _corner_strength(picture: _Picture) -> NDArray[np.float32]:
-    """Return how much a picture changes about each place along the axis along which it does least.
+    """Return the root of the smaller eigenvalue of the structure tensor (Shi & Tomasi 1994).
 
-    As a root mean square [levels a pixel] (Shi & Tomasi 1994).
+    A root mean square gradient [levels a pixel].
     """
     import cv2
 
@@ -451,34 +446,34 @@ def _corner_strength(picture: _Picture) -> NDArray[np.float32]:
 
 
 def _strongest_corners(strength: NDArray[np.float32]) -> _Points:
-    """Return the strongest corners of each cell of a picture [px]."""
+    """Return the strongest corners of each cell of an image [px]."""
     import cv2
 
-    about = np.ones((2 * CORNERS_APART_PX + 1,) * 2, np.uint8)
-    is_corner = (strength >= LEAST_CORNER) & (strength == cv2.dilate(strength, about))
+    about = np.ones((2 * MIN_CORNER_DISTANCE_PX + 1,) * 2, np.uint8)
+    is_corner = (strength >= MIN_CORNER_STRENGTH) & (strength == cv2.dilate(strength, about))
     row, column = np.nonzero(is_corner)
     order = np.argsort(-strength[row, column], kind="stable")
     corners = np.stack([column, row], axis=1)[order].astype(np.float32)
     cell = _cell_of(corners, strength.shape)
-    best = [np.flatnonzero(cell == c)[:CORNERS_A_CELL] for c in range(CELLS[0] * CELLS[1])]
+    best = [np.flatnonzero(cell == c)[:MAX_CORNERS_PER_CELL] for c in range(CELLS[0] * CELLS[1])]
     return corners[np.concatenate(best)]
 
 
 def _cell_of(corners_px: _Points, shape: tuple[int, ...]) -> NDArray[np.intp]:
-    """Return the cell of a picture in which each corner lies."""
+    """Return the cell of each corner."""
     column, row = np.clip(corners_px / np.array(shape[::-1]) * CELLS, 0, np.array(CELLS) - 1).T
     return np.asarray(column.astype(int) + CELLS[0] * row.astype(int), np.intp)
 
 
 def _corners_near(points_px: NDArray[np.float64], strength: NDArray[np.float32]) -> _Points:
-    """Return those of some points that are corners, each where it is strongest [px]."""
+    """Return the strongest corners near given points, for points that have one [px]."""
     size_px = np.array(strength.shape[::-1])
     in_picture = ((points_px >= 0.0) & (points_px <= size_px - 1)).all(axis=1)
     corners = []
     for u, v in np.round(points_px[in_picture]).astype(int):
         left, top = max(u - NEAR_PX, 0), max(v - NEAR_PX, 0)
         about = strength[top : v + NEAR_PX + 1, left : u + NEAR_PX + 1]
-        if float(about.max()) >= LEAST_CORNER:
+        if float(about.max()) >= MIN_CORNER_STRENGTH:
             row, column = np.unravel_index(int(np.argmax(about)), about.shape)
             corners.append((left + column, top + row))
     return np.array(corners, np.float32).reshape(-1, 2)
@@ -487,7 +482,7 @@ def _corners_near(points_px: NDArray[np.float64], strength: NDArray[np.float32])
 def _flow(
     before: _Picture, after: _Picture, corners_px: _Points, guess_px: _Points
 ) -> tuple[_Points, NDArray[np.bool_]]:
-    """Return where corners of one picture are in another, and which of them were found."""
+    """Track corners from one image to another; return positions and which were found."""
     import cv2
 
     there_px, found, _ = cv2.calcOpticalFlowPyrLK(

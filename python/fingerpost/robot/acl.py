@@ -2,7 +2,7 @@
 
 Facts from the ACL Reference Guide for Controller-A (Eshed Robotec, catalogue number 100083) and
 from public programs that talk to it. In DIRECT mode the controller echoes what it is sent (unless
-told not to), carries a command out at its CR and ends the answer with a line that holds only the
+switched off), carries a command out at its CR and ends the answer with a line that holds only the
 prompt `>`. Spacing and case of answers vary, long listings stop at `Type <cr>`, and an error is a
 line that begins with `***`, at any time.
 
@@ -221,7 +221,7 @@ class Conversation:
 
         Empty lines get the controller out of a question (`X --[200] >`) or a half-read listing; if
         it stays silent, `CLRCOM` frees a port that an XOFF has stopped. It is also found out
-        whether it echoes; one that does not is told to.
+        whether it echoes; one that does not is switched to it.
         """
         disturbances = self._disturbances
         if self._synchronous_since == disturbances:
@@ -310,16 +310,16 @@ class Conversation:
         self._raise_unasked(_text(self._line.drain()))
         self._synchronous_since = 0
         send(command.encode("ascii") + b"\r")
-        text, told, last_told_s = "", 0, self._clock()
+        text, reported, last_reported_s = "", 0, self._clock()
         while True:
             check()
             text += _text(self._line.receive())
-            while (newline := text.find("\n", told)) >= 0:
-                on_line(text[told:newline].strip())
-                told, last_told_s = newline + 1, self._clock()
-            if self._clock() - last_told_s >= 1.0:
+            while (newline := text.find("\n", reported)) >= 0:
+                on_line(text[reported:newline].strip())
+                reported, last_reported_s = newline + 1, self._clock()
+            if self._clock() - last_reported_s >= 1.0:
                 on_line("")
-                last_told_s = self._clock()
+                last_reported_s = self._clock()
             for error in find_errors(text):
                 if not ends.search(f"*** {error.text}\n"):
                     raise error.exception()

@@ -1,6 +1,6 @@
 """The bookkeeping of every driver: order, readiness, arrival, and a stop that nothing delays.
 
-A driver says how its controller opens, homes, starts a move, tells its pose and stops; `Arm` says
+A driver says how its controller opens, homes, starts a move, reports its pose and stops; `Arm` says
 when it may. Three rules hold for all of them:
 
 * A command counts the stops made before it came. If the count has changed when its turn comes, it
@@ -467,7 +467,7 @@ class Arm(ABC):
 
     @contextmanager
     def _explaining(self) -> Iterator[None]:
-        """Add what else is known to an error that tells only what has not happened."""
+        """Add what else is known to an error that names only what has not happened."""
         try:
             yield
         except (RobotTimeoutError, GarbledReplyError, NotArrivedError) as error:

@@ -1,7 +1,7 @@
 """Arms that speak G-code on a serial line: uArm, DexArm, and whatever runs Marlin.
 
 They share the words (`G1 X Y Z F`, millimetres) and differ in the rest: a `Dialect` says how an arm
-homes, tells where it is and stops, and a `Dialogue` how lines are numbered and answered.
+homes, reports its position and stops, and a `Dialogue` how lines are numbered and answered.
 """
 
 from __future__ import annotations

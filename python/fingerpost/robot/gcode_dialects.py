@@ -1,7 +1,7 @@
 """What the families of G-code arms do each in its own way; how they are talked to is elsewhere.
 
-* Marlin: any machine whose axes are X, Y and Z, or that says so. `M114` tells where it is *going*,
-  so it is asked only after `M400`, which answers when all motion has ended. `M410` stops the motors
+* Marlin: any machine whose axes are X, Y and Z, or that says so. `M114` reports the *goal*, so it
+  is asked only after `M400`, which answers when all motion has ended. `M410` stops the motors
   without slowing them down; they may slip, so positions mean nothing until the next homing. Boards
   built with `EMERGENCY_PARSER` (`M115` says so) look for it in the stream, ahead of all queues.
 * Rotrics' DexArm: a Marlin with absolute encoders, which it reads again after `M410`.
@@ -42,7 +42,7 @@ FIRST_STOPPABLE_UARM = 4
 
 
 class Numbering(StrEnum):
-    """How lines are numbered and answers told apart."""
+    """How lines are numbered and answers distinguished."""
 
     CHECKSUM = "checksum"
     """`N7 G1 X10*92`, answered by `ok`."""
@@ -72,7 +72,7 @@ class Firmware:
     Attributes
     ----------
     name : str
-        Its name and version, as far as it tells.
+        Its name and version, as far as it reports them.
     stops_at_once : bool
         A stop passes every queue. Otherwise it waits for whatever keeps the controller from
         reading: homing, `M400`, a move that is longer than its planner's buffer.
@@ -91,7 +91,7 @@ class Stroke:
 
 
 class FeedRule(Protocol):
-    """How a controller is told a speed."""
+    """How a speed is sent to a controller."""
 
     def stroke(
         self, start_mm: NDArray[np.float64], goal_mm: NDArray[np.float64], speed_mm_s: float
@@ -195,7 +195,7 @@ class Dialect:
     Attributes
     ----------
     numbering : Numbering
-        How lines are numbered and answers told apart.
+        How lines are numbered and answers distinguished.
     baud : int
         Usual bits per second.
     reply_s : float
@@ -211,7 +211,7 @@ class Dialect:
     straight : str
         Goes straight to `X… Y… Z…`.
     drain : str or None
-        Answered when all motion has ended; needed where `where` tells a goal rather than a place.
+        Answered when all motion has ended; needed where `where` reports a goal.
     stop : bytes
         Stops at once, in the middle of anything.
     after_stop : tuple of str
@@ -219,7 +219,7 @@ class Dialect:
     slips : str
         Why positions mean nothing after a stop in the middle of a motion; empty where they do.
     feed : FeedRule
-        How it is told a speed.
+        How a speed is sent to it.
     tools : mapping of Tool to Grip
         What it can hold things with, the usual first.
     limits : Limits or None

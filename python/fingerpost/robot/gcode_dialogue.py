@@ -115,7 +115,7 @@ class Request:
 
 
 @dataclass(slots=True)
-class _Heard:
+class _Answer:
     """What has come of an answer: its lines, what was refused, and which line is wanted again."""
 
     lines: list[str] = field(default_factory=list)
@@ -254,8 +254,8 @@ class Dialogue(ABC):
             if data := self._line.receive():
                 self._text += data.decode("latin-1")
                 quiet_s = self._clock() + self._quiet_s
-        heard, self._text = self._text, ""
-        for line in heard.splitlines():
+        answer, self._text = self._text, ""
+        for line in answer.splitlines():
             _need_no_restart(line.strip())
 
     def _next_line(self, check: Callable[[], None]) -> str:
@@ -277,8 +277,8 @@ class Dialogue(ABC):
             self.remarks.append(line)
 
     def _silence(self, command: str, limit_s: float) -> RobotTimeoutError:
-        heard = f"; the last line was {self._last_heard!r}" if self._last_heard else ""
-        return RobotTimeoutError(f"{command}: no answer within {limit_s:g} s{heard}")
+        last = f"; the last line was {self._last_heard!r}" if self._last_heard else ""
+        return RobotTimeoutError(f"{command}: no answer within {limit_s:g} s{last}")
 
 
 class ChecksumDialogue(Dialogue):
@@ -322,7 +322,7 @@ class ChecksumDialogue(Dialogue):
         return answer
 
     def _falls_in_step(self, check: Callable[[], None]) -> bool:
-        """Begin to count lines anew; whether each `ok` belongs to its line, a position tells."""
+        """Restart the line numbers; a position shows whether each `ok` belongs to its line."""
         self._number = -1
         try:
             self._exchange(Request(command="M110 N0", check=check, send=self._line.send))
@@ -344,7 +344,7 @@ class ChecksumDialogue(Dialogue):
 
     def _answer(self, request: Request) -> str | None:
         """Wait for `ok`; None when the controller asks for the line again."""
-        heard = _Heard()
+        answer = _Answer()
         end_s = self._clock() + self._reply_s + request.extra_s
         while self._clock() < end_s:
             line = self._next_line(request.check)
@@ -353,45 +353,45 @@ class ChecksumDialogue(Dialogue):
             request.on_line(line)
             if ok := _OK.match(line):
                 if ok[1] and int(ok[1]) != self._number:
-                    continue  # it tells which line it answers: another
-                self._bare_resends &= heard.wanted is None
-                heard.lines.append(line[2:])
-                return self._outcome(request, heard)
+                    continue  # it names the line it answers: another
+                self._bare_resends &= answer.wanted is None
+                answer.lines.append(line[2:])
+                return self._outcome(request, answer)
             if _BUSY.match(line):
                 end_s = max(end_s, self._clock() + self._reply_s)
-            elif self._objects(line, request, heard):
+            elif self._objects(line, request, answer):
                 end_s = self._clock() + self._quiet_s  # an ok may follow, or nothing
             else:
                 self._notice(line)
-                heard.lines.append(line)
-        if heard.wanted is not None:
+                answer.lines.append(line)
+        if answer.wanted is not None:
             self._spare_ok |= not self._bare_resends
             self._bare_resends = True
-        elif not heard.errors:
+        elif not answer.errors:
             raise self._silence(request.command, self._reply_s + request.extra_s)
-        return self._outcome(request, heard)
+        return self._outcome(request, answer)
 
-    def _objects(self, line: str, request: Request, heard: _Heard) -> bool:
+    def _objects(self, line: str, request: Request, answer: _Answer) -> bool:
         """Note a line that asks for a line again or refuses the command; False for any other."""
         if again := _RESEND.match(line):
-            heard.wanted = int(again[1])
+            answer.wanted = int(again[1])
         elif again := _LAST_LINE.search(line):
-            heard.wanted = int(again[1]) + 1
+            answer.wanted = int(again[1]) + 1
         elif self._is_of_another_line(line, request.command):
-            heard.wanted = self._number  # noise has spoilt even its number
+            answer.wanted = self._number  # noise has spoilt even its number
         elif _is_refusal(line, request):
-            heard.errors.append(line)
+            answer.errors.append(line)
         else:
             return False
         return True
 
-    def _outcome(self, request: Request, heard: _Heard) -> str | None:
+    def _outcome(self, request: Request, answer: _Answer) -> str | None:
         """Return what a whole answer says, None if it asks for the line again, or raise."""
-        if heard.wanted is not None:
-            return None if self._wants_again(heard.wanted) else "\n".join(heard.lines)
-        if heard.errors:
-            raise _refusal(request.command, "; ".join(heard.errors))
-        return "\n".join(heard.lines)
+        if answer.wanted is not None:
+            return None if self._wants_again(answer.wanted) else "\n".join(answer.lines)
+        if answer.errors:
+            raise _refusal(request.command, "; ".join(answer.errors))
+        return "\n".join(answer.lines)
 
     def _is_of_another_line(self, line: str, command: str) -> bool:
         """Whether a controller does not know a command that is not the one that was sent."""

@@ -279,7 +279,7 @@ class Guard:
         Raises
         ------
         RobotError
-            It cannot be read; a silent robot has been told to stop, and the guard is disarmed.
+            It cannot be read; a silent robot has been sent a stop, and the guard is disarmed.
         """
         with self._halting("reading the pose"):
             pose = self._robot.pose()

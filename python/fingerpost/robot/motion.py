@@ -99,7 +99,7 @@ class _Run:
 
 @dataclass(frozen=True, slots=True)
 class _Plan:
-    """Where an arm rests before its runs, and these; the last one tells where it will end."""
+    """Where an arm rests before its runs, and these; the last one determines where it will end."""
 
     rest: Vector
     runs: tuple[_Run, ...] = ()

@@ -1,8 +1,8 @@
 """Options that keep to their ranges, whoever makes them.
 
 The range of every option stands once, in the annotation of its field. `msgspec` reads it when it
-converts text; a struct's constructor does not, so `CheckedOptions` does: nothing is told apart by
-where an option comes from, a command line, a URL, or a program.
+converts text; a struct's constructor does not, so `CheckedOptions` does: the origin of an
+option makes no difference, be it a command line, a URL, or a program.
 """
 
 from __future__ import annotations

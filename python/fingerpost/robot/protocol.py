@@ -112,7 +112,7 @@ class Pose:
 
 
 class GripperKind(StrEnum):
-    """What a gripper can be told."""
+    """Commands of a gripper."""
 
     NONE = "none"
     OPEN_CLOSE = "open_close"
@@ -143,7 +143,7 @@ class Limits:
     angles : frozenset of Angle
         The angles this arm can set; a pose that gives another is refused.
     gripper : GripperKind
-        What the gripper can be told.
+        Commands of the gripper.
     gripper_opening_m : float, optional
         Widest opening [m]; needed for `GripperKind.WIDTH`.
 
@@ -262,7 +262,7 @@ class Limits:
 
 
 class RobotState(StrEnum):
-    """What the robot is doing, as far as its last answer tells."""
+    """What the robot is doing, by its last answer."""
 
     DISCONNECTED = "disconnected"
     NOT_HOMED = "not_homed"
@@ -316,7 +316,7 @@ HomingCallback: TypeAlias = Callable[[HomingProgress], None]
 
 @runtime_checkable
 class Robot(Protocol):
-    """A robot that goes where it is told.
+    """A robot that moves to commanded poses.
 
     Every method but `stop`, `status` and `limits` may wait for the controller, and every wait
     ends: with the answer, or with a `RobotError` within its time-out. Methods may be called from

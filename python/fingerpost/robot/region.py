@@ -11,7 +11,7 @@ from fingerpost.checks import finite_array, in_range
 from fingerpost.errors import InvalidInputError
 
 FURTHEST = 1e9
-"""A table's coordinates are smaller in any unit; much greater ones overflow when areas are told."""
+"""A table's coordinates are smaller in any unit; much greater ones overflow in areas."""
 
 # A corner that turns by less than this share of its sides is not a corner but rounding.
 FLAT_SHARE = 1e-9

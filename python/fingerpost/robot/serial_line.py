@@ -317,7 +317,7 @@ class SerialLine:
         with self._translated():
             data: bytes = self._port.read(1)
         if data:
-            self._hear(data)
+            self._note_received(data)
             data += self.drain()
         return data
 
@@ -334,10 +334,10 @@ class SerialLine:
             while waiting := self._port.in_waiting:
                 data += self._port.read(waiting)
         if data:
-            self._hear(data)
+            self._note_received(data)
         return data
 
-    def _hear(self, data: bytes) -> None:
+    def _note_received(self, data: bytes) -> None:
         self._tap("in", data)
         if self._flow is Flow.XON_XOFF or self._held_back:
             return

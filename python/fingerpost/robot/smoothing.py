@@ -2,7 +2,7 @@
 
 A low-pass filter of first order whose cutoff rises with speed: still hands are smoothed hard,
 quick ones hardly. Here the speed is that of the point, not of each coordinate, so that the result
-does not depend on how the axes lie. Its price is delay, which `OneEuroFilter.lag_s` tells.
+does not depend on how the axes lie. Its price is delay, given by `OneEuroFilter.lag_s`.
 """
 
 from __future__ import annotations

@@ -192,7 +192,7 @@ class UniversalRobot(Arm):
     def _close(self) -> None:
         if self._kicking is not None:
             self._kicking.set()
-        with self._holding(SCRIPT_START_S):  # a part that is told something opens itself again
+        with self._holding(SCRIPT_START_S):  # a part that receives a command opens itself again
             parts = (self._control, self._receive, self._io)
             self._control = self._receive = self._io = self._kicking = None
             for part in parts:

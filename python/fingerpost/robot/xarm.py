@@ -1,6 +1,6 @@
 """UFACTORY xArm through its vendor's library `xarm-python-sdk` (extra `xarm`).
 
-The library speaks millimetres, and radians if told to; every call answers with a code, 0 when all
+The library speaks millimetres, and radians if asked to; every call answers with a code, 0 when all
 is well, and errors of the arm stay until they are cleaned. Moves are sent without waiting. State 4
 stops the arm and keeps it from moving until state 0.
 
@@ -324,7 +324,7 @@ class Xarm(Arm):
     def _await_gripper(self, api: Any, start: int, goal: int, turn: Turn) -> None:
         """Wait until the gripper is at its goal, or stands after it has moved.
 
-        One that holds something never gets to its goal, and does not move at all when it is told
+        One that holds something never gets to its goal, and does not move at all when commanded
         to close further. Nothing keeps it from opening, though, but a fault.
         """
         begin_s = since_s = self._clock()

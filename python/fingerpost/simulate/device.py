@@ -34,9 +34,9 @@ class Material:
     tint: Tint
 
 
-PAINT = Material(1.0, tint(0.97, 1.0, 1.0))
-SKIN = Material(1.0, tint(0.60, 0.74, 1.0))
-CLOTH = Material(-0.45, tint(1.0, 0.86, 0.78))
+PAINT_MATERIAL = Material(1.0, tint(0.97, 1.0, 1.0))
+HAND_MATERIAL = Material(1.0, tint(0.60, 0.74, 1.0))
+CLOTH_MATERIAL = Material(-0.45, tint(1.0, 0.86, 0.78))
 
 
 @dataclass(frozen=True)
@@ -117,13 +117,13 @@ class RodAndProng:
         """The device's shape: the rod, then the prong."""
         base, radius = (-self.length_mm, 0.0, 0.0), self.diameter_mm / 2
         tip_radius = radius * (1 - self.taper)
-        rod = Link(base, radius, (-tip_radius, 0.0, 0.0), tip_radius, PAINT)
+        rod = Link(base, radius, (-tip_radius, 0.0, 0.0), tip_radius, PAINT_MATERIAL)
         if self.prong_length_mm == 0:
             return Body((rod,), finger=0, thumb=None, root_mm=base)
         angle, prong_radius = math.radians(self.prong_angle_deg), self.prong_diameter_mm / 2
         reach = max(self.prong_length_mm - prong_radius, 0.0)
         end = (base[0] + reach * math.cos(angle), 0.0, reach * math.sin(angle))
-        prong = Link(base, min(prong_radius, radius), end, prong_radius, PAINT)
+        prong = Link(base, min(prong_radius, radius), end, prong_radius, PAINT_MATERIAL)
         return Body((rod, prong), finger=0, thumb=1, root_mm=base)
 
 
@@ -169,14 +169,14 @@ class Hand:
         length = self.finger_length_mm - tip_radius
         knuckle = (0.0, 0.0, 0.0)
         if self.bend_deg == 0:
-            return [Link(knuckle, knuckle_radius, (length, 0.0, 0.0), tip_radius, SKIN)]
+            return [Link(knuckle, knuckle_radius, (length, 0.0, 0.0), tip_radius, HAND_MATERIAL)]
         # The middle joint lies 45 % of the way to the tip.
         joint, joint_radius = (0.45 * length, 0.0, 0.0), knuckle_radius * (1 - 0.45 * self.taper)
         bend, rest = math.radians(self.bend_deg), 0.55 * length
         end = (joint[0] + rest * math.cos(bend), rest * math.sin(bend), 0.0)
         return [
-            Link(joint, joint_radius, end, tip_radius, SKIN),
-            Link(knuckle, knuckle_radius, joint, joint_radius, SKIN),
+            Link(joint, joint_radius, end, tip_radius, HAND_MATERIAL),
+            Link(knuckle, knuckle_radius, joint, joint_radius, HAND_MATERIAL),
         ]
 
     def _thumb(self) -> list[Link]:
@@ -218,12 +218,12 @@ class Hand:
         elbow = wrist + 340 * back
         links = _chain(((*elbow, 44), (*wrist, 26)))
         if self.sleeve:
-            links += _chain(((*elbow, 56), (*(wrist + 70 * back), 43)), CLOTH)
+            links += _chain(((*elbow, 56), (*(wrist + 70 * back), 43)), CLOTH_MATERIAL)
         return links
 
 
 def _chain(
-    spheres: tuple[tuple[float, float, float, float], ...], material: Material = SKIN
+    spheres: tuple[tuple[float, float, float, float], ...], material: Material = HAND_MATERIAL
 ) -> list[Link]:
     """Links between consecutive spheres (x, y, z, radius)."""
     return [

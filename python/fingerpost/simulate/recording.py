@@ -64,7 +64,7 @@ def write_recording(
     reference_noise_px
         Sigma of the reference points in the rig file, in u and in v [px], 0 to 20.
     with_lens
-        Whether the rig file tells the lens of views that distort.
+        Whether the rig file gives the lens of views that distort.
 
     Returns
     -------
@@ -75,7 +75,7 @@ def write_recording(
     ------
     InvalidInputError
         A value out of range, a start at a time when a view does not show the finger, or a video in
-        a folder whose name OpenCV cannot be told.
+        a folder whose name cannot be passed to OpenCV.
     OSError
         A file cannot be written; `CaptureError` for a video.
     """

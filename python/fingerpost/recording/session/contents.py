@@ -1,4 +1,4 @@
-"""What an MCAP file holds, told quickly where its index is there, and counted where it is not."""
+"""Contents of an MCAP file, read quickly from its index, or counted without one."""
 
 from __future__ import annotations
 

@@ -258,8 +258,8 @@ class Recorder:
             if view not in self._calibrated:
                 self._calibrated.add(view)
                 size_px = image.shape[1], image.shape[0]
-                told = calibration(view, time_ns, size_px, lens)
-                self._write_message(calibration_topic(view), told, log_ns, step)
+                camera = calibration(view, time_ns, size_px, lens)
+                self._write_message(calibration_topic(view), camera, log_ns, step)
             message = compressed_image(view, time_ns, data, kind)
             self._write_message(image_topic(view), message, log_ns, step)
         together = Together(
@@ -275,14 +275,14 @@ class Recorder:
                 self._write_json(track_topic(observed.view), TrackRow, track, log_ns, row.frame)
             if observed.frame is None or observed.plane_view is None:
                 continue
-            told = drawn_over(
+            message = drawn_over(
                 observed,
                 k,
                 self._time_ns(observed.frame),  # type: ignore[arg-type]
                 observed.plane_view,
                 observed.reduction.whole_from_reduced,
             )
-            self._write_message(annotations_topic(observed.view), told, log_ns, row.frame)
+            self._write_message(annotations_topic(observed.view), message, log_ns, row.frame)
         self._write_json(FIX_TOPIC, PointRow, row, log_ns, row.frame)
         plane_views = [observed.plane_view for observed in step.observations]
         if plane_views and plane_views[0] is not None:

@@ -1,4 +1,4 @@
-"""The file that a recording is written to: what is complete stays, and what happens to it is told.
+"""The file of a recording: complete data stay, and every failure is reported.
 
 `flush` hands what was written to the disk itself, so that a crash of the machine or a stick that is
 pulled costs what came since. Where writing fails, the file is cut to the last flush.
@@ -59,9 +59,11 @@ class RecordingStream:
         self._place += len(data)
         return len(data)
 
-    def tell(self) -> int:
-        """Return how many bytes were written."""
+    def position(self) -> int:
+        """Return the number of bytes written."""
         return self._place
+
+    tell = position  # by this name of Python's files, the MCAP writer asks
 
     def flush(self) -> None:
         """Have everything on the disk.

@@ -8,7 +8,7 @@ import numpy as np
 
 
 class Fault(StrEnum):
-    """A fault that an emulator can be told to have.
+    """A fault that an emulator can simulate.
 
     Those of the arm happen at once or with the next command that they concern; those of the line
     spoil the next transfer.

@@ -239,7 +239,7 @@ class MarlinController(GcodeController):
     resend_ok : bool
         Say `ok` after `Resend`, as versions before 2.0.8 do.
     slips : bool
-        The motors slip when `M410` stops them on their way, and nothing tells.
+        The motors slip when `M410` stops them on their way, and nothing reports it.
     """
 
     def __init__(
@@ -310,7 +310,7 @@ class MarlinController(GcodeController):
             self.homed = False
             self._say("Error:Printer halted. kill() called!")
         elif word == "M114":
-            x, y, z = self._arm.end  # where it is going, as Marlin tells it
+            x, y, z = self._arm.end  # where it is going, as Marlin reports it
             self._say(f"X:{x:.2f} Y:{y:.2f} Z:{z:.2f} E:0.00 Count X:0 Y:0 Z:0\nok")
         elif word == "M115":
             self._say("FIRMWARE_NAME:Marlin (emulated) PROTOCOL_VERSION:1.0 EXTRUDER_COUNT:0")

@@ -296,7 +296,7 @@ class WireEvent:
 
 
 class PluggedController:
-    """A controller on a port, served whenever it is told to: `Emulator` does it from a thread.
+    """A controller on a port, served on request: `Emulator` does it from a thread.
 
     Parameters
     ----------

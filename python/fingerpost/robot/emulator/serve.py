@@ -93,7 +93,7 @@ def serve(
     faults_per_s: float = 0.0,
     seed: int = 0,
 ) -> None:
-    """Serve a controller until told to stop.
+    """Serve a controller until stopped.
 
     Parameters
     ----------

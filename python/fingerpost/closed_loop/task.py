@@ -1,7 +1,7 @@
-"""What a person does before the cell: point at a block, point at a place, have it carried there.
+"""Tasks of a simulated person: point at a block, point at a place, have the block carried there.
 
-A person acts on every beat of the cameras: holds a key down, which is the dead man's switch, and
-goes on with a script that is written as a generator.
+A person acts at every frame of the cameras: holds a key down, which is the dead man's switch, and
+continues a script, which is a generator.
 """
 
 from __future__ import annotations
@@ -25,16 +25,16 @@ Script = Generator[None, None, None]
 Waiting = Generator[None, None, bool]
 
 HOLD_KEY = " "
-"""Held down, it does nothing but show that somebody is there."""
+"""Key without a command: held down, it only shows that the operator is present."""
 
 MARGIN_MM = 20.0
-"""Targets lie so far inside the workspace; people do not ask for what is on its rim."""
+"""Least distance of targets from the edge of the workspace."""
 
 APART_MM = 70.0
-"""From the block to where it shall go, at least."""
+"""Least distance from the block to its place."""
 
 SETTLED_S = 0.4
-"""Open loop is over when the arm has been where the hand points for so long [s]."""
+"""Time at the indicated point after which the open-loop phase ends [s]."""
 
 OPEN_LOOP_S = 20.0
 FEEDBACK_S = 60.0
@@ -42,17 +42,17 @@ FIX_S = 6.0
 FOLLOWED_S = 0.7
 AWAY_S = 20.0
 CARRYING_S = 60.0
-"""How long a person waits for each [s]."""
+"""Timeouts of the phases [s]."""
 
-ERRAND_S = 300.0
-"""How long an errand may take in all [s]."""
+TASK_S = 300.0
+"""Longest duration of a task [s]."""
 
 
 @dataclass(frozen=True)
 class Leg:
     """One target that was pointed at."""
 
-    open_mm: float  # from gripper to target, open loop
+    open_mm: float  # distance from gripper to target, open loop
     open_s: float  # until the gripper stood there
     closed_mm: float | None  # from gripper to target when the operator had selected; None: never
     closed_s: float  # from when he began to correct until then
@@ -61,12 +61,12 @@ class Leg:
 
 
 class Scripted:
-    """A person who does what a script says, and holds a key down all the while.
+    """A person who follows a script and holds a key down all the time.
 
     Parameters
     ----------
     world, loop
-        Where it happens.
+        The simulated world, and the loop under test.
 
     Attributes
     ----------
@@ -95,11 +95,12 @@ class Scripted:
         yield from self._clear_view()
 
     def _clear_view(self) -> Waiting:
-        """Have the arm make way."""
+        """Have the arm clear the view; return whether it did in time."""
         self._key = AWAY_KEY
-        is_aside = yield from self._until(lambda: self._loop.session.is_aside, AWAY_S)
+        session = self._loop.session
+        has_cleared = yield from self._until(lambda: session.is_out_of_the_way, AWAY_S)
         self._key = HOLD_KEY
-        return is_aside
+        return has_cleared
 
     def _until(self, true: Callable[[], bool], timeout_s: float) -> Waiting:
         """Wait for something; return whether it came in time."""
@@ -111,29 +112,29 @@ class Scripted:
         return True
 
     def _idle(self, span_s: float) -> Script:
-        """Do nothing for a while."""
+        """Wait for a time span."""
         yield from self._until(lambda: False, span_s)
 
     def _is_known(self) -> bool:
-        """Whether the arm is guided now: there is a fix, and it is that of his hand."""
+        """Whether there is a fix of the person's hand."""
         fix = self._loop.guard.newest_fix
         return fix is not None and fix.status is Status.OK
 
 
-class Errand(Scripted):
+class Task(Scripted):
     """Point at a block, correct, point at a place, correct, and watch the block being carried.
 
     Parameters
     ----------
     world, loop, operator
-        Who takes part; the robot homed.
+        The participants; the robot homed.
     block_mm, place_mm : (2,)
         Where the block lies and where it shall go [mm].
 
     Attributes
     ----------
     legs : list of Leg
-        What was pointed at so far.
+        The targets pointed at so far.
     """
 
     def __init__(
@@ -152,7 +153,7 @@ class Errand(Scripted):
 
     @property
     def placed_mm(self) -> float | None:
-        """How far from its place the block lies [mm]; None if it was not carried there."""
+        """Distance of the block from its place [mm]; None if it was not carried there."""
         if not self._loop.session.done:
             return None
         return float(np.hypot(*(self._world.cell.block_mm[:2] - self._targets_mm[1])))
@@ -226,7 +227,7 @@ class Errand(Scripted):
         self.doing, operator.corrects = doing, corrects
 
     def _settled(self) -> Callable[[], bool]:
-        """Return what tells when the arm has been for a while where a still hand points."""
+        """Return a test whether the arm has been for a while where a still hand points."""
         since_s = self._world.time_s
 
         def settled() -> bool:
@@ -243,18 +244,18 @@ class Errand(Scripted):
 
     def _give_up(self, problem: str) -> None:
         fix = self._loop.views.fix
-        told = "no fix" if fix is None else f"fix is {fix.status}: {fix.reason}"
+        state = "no fix" if fix is None else f"fix is {fix.status}: {fix.reason}"
         why = self._loop.guard.why_stopped
-        self.problem = f"{problem} ({told}{f'; stopped: {why}' if why else ''})"
+        self.problem = f"{problem} ({state}{f'; stopped: {why}' if why else ''})"
 
 
 class Absence(Scripted):
-    """Hold the key down and show no hand, for a while.
+    """Hold the key down and show no hand for `SPAN_S`.
 
     Attributes
     ----------
     from_m : (3,) or None
-        Where the gripper stood when it had made way [m].
+        Position of the gripper after clearing the view [m].
     """
 
     SPAN_S = 20.0
@@ -270,15 +271,15 @@ class Absence(Scripted):
         yield from self._idle(self.SPAN_S)
 
 
-class Vanishing(Errand):
-    """Point at a block, and be gone from one frame to the next while the arm follows.
+class Vanishing(Task):
+    """Point at a block; the hand vanishes between two frames while the arm follows.
 
     Attributes
     ----------
     gone_s
-        When the hand vanished [s]; infinite before.
+        Time at which the hand vanished [s]; infinite before.
     from_m : (3,) or None
-        Where the gripper was then [m].
+        Position of the gripper then [m].
     """
 
     SPAN_S = 10.0
@@ -303,7 +304,7 @@ class Vanishing(Errand):
 
 
 def block_and_place_mm(rng: np.random.Generator) -> tuple[Array, Array]:
-    """Draw where a block lies and where it shall go, both (2,) [mm]."""
+    """Draw the positions of a block and of its place, both (2,) [mm]."""
     block_mm = place_mm = target_mm(rng)
     while np.hypot(*(place_mm - block_mm)) < APART_MM:
         place_mm = target_mm(rng)

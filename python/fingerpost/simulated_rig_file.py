@@ -12,7 +12,7 @@ from fingerpost.config import LensParameters, Pair, Plane, Rig, Start, View
 from fingerpost.simulate import SimulatedRig, StartPose
 
 
-def described(
+def rig_from_simulation(
     simulated: SimulatedRig,
     *,
     reference_points_px: Sequence[ArrayLike] | None = None,
@@ -25,7 +25,7 @@ def described(
     Parameters
     ----------
     simulated : SimulatedRig
-        What there is. Its plane is told exactly, in mm, and its views have the cameras' names.
+        The simulation. Its plane is given exactly, in mm, and its views have the cameras' names.
     reference_points_px : sequence of array_like (N, 2), optional
         Where somebody has found the reference points in each view [px]; exactly where they are
         by default.
