@@ -52,11 +52,13 @@ __all__ = [
     "ContourTracker",
     "CurvePoints",
     "Diagnostics",
+    "EdgePoints",
     "EdgeSearch",
     "FingerLine",
     "FitReport",
     "Fitter",
     "HandFinder",
+    "LineFit",
     "PlacedContour",
     "RoundFinger",
     "SearchLines",
@@ -65,6 +67,8 @@ __all__ = [
     "StartPose",
     "Template",
     "Track",
+    "edges_along",
+    "fit_line",
     "sample_contour",
     "update_views",
 ]
@@ -1956,6 +1960,7 @@ class Diagnostics:
         for another reason, and for the paper's model.
         """
 
+@final
 class EdgePoints:
     """Edges along a path, one for each stretch of it that has one, in its order."""
 
@@ -1976,6 +1981,7 @@ class EdgePoints:
     def sigma_px(self) -> NDArray[np.float64]:
         """Standard deviations of the distances by noise of 2 grey levels, and roughness [px]."""
 
+@final
 class LineFit:
     """The line that most of some edges lie on."""
 

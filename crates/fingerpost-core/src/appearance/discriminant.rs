@@ -16,6 +16,7 @@
 use crate::Result;
 use crate::image::frame::{CHROMATICITY_SUM, Frame, SidedPixel, chromaticity};
 use crate::image::gray::GrayView;
+use crate::numeric::ablation::{Mechanism, is_off};
 use nalgebra::{Matrix3, Point2, Vector3};
 
 /// Variance added to every channel for noise and rounding \[grey levels²\].
@@ -217,6 +218,9 @@ impl Discriminant {
     /// the means are closer than √2 standard deviations.
     #[must_use]
     pub fn mixture(&self) -> Option<&Mixture> {
+        if is_off(Mechanism::Discriminant) {
+            return None;
+        }
         self.mixture.as_ref()
     }
 

@@ -1,4 +1,5 @@
 //! Arithmetic with bit-identical results under every instruction set.
 
+pub(crate) mod ablation;
 pub(crate) mod logarithm;
 pub mod simd;

@@ -10,6 +10,7 @@ use crate::geometry::template::Part;
 use crate::image::frame::{Frame, SidedPixel};
 use crate::measure::edge::Polarity;
 use crate::measure::edge_search::Cue;
+use crate::numeric::ablation::{Mechanism, is_off};
 
 const REACH_PX: f64 = 14.0;
 /// Additional depth ahead of the tip from which outside pixels are learned \[half-widths\], and the
@@ -185,6 +186,9 @@ impl AppearanceModel {
 
     /// The same, and of each flank separately if there are no colours.
     pub fn with_flank_levels(self) -> Self {
+        if is_off(Mechanism::FlankLevels) {
+            return self;
+        }
         let flank_levels = (!self.is_coloured()).then(FlankLevels::new);
         Self { flank_levels, ..self }
     }

@@ -35,6 +35,7 @@ use super::line::FingerLine;
 use crate::axis::Stretch;
 use crate::axis::{PhotometricReport, Refined, Source};
 use crate::geometry::shape_space::Axis;
+use crate::numeric::ablation::{Mechanism, is_off};
 use nalgebra::{Matrix2, Vector2};
 
 /// A segment that lines may be reported for.
@@ -197,6 +198,9 @@ impl AxisCurvature {
     /// Distance behind the tip \[px\] of the flanks' end for a separate measurement of the front;
     /// `None` where the line of the whole and its curvature are at least as precise.
     pub fn front_to_measure(&self, whole: &Refined, seen: &FingerScale) -> Option<f64> {
+        if is_off(Mechanism::FrontLine) {
+            return None;
+        }
         let far_px = FRONT.far_px(seen);
         let length_px = whole.stretch.length_px();
         let turn_rad = 0.5 * self.own_curvature() * (length_px - far_px).max(0.0);
@@ -214,6 +218,9 @@ impl AxisCurvature {
         front: Option<&FrontLine>,
         seen: &FingerScale,
     ) -> FingerLine {
+        if is_off(Mechanism::AxisCurvature) {
+            return line;
+        }
         let Axis { anchor, tip, .. } = line.axis;
         let ahead_px = (tip - anchor).dot(&line.axis.direction());
         self.half_width_px.learn(seen.half_width_px, SIZE_RATE);
@@ -259,11 +266,17 @@ impl AxisCurvature {
     /// Standard deviation of the bias at either end of a line due to the bend, in parts of the
     /// half-length; 0 for a bend within the noise.
     pub fn bend_bias(&self) -> f64 {
+        if is_off(Mechanism::BendBias) {
+            return 0.0;
+        }
         BEND_BIAS * self.bend_squared().sqrt()
     }
 
     /// The same for a flank of low contrast, which does not depend on the bend.
     pub fn faint_flank_bias(&self) -> f64 {
+        if is_off(Mechanism::FaintFlankBias) {
+            return 0.0;
+        }
         FAINT_FLANK_BIAS * self.faintness.value
     }
 

@@ -16,6 +16,7 @@ use crate::geometry::shape_space::{PlacedSample, Pose, ShapeSpace};
 use crate::geometry::template::{Part, TemplateSample};
 use crate::image::frame::{Frame, SidedPixel};
 use crate::measure::edge::{EdgeMeasurement, Miss, Polarity, SearchLine};
+use crate::numeric::ablation::{Mechanism, is_off};
 use crate::numeric::simd::Isa;
 use crate::solve::fit::{EquationBuffer, Equations, FitReport, Fitter, Outcome, Prior};
 use nalgebra::{Point2, SMatrix, SVector};
@@ -246,6 +247,9 @@ impl Convergence {
     /// Discards the agreeing edges that do not match the appearance model inside, unless these are
     /// the majority: they are a covering object's. After a change of light no edge matches.
     fn leave_out_covered(&mut self, appearance: &AppearanceModel, frame: &Scene<'_>) -> Result<()> {
+        if is_off(Mechanism::OccluderEdges) {
+            return Ok(());
+        }
         let Some(search_model) =
             appearance.search_model(frame, EdgeCue::HandEdges, Polarity::Unknown)
         else {

@@ -11,6 +11,7 @@
 //! autocorrelation consistent covariance matrix.
 
 use crate::geometry::template::Part;
+use crate::numeric::ablation::{Mechanism, is_off};
 
 /// Width of the window as a part of the contour: pairs at larger distances are few, and a deviation
 /// common to half a flank is absorbed by the fit.
@@ -19,6 +20,9 @@ const WITHIN: f64 = 0.1;
 /// Number of residuals that carry the information of one independent residual, at least 1, for the
 /// residuals of a contour in their order \[px\], each with its part of the outline.
 pub(super) fn design_effect(residuals: &[(Part, f64)]) -> f64 {
+    if is_off(Mechanism::DesignEffect) {
+        return 1.0;
+    }
     let square: f64 = residuals.iter().map(|(_, r)| r * r).sum();
     if square <= 0.0 {
         return 1.0;

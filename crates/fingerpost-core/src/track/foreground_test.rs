@@ -2,6 +2,7 @@
 
 use super::scene::Behind;
 use crate::geometry::shape_space::PlacedSample;
+use crate::numeric::ablation::{Mechanism, is_off};
 
 /// Distance inside and outside of the outline at which the foreground is sampled, as a part of the
 /// half-width and at least \[px\]; least mean foreground probability inside; and least difference
@@ -40,6 +41,9 @@ impl<'a> ForegroundTest<'a> {
     /// Whether the outline is that of an object before the background; `None` if its inside is
     /// unknown.
     pub fn is_free(&self) -> Option<bool> {
+        if is_off(Mechanism::ForegroundTest) {
+            return None;
+        }
         let [inside, outside] = self.sides.map(|(sum, count)| (count > 0.0).then(|| sum / count));
         let inside = inside?;
         let is_visible = outside.is_none_or(|around| around <= inside - FREE_CONTRAST);

@@ -14,6 +14,7 @@ use crate::geometry::ribbon::{BandMeasure, RIBBON_DOF, Ribbon, RibbonVector};
 use crate::geometry::shape_space::{PlacedSample, Pose, ShapeSpace};
 use crate::geometry::template::{Part, Template, TemplateSample};
 use crate::measure::edge::{Polarity, Scale};
+use crate::numeric::ablation::{Mechanism, is_off};
 use nalgebra::Vector2;
 
 /// Rate at which the acquired widths and taper follow the fit, per accepted frame.
@@ -149,6 +150,9 @@ impl Hand {
         taper: f64,
         ahead_px: f64,
     ) -> Vector2<f64> {
+        if is_off(Mechanism::ShapeMismatch) {
+            return Vector2::zeros();
+        }
         let more_tapered = taper - self.acquired[4];
         Vector2::new(half_width_px - self.acquired[3] + ahead_px * more_tapered, more_tapered)
     }
@@ -268,6 +272,9 @@ impl Hand {
     /// Excess residual scatter of a fit over the usual, as a standard deviation \[px\]: √(rms² −
     /// limit²). The excess is due to a covering object, not to a hand that is known whole.
     pub(super) fn unusual_px(&self, fit: &Fit) -> f64 {
+        if is_off(Mechanism::UnusualScatter) {
+            return 0.0;
+        }
         if self.shows_what_is_usual() {
             return 0.0;
         }

@@ -16,6 +16,7 @@ use crate::Result;
 use crate::geometry::planar::{Rigid, Translation};
 use crate::geometry::template::Limb;
 use crate::measure::edge::{MAX_HALF_LENGTH_PX, Scale};
+use crate::numeric::ablation::{Mechanism, is_off};
 
 /// Motion cost up to which a fit needs no further hypotheses, as a fraction of the contour.
 const UNSURPRISING: f64 = 0.1;
@@ -165,6 +166,9 @@ impl ContourTracker {
         predicted: Shape,
         prediction: Option<&MotionPrediction>,
     ) -> Result<()> {
+        if is_off(Mechanism::ConstantVelocity) {
+            return Ok(());
+        }
         if let Some(prediction) = prediction
             && self.hand.is_known_whole()
         {
@@ -198,6 +202,9 @@ impl ContourTracker {
         approached: Shape,
         prediction: Option<&MotionPrediction>,
     ) -> Result<()> {
+        if is_off(Mechanism::Approach) {
+            return Ok(());
+        }
         let smeared = self.evaluate_path(
             frame,
             (approached, Scale::Coarse, None, EdgeCue::HandEdges),
@@ -221,6 +228,9 @@ impl ContourTracker {
         approached: Shape,
         prediction: Option<&MotionPrediction>,
     ) -> Result<()> {
+        if is_off(Mechanism::GreyHypothesis) {
+            return Ok(());
+        }
         let TrackerOptions { acquire, track, .. } = &self.options;
         let (enough, least) = (acquire.accept.min_inliers, track.accept.min_inliers);
         let is_mixed = self.hand.is_mixed() && self.hand.shaded.is_none();
@@ -245,6 +255,9 @@ impl ContourTracker {
         predicted: Shape,
         prediction: Option<&MotionPrediction>,
     ) -> Result<()> {
+        if is_off(Mechanism::RelitHypothesis) {
+            return Ok(());
+        }
         if let Some(prediction) = prediction
             && ranking.best.score() < UNLIKE
         {
@@ -313,6 +326,9 @@ impl ContourTracker {
     /// Distance that the hand extends beyond the tip of a finger, by the appearance model \[px\]; 0
     /// where that is unknown.
     fn goes_on_px(&mut self, frame: &Scene<'_>, shape: &Shape) -> Result<f64> {
+        if is_off(Mechanism::UncoveredTip) {
+            return Ok(0.0);
+        }
         let Shape::Ribbon(x) = shape else { return Ok(0.0) };
         let shaft = Shaft::of_band(x, self.hand.measure.length_px);
         let search_model = self.hand.search_model(frame, EdgeCue::LogRatio, self.options.polarity);

@@ -22,6 +22,7 @@ use crate::geometry::shape_space::{Axis, Pose, ShapeSpace};
 use crate::geometry::template::{Part, TemplateSample};
 use crate::measure::edge::{Polarity, Scale};
 use crate::measure::edge_search::Cue;
+use crate::numeric::ablation::{Mechanism, is_off};
 use nalgebra::{Point2, Rotation2, Vector2};
 
 /// Half-widths tried, relative to the initial template's.
@@ -116,7 +117,7 @@ impl TemplateInitialiser<'_> {
                 }
             }
             let polarity = self.options.polarity;
-            if frame.colour().is_none() {
+            if frame.colour().is_none() && !is_off(Mechanism::CloseBy) {
                 for from in self.close_by(convergence, frame, angle_rad)? {
                     let half_px = MIN_HALF_LENGTH_PX;
                     let fitted_finger =

@@ -23,6 +23,7 @@ use crate::geometry::ribbon::{BandMeasure, RIBBON_DOF, RibbonVector};
 use crate::geometry::shape_space::{Pose, ShapeSpace};
 use crate::geometry::template::{HALF_LENGTH, Limb, Proportions, TemplateSample};
 use crate::measure::edge::MAX_HALF_LENGTH_PX;
+use crate::numeric::ablation::{Mechanism, is_off};
 use nalgebra::{Point2, Vector2};
 
 /// Least length of a template \[half-widths\]: a shorter one has no direction. The shortest device
@@ -59,6 +60,9 @@ impl ContourTracker {
     /// Shortens the settled template to its finger; tip and thumb keep their places. False if the
     /// width changes by more than [`SAME_WIDTH`]: then it has not settled on a finger.
     pub(super) fn take_length(&mut self, frame: &Scene<'_>, settled: &FitResult) -> Result<bool> {
+        if is_off(Mechanism::TemplateLength) {
+            return Ok(true);
+        }
         let Some(proportions) = self.template.proportions().copied() else { return Ok(true) };
         let Some(mut fit) = settled.fit else { return Ok(true) };
         for _ in 0..ROUNDS {

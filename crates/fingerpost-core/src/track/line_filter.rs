@@ -29,6 +29,7 @@ use super::registration::{TextureRegistration, drift};
 use crate::axis::TexturePose;
 use crate::geometry::shape_space::Axis;
 use crate::image::gray::GrayView;
+use crate::numeric::ablation::{Mechanism, is_off};
 use nalgebra::{Matrix2, Vector2};
 
 /// Correlation length of the line's error along the path of the finger \[half-widths\]: the errors
@@ -181,6 +182,9 @@ impl LineFilter {
         line: FingerLine,
         shown: &BandDimensions,
     ) -> FingerLine {
+        if is_off(Mechanism::LineFilter) {
+            return line;
+        }
         let Some(state) = self.state else {
             self.start(image, time_s, &line, shown);
             return line;

@@ -12,6 +12,7 @@
 
 use super::options::MIN_HALF_LENGTH_PX;
 use super::stage::Window;
+use crate::numeric::ablation::{Mechanism, is_off};
 use crate::solve::dynamics::{Expectation, Innovation};
 
 /// Frames over which innovations are averaged.
@@ -65,6 +66,9 @@ impl MotionPrior {
     /// second is the distance from the likeliest. The hand either continues as before (s) or moves
     /// as the process noise allows (1).
     pub fn unlikely(self, innovation: &Innovation<3>, cell: f64) -> f64 {
+        if is_off(Mechanism::MotionPrior) {
+            return 0.0;
+        }
         let places = innovation.covariance.determinant().max(0.0).sqrt() / cell;
         let square = innovation.normalised_square() / COMPONENTS;
         let odds = |expected: f64| {
@@ -75,6 +79,9 @@ impl MotionPrior {
 
     /// Cost of an innovation: `SURPRISE_WEIGHT` × ln(1 + r²/s), as a fraction of the contour.
     pub fn cost(self, innovation: &Innovation<3>) -> f64 {
+        if is_off(Mechanism::MotionPrior) {
+            return 0.0;
+        }
         let square = innovation.normalised_square() / (COMPONENTS * self.expected());
         SURPRISE_WEIGHT * square.ln_1p()
     }

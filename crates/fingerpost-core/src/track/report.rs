@@ -19,6 +19,7 @@ use crate::axis::{Bend, Finger, MAX_STRETCH_PX, Refined, Source};
 use crate::geometry::ribbon::{BandMeasure, RIBBON_DOF, RibbonVector};
 use crate::geometry::shape_space::{Pose, ShapeSpace};
 use crate::geometry::template::Part;
+use crate::numeric::ablation::{Mechanism, is_off};
 
 /// Distance beyond the place where another limb stops hiding a flank from which the flank is
 /// refined \[px\].
@@ -238,6 +239,9 @@ impl ContourTracker {
         finger: &Finger,
         edges: EdgeCue,
     ) -> Result<Option<Refined>> {
+        if is_off(Mechanism::FullResolution) {
+            return Ok(None);
+        }
         let (Some(whole), pyramid_level) = (frame.whole(), self.pyramid_level) else {
             return Ok(None);
         };
@@ -303,6 +307,9 @@ impl ContourTracker {
     /// Bend of the finger of an accepted fit, from its flanks; `None` for the model of 1994 and for
     /// flanks that do not show it.
     pub(super) fn bend(&mut self, frame: &Scene<'_>, found: &FitResult) -> Result<Option<Bend>> {
+        if is_off(Mechanism::BendState) {
+            return Ok(None);
+        }
         let Shape::Ribbon(x) = found.shape else { return Ok(None) };
         let Some(finger) = self.finger(&x, found, Flanks::Visible)? else { return Ok(None) };
         let search_model = self.hand.search_model(frame, found.edges(), self.options.polarity);
@@ -359,6 +366,9 @@ impl ContourTracker {
     /// Learns the background where the hand of the last accepted fit ends without an edge. What
     /// covers the hand elsewhere is not learned.
     pub(super) fn learn_behind(&mut self, frame: &Scene<'_>) -> Result<()> {
+        if is_off(Mechanism::UnseenBackground) {
+            return Ok(());
+        }
         let (samples, finger) = (self.hand.fingers(&self.samples), self.hand.shape.silhouette());
         self.hand.appearance.as_mut().map_or(Ok(()), |appearance| {
             self.convergence.teach_unseen(appearance, samples, frame, &finger)

@@ -24,6 +24,7 @@ use crate::geometry::ribbon::{RIBBON_DOF, RibbonVector};
 use crate::geometry::shape_space::{Pose, ShapeSpace};
 use crate::geometry::template::{Limb, Part, TemplateSample};
 use crate::image::frame::{SidedPixel, chromaticity};
+use crate::numeric::ablation::{Mechanism, is_off};
 use nalgebra::{Point2, Vector2, Vector3};
 
 /// The measured part of the finger: from the centre of its round end back, as a part of the
@@ -83,6 +84,9 @@ impl ContourTracker {
     /// Fits an acquired hand again if its finger is lit from one side, and stores the shaded flank.
     /// Otherwise the hand is left as it is.
     pub(super) fn find_shaded_flank(&mut self, frame: &Scene<'_>) -> Result<()> {
+        if is_off(Mechanism::ShadedFlank) {
+            return Ok(());
+        }
         let (Shape::Ribbon(x), Model::Ribbon) = (self.hand.shape, self.options.model) else {
             return Ok(());
         };

@@ -21,6 +21,7 @@ use crate::geometry::template::{HALF_LENGTH, Template, TemplateSample};
 use crate::image::frame::Frame;
 use crate::measure::edge::MAX_HALF_LENGTH_PX;
 use crate::measure::edge_search::check_size;
+use crate::numeric::ablation::{Mechanism, is_off};
 use crate::numeric::simd::Isa;
 use crate::solve::dynamics::{Dynamics, Gate, chi_square_quantile};
 use crate::{Error, Result};
@@ -189,6 +190,9 @@ impl ContourTracker {
         start: &StartPose,
         options: &TrackerOptions,
     ) -> PyramidLevel {
+        if is_off(Mechanism::PyramidLevel) {
+            return PyramidLevel::NONE;
+        }
         match template.proportions() {
             Some(p) if options.model == Model::Ribbon => {
                 PyramidLevel::of_finger(p.half_width * start.length_px)
@@ -293,6 +297,9 @@ impl ContourTracker {
 
     /// Adapts the appearance model to the exposure of a frame.
     pub(super) fn relight(&mut self, frame: &Frame<'_>) {
+        if is_off(Mechanism::Exposure) {
+            return;
+        }
         let gain = self.exposure.changed(frame.image());
         if let (Some(gain), Some(appearance)) = (gain, &mut self.hand.appearance) {
             appearance.relight(gain);

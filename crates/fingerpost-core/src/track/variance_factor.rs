@@ -16,6 +16,7 @@
 
 use super::line::FingerLine;
 use super::line_filter::correlation;
+use crate::numeric::ablation::{Mechanism, is_off};
 use nalgebra::{Matrix2, Point2, Vector2};
 
 /// Prior weight of a variance factor of 1 and a bias of 0, in comparisons. A comparison changes
@@ -77,11 +78,17 @@ impl VarianceFactor {
     /// The line of a contour, corrected by the mean difference of the pixels' lines, with its
     /// covariance scaled.
     pub fn bias_corrected(&self, contour: FingerLine) -> FingerLine {
+        if is_off(Mechanism::VarianceFactor) {
+            return contour;
+        }
         self.scaled(contour.moved(&self.bias))
     }
 
     /// A line with its covariance scaled by the variance factor of offset and angle.
     pub fn scaled(&self, line: FingerLine) -> FingerLine {
+        if is_off(Mechanism::VarianceFactor) {
+            return line;
+        }
         let sigmas = self.square.map(|square| square.max(1.0).sqrt());
         let scaled = line.covariance.component_mul(&(sigmas * sigmas.transpose()));
         FingerLine { covariance: scaled, ..line }
