@@ -5,7 +5,9 @@ import signal
 from hypothesis import HealthCheck, settings
 
 # A busy machine is no fault of what is tested: no example has a deadline, and none is too slow.
-settings.register_profile("untimed", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.register_profile(
+    "untimed", max_examples=50, deadline=None, suppress_health_check=[HealthCheck.too_slow]
+)
 settings.load_profile("untimed")
 
 # A shell has its background jobs ignore Ctrl-C and Ctrl-\, and nohup the end of a terminal; what

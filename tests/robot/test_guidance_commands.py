@@ -23,7 +23,7 @@ from guided_process import (
 )
 
 FAST = ("--speed", "0.3")
-OPTIONS = (*FAST, *BY_HAND, "--max-frames", str(EMPTY_FRAMES + HOLD_FRAMES + 75))
+OPTIONS = (*FAST, *BY_HAND, "--max-frames", str(EMPTY_FRAMES + HOLD_FRAMES + 165))
 
 
 @pytest.fixture
@@ -58,7 +58,7 @@ def test_the_arm_follows_the_hand_and_every_command_has_its_fix(rig, tmp_path):
 
 def test_json_lines_tell_lag_and_goal(rig):
     with EmulatedArm() as arm:
-        options = ("--arm", "--json", "--max-frames", EMPTY_FRAMES + 60, *FAST, *BY_HAND)
+        options = ("--arm", "--json", "--max-frames", EMPTY_FRAMES + 150, *FAST, *BY_HAND)
         with Guided("follow", rig, "--url", arm.url, *options) as guided:
             assert guided.end() == 0, guided.said()
     *reports, summary = map(json.loads, guided.out.splitlines())
