@@ -15,7 +15,7 @@ from fingerpost.formats import sides_of
 from fingerpost.pipeline import Pointer
 from fingerpost.setting_up import plane_size, view_names
 
-SHARED = Path("/work/shared")
+SHARED = Path(__file__).resolve().parents[2] / "shared"
 A4 = np.array([[0, 0], [210, 0], [210, 297], [0, 297]], np.float32)
 
 
@@ -39,8 +39,24 @@ def film(folder, corners, frames=3, **options):
     return str(folder / "*.png")
 
 
+def halved(folder):
+    """The same stills in half the size."""
+    for path in folder.glob("*.png"):
+        cv2.imwrite(str(path), cv2.resize(cv2.imread(str(path)), None, fx=0.5, fy=0.5))
+    return str(folder / "*.png")
+
+
 def init(*arguments):
     return CliRunner().invoke(main, ["init", *map(str, arguments)])
+
+
+def test_small_pictures_do_as_well(tmp_path):
+    rng = np.random.default_rng(0)
+    for name in "ab":
+        film(tmp_path / name, corners_of_view(rng))
+    films = [halved(tmp_path / name) for name in "ab"]
+    done = init("--from", *films, "--plane", "A4", "-o", tmp_path / "rig.toml")
+    assert done.exit_code == 0, done.output
 
 
 @pytest.mark.parametrize("seed", range(2))

@@ -494,7 +494,6 @@ class Pointer:
         self._reductions: list[Reduction | None] = [None] * len(rig.views)
         self._rig_views = list(rig.views)
         self.views = tuple(self._hand_view(view, WHOLE) for view in rig.views)
-        self._admission = Admission(rig.views)
         self._pushed = PushedViews(rig.views, self._admission)
         if self._search is None:
             self._refuse_different_sides()
