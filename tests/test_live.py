@@ -22,7 +22,7 @@ from websockets.sync.client import connect
 from fingerpost.capture import Loss, open_views, read_views
 from fingerpost.config import Rig
 from fingerpost.errors import FingerpostError, MissingExtraError
-from fingerpost.live import commands, need_extra
+from fingerpost.live import commands
 from fingerpost.live.composer import Composer
 from fingerpost.live.hub import Hub
 from fingerpost.live.moment import LARGEST_PX, Moment, encoded
@@ -526,4 +526,4 @@ def test_a_port_that_is_taken_is_refused_in_one_line(page):
 def test_without_the_extra_one_line_names_the_command(monkeypatch):
     monkeypatch.setitem(sys.modules, "uvicorn", None)
     with pytest.raises(MissingExtraError, match=r"pip install 'fingerpost\[page\]'"):
-        need_extra()
+        Page("127.0.0.1", 0)

@@ -18,6 +18,7 @@ from fingerpost.references import (
     fit_sides,
 )
 from fingerpost.references.sides import refined
+from fingerpost.uncertainty import blocks_of
 
 A4 = (210.0, 297.0)
 PLANE = np.array([[0, 0], [210, 0], [210, 297], [0, 297]], float)
@@ -36,7 +37,8 @@ def measured(count, paper, table, noise, cover=0.0):
         sides = refined(noisy(levels, rng, noise), corners + rng.uniform(-2, 2, (4, 2)), reach_px=5)
         off = sides.corners_px - corners
         errors.append(off)
-        squares.append(np.einsum("ki,kij,kj->k", off, np.linalg.inv(sides.covariances_px2), off))
+        weights = np.linalg.inv(blocks_of(sides.covariance))
+        squares.append(np.einsum("ki,kij,kj->k", off, weights, off))
     return np.array(errors), np.array(squares)
 
 

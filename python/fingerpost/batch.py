@@ -22,10 +22,10 @@ import msgspec
 import numpy as np
 
 from fingerpost.capture import SourceKind, open_views, read_views
+from fingerpost.checks import make_folder
 from fingerpost.config import Rig
 from fingerpost.errors import FingerpostError, InvalidInputError
 from fingerpost.pipeline import Pointer, steps
-from fingerpost.pointing import Status
 from fingerpost.recording import write_points, write_tracks
 from fingerpost.uncertainty import confidence_ellipse
 from fingerpost.workers import sharing, worker_count
@@ -160,12 +160,7 @@ def run_batch(
         Fewer than one worker, or a folder that cannot be made.
     """
     count = worker_count(workers)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InvalidInputError(
-            f"{folder}: cannot be made: {error.strerror}; name a folder that may be written into"
-        ) from error
+    make_folder(folder)
     done = {task.name: known for task in todo if (known := _known(task, folder)) is not None}
     begun: Counter[str] = Counter()
     tell(len(done), len(todo))
@@ -273,7 +268,3 @@ def _follow(task: Task, part: Path) -> Outcome:
         notes=tuple(dict.fromkeys([*notes, *pointer.notes()])),
         semi_axis=float(np.median(semi_axes)) if semi_axes else None,
     )
-
-
-STATUSES = tuple(status.value for status in Status)
-"""Of fixes, in the order of the table's columns."""

@@ -165,6 +165,24 @@ def opencv_path(path: Path, name: str) -> str:
         ) from error
 
 
+def make_folder(folder: Path) -> Path:
+    """Make a folder and those above it, where they do not exist; return it.
+
+    Raises
+    ------
+    InvalidInputError
+        It cannot be made.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except (OSError, ValueError) as error:
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise InvalidInputError(
+            f"{folder}: cannot be made: {reason}; name a folder that may be written into"
+        ) from error
+    return folder
+
+
 def _fits(found: tuple[int, ...], shape: tuple[int | str | EllipsisType, ...]) -> bool:
     if not shape:
         return not found

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fingerpost.capture import Frame, Loss, open_views, read_views
+from fingerpost.checks import make_folder
 from fingerpost.config import Rig
 from fingerpost.errors import InvalidInputError
 from fingerpost.pipeline import DEFAULT_REFERENCE_SIGMA_PX, Pointer, Step, steps
@@ -172,7 +173,7 @@ def run_demo(
     """
     if max_frames is not None and max_frames < 1:
         raise InvalidInputError(f"max_frames is {max_frames}; 1 or more is right")
-    folder = _made(Path(output))
+    folder = make_folder(Path(output))
     with ExitStack() as stack:
         footage = _simulation(seed) if simulate else _clip(stack)
         count = min(footage.count, max_frames or footage.count)
@@ -415,14 +416,3 @@ def _unbroken(truth: dict[int, NDArray[np.float64]], count: int) -> NDArray[np.f
     """Give the true points of all frames; NaN where there is none."""
     nowhere = np.full(2, np.nan)
     return np.array([truth.get(index, nowhere) for index in range(count)])
-
-
-def _made(folder: Path) -> Path:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except (OSError, ValueError) as error:
-        reason = error.strerror if isinstance(error, OSError) else error
-        raise InvalidInputError(
-            f"{folder}: cannot be made: {reason}; name a folder that may be written into"
-        ) from error
-    return folder

@@ -8,14 +8,16 @@ windows, which does on every machine, and works with all four.
 
 from __future__ import annotations
 
+import importlib
 import importlib.util
 import re
 import sys
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
+from types import ModuleType
 from typing import Any
 
-from fingerpost.errors import FingerpostError
+from fingerpost.errors import FingerpostError, MissingExtraError
 
 OPENCV_PACKAGES = (
     "opencv-contrib-python",
@@ -231,3 +233,34 @@ def _numbers(version: str) -> tuple[int, int]:
     """Return the first two numbers of a version, of which one that is missing is 0."""
     major, minor, *_ = (*map(int, re.findall(r"\d+", version)), 0, 0)
     return major, minor
+
+
+def require(module: str, extra: str) -> ModuleType:
+    """Import a module that an extra of this package brings.
+
+    Parameters
+    ----------
+    module
+        What to import.
+    extra
+        The extra.
+
+    Raises
+    ------
+    MissingExtraError
+        It is not installed, or cannot be imported; the message says why, and holds the command
+        that installs it.
+    """
+    try:
+        return importlib.import_module(module)
+    except Exception as error:
+        command = f"pip install 'fingerpost[{extra}]'"
+        name = getattr(error, "name", None)
+        if isinstance(error, ModuleNotFoundError) and f"{module}.".startswith(f"{name}."):
+            problem = f"is not installed; install it with: {command}"
+        else:
+            problem = (
+                f"cannot be imported ({type(error).__name__}: {error}); see to that, or install it "
+                f"anew with: {command} --force-reinstall"
+            )
+        raise MissingExtraError(f"{module} {problem}") from error

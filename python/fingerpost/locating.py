@@ -35,6 +35,7 @@ from fingerpost.references import (
     Sides,
     find_rectangles,
     likeness,
+    signed_area,
     turned,
 )
 
@@ -63,12 +64,12 @@ class Placed:
     ----------
     measured
         The points, in their order.
-    worth
+    score
         Logarithm of its likelihood by its own view.
     """
 
     measured: Measured
-    worth: float
+    score: float
 
 
 class ReferenceSearch:
@@ -145,7 +146,7 @@ class ReferenceSearch:
         clockwise = self._is_clockwise()
         places = []
         for candidate in found:
-            worth = SIDE_WEIGHT * math.log(candidate.score / found[0].score)
+            score = SIDE_WEIGHT * math.log(candidate.score / found[0].score)
             if near_px is not None and near_px.ndim == 2:
                 best = min(
                     (
@@ -155,12 +156,12 @@ class ReferenceSearch:
                     ),
                     key=lambda sides: np.abs(sides.corners_px - near_px).max(),
                 )
-                places.append(_placed(best, worth))
+                places.append(_placed(best, score))
                 continue
             for sides in turned(candidate.sides, clockwise=clockwise):
                 like = likeness(sides.corners_px, size, picture.shape)
-                worth_so = worth + SIDE_WEIGHT * math.log(max(like, LEAST_LIKENESS))
-                places.append(_placed(sides, worth_so))
+                total = score + SIDE_WEIGHT * math.log(max(like, LEAST_LIKENESS))
+                places.append(_placed(sides, total))
         return places
 
     def _is_clockwise(self) -> bool:
@@ -168,8 +169,8 @@ class ReferenceSearch:
         for view in self._rig.views:
             given = view.reference_points_px or getattr(view.reference, "corners_px", None)
             if given:
-                return _area(np.array(given, np.float64)) > 0.0
-        return _area(np.array(self._rig.plane.points)) < 0.0
+                return bool(signed_area(np.array(given, np.float64)) > 0.0)
+        return bool(signed_area(np.array(self._rig.plane.points)) < 0.0)
 
     def _agreed(self) -> Rig:
         """Choose one place of each view, so that together they are the likeliest."""
@@ -182,21 +183,21 @@ class ReferenceSearch:
         best: dict[int, Placed] = {}
         most = -math.inf
         for first in options[anchor]:
-            total = first.worth + self._upright(first, None)
+            total = first.score + self._upright(first, None)
             chosen = {anchor: first}
             for k in views:
                 if k == anchor:
                     continue
-                worths = [
-                    one.worth
+                scores = [
+                    one.score
                     + scenery.agreement_of(
                         {anchor: first.measured.points_px, k: one.measured.points_px}, (anchor, k)
                     )
                     + self._upright(one, first)
                     for one in options[k]
                 ]
-                chosen[k] = options[k][int(np.argmax(worths))]
-                total += max(worths)
+                chosen[k] = options[k][int(np.argmax(scores))]
+                total += max(scores)
             if total > most:
                 best, most = chosen, total
         return self._with({k: best[k] for k in self._places})
@@ -244,8 +245,8 @@ def meter_of(rig: Rig, view: View) -> Meter:
     return RectangleMeter(size, view.lens)
 
 
-def _placed(sides: Sides, worth: float) -> Placed:
-    return Placed(Measured(sides.corners_px, sides.covariance), worth)
+def _placed(sides: Sides, score: float) -> Placed:
+    return Placed(Measured(sides.corners_px, sides.covariance), score)
 
 
 def _as_given(view: View) -> Placed:
@@ -273,11 +274,6 @@ def _absence(view: View) -> str:
         f"{place}: no marker of sheet {sheet} is found; one must show whole with its white margin, "
         "20 px wide or more, flat and without glare (`fingerpost markers` writes the sheet)"
     )
-
-
-def _area(corners: Array) -> float:
-    x, y = corners.T
-    return float(x @ np.roll(y, -1) - y @ np.roll(x, -1))
 
 
 def stand_in(rig: Rig) -> Rig:

@@ -7,9 +7,7 @@ so a large offset is set right and looked at once more.
 
 from __future__ import annotations
 
-import logging
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import msgspec
@@ -17,9 +15,9 @@ import numpy as np
 
 from fingerpost.capture import Frame, Loss
 from fingerpost.config import Rig
-from fingerpost.consistency import Offset, Track, offset_between
+from fingerpost.consistency import Offset, Track, offset_between, tip_in_first_view, unannounced
 from fingerpost.errors import InvalidInputError
-from fingerpost.pipeline import Pointer, Step, steps
+from fingerpost.pipeline import Pointer, steps
 from fingerpost.pointing import FingerLine
 
 ROUNDS = 3
@@ -63,7 +61,7 @@ def synchronise(rig: Rig, footage: Callable[[Rig], Iterable[Together]]) -> Synce
         A rig that cannot point, or an offset that cannot be estimated; names the view and reason.
     """
     for _ in range(ROUNDS):
-        with _quiet():
+        with unannounced():
             tips = _tips(Pointer(rig), footage(rig))
         offsets = {}
         for view, tip in zip(rig.views[1:], tips[1:], strict=True):
@@ -83,27 +81,15 @@ def _tips(pointer: Pointer, footage: Iterable[Together]) -> list[Track]:
     """Follow the footage; return where each view has seen the tip."""
     seen: list[list[tuple[float, ...]]] = [[] for _ in pointer.views]
     for step in steps(pointer, footage):
-        for k, entry in enumerate(_places(step)):
-            if entry is not None:
-                seen[k].append(entry)
+        first = step.observations[0].plane_view
+        for entries, observed in zip(seen, step.observations, strict=True):
+            finger, view = observed.finger, observed.plane_view
+            if not isinstance(finger, FingerLine) or first is None or view is None:
+                continue
+            if (tip := tip_in_first_view(finger, view, first)) is not None:
+                entries.append((finger.time_s, *tip.tolist()))
     rows = [np.array(entries, np.float64).reshape(-1, 4) for entries in seen]
     return [Track(row[:, 0], row[:, 1:]) for row in rows]
-
-
-def _places(step: Step) -> Iterator[tuple[float, ...] | None]:
-    """When and where each view has seen the tip, in the first view's image of the plane."""
-    first = step.observations[0].plane_view
-    for seen in step.observations:
-        finger, view = seen.finger, seen.plane_view
-        if not isinstance(finger, FingerLine) or first is None or view is None:
-            yield None
-            continue
-        tip_px = finger.tip_px if view.lens is None else view.lens.undistort(finger.tip_px)
-        if not np.isfinite(tip_px).all():
-            yield None
-            continue
-        here = first.image_from_plane @ np.linalg.solve(view.image_from_plane, [*tip_px, 1.0])
-        yield (finger.time_s, *here.tolist())
 
 
 def _with_offsets(rig: Rig, offsets: dict[str, Offset]) -> Rig:
@@ -113,15 +99,3 @@ def _with_offsets(rig: Rig, offsets: dict[str, Offset]) -> Rig:
         for view in others
     )
     return msgspec.structs.replace(rig, views=(first, *moved))
-
-
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """Have nothing said of clocks that are about to be set right."""
-    logger = logging.getLogger("fingerpost")
-    before = logger.level
-    logger.setLevel(logging.ERROR)
-    try:
-        yield
-    finally:
-        logger.setLevel(before)

@@ -5,7 +5,8 @@ import sys
 import pytest
 
 from fingerpost.errors import MissingExtraError
-from fingerpost.robot.extras import require
+from fingerpost.installation import require
+from fingerpost.robot.extras import require_silently
 from fingerpost.robot.ur import UniversalRobot
 from fingerpost.robot.xarm import Xarm
 
@@ -22,7 +23,7 @@ def test_a_missing_library_is_named_with_the_command_that_installs_it(
         make("10.0.0.5")
 
 
-@pytest.mark.parametrize("silent", [True, False])
+@pytest.mark.parametrize("importing", [require, require_silently])
 @pytest.mark.parametrize(
     ("text", "words"),
     [
@@ -32,11 +33,11 @@ def test_a_missing_library_is_named_with_the_command_that_installs_it(
         ("raise ImportError('libboost.so.1: cannot open')", "libboost.so.1"),
     ],
 )
-def test_a_library_that_cannot_be_imported_says_why(tmp_path, monkeypatch, silent, text, words):
+def test_a_library_that_cannot_be_imported_says_why(tmp_path, monkeypatch, importing, text, words):
     (tmp_path / "a_broken_library.py").write_text(text)
     monkeypatch.syspath_prepend(tmp_path)
     with pytest.raises(MissingExtraError, match=r"cannot be imported.*--force-reinstall") as caught:
-        require("a_broken_library", "ur", silent=silent)
+        importing("a_broken_library", "ur")
     assert words in str(caught.value)
     assert "\n" not in str(caught.value)
 
@@ -53,7 +54,7 @@ def test_a_library_is_silent_from_its_import_on(tmp_path, monkeypatch, capfd, ca
     )
     monkeypatch.syspath_prepend(tmp_path)
     caplog.set_level("INFO")
-    library = require("a_loud_library", "xarm", silent=True)
+    library = require_silently("a_loud_library", "xarm")
     library.speak()
     library.speak(file=None, flush=True)
     library.speak(file=sys.stderr)

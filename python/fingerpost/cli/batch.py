@@ -19,7 +19,6 @@ from fingerpost.signals import ending_at_once
 if TYPE_CHECKING:
     from fingerpost.batch import Outcome
 
-_COLUMNS = ("recording", "frames", "ok", "acquiring", "lost", "ill_conditioned", "semi_axis_95")
 _FAILED = 1
 
 
@@ -63,14 +62,17 @@ def batch(rigs: tuple[str, ...], folder: Path, workers: int | None, **options: A
 
 
 def _write_table(path: Path, outcomes: list[Outcome]) -> None:
+    from fingerpost.recording import PointRow
+
     try:
         with path.open("w", encoding="utf-8", newline="") as file:
             table = csv.writer(file, lineterminator="\n")
-            table.writerow([*_COLUMNS, "unit", "reason", "notes"])
+            words = ("unit", "reason", "notes")
+            table.writerow(["recording", "frames", *PointRow.STATUSES, "semi_axis_95", *words])
             for one in outcomes:
-                counts = [one.statuses.get(status, 0) for status in _COLUMNS[2:6]]
+                counts = [one.statuses.get(status, 0) for status in PointRow.STATUSES]
                 semi_axis = "" if one.semi_axis is None else one.semi_axis
-                words = [one.unit, one.reason, "; ".join(one.notes)]
-                table.writerow([one.task.name, one.frames, *counts, semi_axis, *words])
+                said = [one.unit, one.reason, "; ".join(one.notes)]
+                table.writerow([one.task.name, one.frames, *counts, semi_axis, *said])
     except OSError as error:
         raise RecordingError(f"{path}: cannot be written: {error.strerror}") from error

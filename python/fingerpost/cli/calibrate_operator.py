@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import os
-import sys
 import time
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager, nullcontext
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from fingerpost.cli.endings import ending_as_interrupted
+from fingerpost.cli.keys import TAKE_KEY, has_keys, pressed_keys
 from fingerpost.cli.live_status import LiveStatus
 from fingerpost.cli.live_views import give_up_option, hush_streams
 from fingerpost.cli.outputs import keep_apart, rig_files
@@ -32,8 +31,6 @@ if TYPE_CHECKING:
     from fingerpost.pipeline import Step
 
     Fixes = Iterator[tuple[float, NDArray[np.float64] | None]]
-
-_TAKE_KEY = " "
 
 _FILE = click.Path(path_type=Path)
 
@@ -181,8 +178,8 @@ def _followed(
             yield step.fix.time_s, step.fix.point
         return
     line = stack.enter_context(status_line())
-    pressed = stack.enter_context(_keys())
-    prompt = _Prompt(calibration, line, takes_key=_has_keys())
+    pressed = stack.enter_context(pressed_keys())
+    prompt = _Prompt(calibration, line, takes_key=has_keys())
     size = pointer.plane_views[0].plane_size
     status = (
         None
@@ -204,27 +201,13 @@ def _prompted(
     for step in followed:
         yield step.fix.time_s, step.fix.point
         while pressed:
-            if pressed.popleft() == _TAKE_KEY and calibration.press() is None:
+            if pressed.popleft() == TAKE_KEY and calibration.press() is None:
                 prompt.refuse()
         prompt.say()
         if calibration.next is None:
             return
         if status is not None:
             status.take(step)
-
-
-@contextmanager
-def _keys() -> Iterator[deque[str]]:
-    """Give the keys that are pressed; none where nobody is at them."""
-    from fingerpost.guidance import Keys
-
-    pressed: deque[str] = deque()
-    with Keys(pressed.append, lambda: None) if _has_keys() else nullcontext():
-        yield pressed
-
-
-def _has_keys() -> bool:
-    return os.name == "posix" and sys.stdin.isatty()
 
 
 class _Prompt:

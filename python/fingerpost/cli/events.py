@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import sys
-from collections import deque
 from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
@@ -13,12 +10,13 @@ from typing import TYPE_CHECKING
 
 import click
 
+from fingerpost.cli.keys import TAKE_KEY, pressed_keys
+
 if TYPE_CHECKING:
     from fingerpost.config import Rig
     from fingerpost.pipeline import Step
 
 STDOUT = Path("-")
-_SELECT_KEY = " "
 
 EVENT_OPTIONS = (
     click.option(
@@ -43,7 +41,6 @@ EVENT_OPTIONS = (
 
 def event_taker(stack: ExitStack, rig: Rig, path: Path, dwell_s: float) -> Callable[[Step], None]:
     """Write what the hand does with targets; where somebody is at the keys, he may select too."""
-    from fingerpost.guidance import Keys
     from fingerpost.selection import Selector
 
     selector = Selector(rig.things, dwell_s=dwell_s)
@@ -51,14 +48,12 @@ def event_taker(stack: ExitStack, rig: Rig, path: Path, dwell_s: float) -> Calla
         file = None if path == STDOUT else stack.enter_context(path.open("w", encoding="utf-8"))
     except OSError as error:
         raise click.UsageError(f"--events {path}: cannot be written: {error.strerror}") from error
-    pressed: deque[str] = deque()
-    if os.name == "posix" and sys.stdin.isatty():
-        stack.enter_context(Keys(pressed.append, lambda: None))
+    pressed = stack.enter_context(pressed_keys())
 
     def take(step: Step) -> None:
         happened = selector.update(step.fix)
         while pressed:
-            if pressed.popleft() == _SELECT_KEY:
+            if pressed.popleft() == TAKE_KEY:
                 happened += selector.press(step.fix.time_s)
         for event in happened:
             click.echo(json.dumps(event.as_dict()), file=file)

@@ -60,9 +60,6 @@ def live(rig_file: Path | None, port: int, host: str, opens: bool, operator: str
     """
     with ending_at_once():
         need_opencv()
-        from fingerpost.live import need_extra
-
-        need_extra()
         from fingerpost.config import Rig
         from fingerpost.live import Page, operate, set_up
 

@@ -69,9 +69,7 @@ def open_recorder(path: Path, rig: Rig, sources: Sequence[Source], images: str |
 
     check_recording(path)
     is_live = sources[0].kind is SourceKind.LIVE
-    views = tuple(
-        structs.replace(view, source=f"{path.name}#{view.name}", offset_s=0.0) for view in rig.views
-    )
+    views = tuple(view.recorded_as(f"{path.name}#{view.name}") for view in rig.views)
     about = About(
         version=version("fingerpost"),
         views=tuple(rig.sources),

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fingerpost.checks import make_folder
 from fingerpost.closed_loop.engine import require_mujoco
 from fingerpost.closed_loop.kinematic import KinematicCell
 from fingerpost.closed_loop.layout import Aim, CameraPlacement
@@ -177,13 +178,7 @@ def run_robot_demo(
         raise InvalidInputError(f"seed is {seed}; 0 or more is right")
     if max_frames is not None and max_frames < 1:
         raise InvalidInputError(f"max_frames is {max_frames}; 1 or more is right")
-    folder = Path(output)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InvalidInputError(
-            f"{folder}: cannot be made: {error.strerror}; name a folder that may be written into"
-        ) from error
+    folder = make_folder(Path(output))
     rng = np.random.default_rng(seed)
     block_mm, place_mm = block_and_place_mm(rng)
     note = _missing()

@@ -6,11 +6,11 @@ them while a rig runs; the doctor does before.
 
 from fingerpost.consistency.contradiction import Contradiction
 from fingerpost.consistency.freshness import Freshness
-from fingerpost.consistency.monitor import FROZEN, Monitor
+from fingerpost.consistency.monitor import FROZEN, Monitor, unannounced
 from fingerpost.consistency.offset import Offset, Track, offset_between
 from fingerpost.consistency.scenery import Mistake, Scenery
 from fingerpost.consistency.straightness import Bend
-from fingerpost.consistency.synchrony import Lag, Tips, lag_between
+from fingerpost.consistency.synchrony import Lag, Tips, lag_between, tip_in_first_view
 
 __all__ = [
     "FROZEN",
@@ -26,4 +26,6 @@ __all__ = [
     "Track",
     "lag_between",
     "offset_between",
+    "tip_in_first_view",
+    "unannounced",
 ]

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 
 import numpy as np
 
 from fingerpost.capture import Frame, Loss
 from fingerpost.consistency.freshness import Freshness
-from fingerpost.consistency.synchrony import Lag, Tips, lag_between
+from fingerpost.consistency.synchrony import Lag, Tips, lag_between, tip_in_first_view
 from fingerpost.pointing import FingerLine, PlaneView
 
 _log = logging.getLogger(__name__)
@@ -22,6 +23,18 @@ LOOK_EVERY_S = 0.5
 
 REPEATS_SHARE = 0.1
 """Least share of repeated images that is reported."""
+
+
+@contextmanager
+def unannounced() -> Iterator[None]:
+    """Log no warnings: the caller corrects the clocks, or reports the notes itself."""
+    logger = logging.getLogger("fingerpost")
+    before = logger.level
+    logger.setLevel(logging.ERROR)
+    try:
+        yield
+    finally:
+        logger.setLevel(before)
 
 
 class Monitor:
@@ -76,12 +89,8 @@ class Monitor:
         ):
             if time_s is None or not isinstance(finger, FingerLine):
                 continue
-            tip_px = finger.tip_px if view.lens is None else view.lens.undistort(finger.tip_px)
-            if np.isfinite(tip_px).all():
-                first_from_view = plane_views[0].image_from_plane @ np.linalg.inv(
-                    view.image_from_plane
-                )
-                tips.add(time_s, first_from_view @ [*tip_px, 1.0])
+            if (tip := tip_in_first_view(finger, view, plane_views[0])) is not None:
+                tips.add(time_s, tip)
         if times_s[0] is not None and times_s[0] >= self._compared_s + LOOK_EVERY_S:
             self._compared_s = times_s[0]
             self._compare()

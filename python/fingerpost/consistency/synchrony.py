@@ -14,6 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fingerpost.pointing import FingerLine, PlaneView
+
 Array = NDArray[np.float64]
 
 SPAN_S = 1.0
@@ -58,6 +60,29 @@ class Lag:
     lag_s: float
     with_px: float
     without_px: float
+
+
+def tip_in_first_view(finger: FingerLine, view: PlaneView, first: PlaneView) -> Array | None:
+    """Return where the first view's image of the plane has the tip that another view follows.
+
+    Parameters
+    ----------
+    finger
+        As the other view has it.
+    view, first
+        How the other view and the first one see the plane.
+
+    Returns
+    -------
+    (3,) array or None
+        A homogeneous vector, in pixels without distortion; None where the view's lens shows
+        nothing at the tip.
+    """
+    tip_px = finger.tip_px if view.lens is None else view.lens.undistort(finger.tip_px)
+    if not np.isfinite(tip_px).all():
+        return None
+    here = first.image_from_plane @ np.linalg.solve(view.image_from_plane, [*tip_px, 1.0])
+    return np.asarray(here, np.float64)
 
 
 class Tips:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
 from itertools import zip_longest
 
 from fingerpost.capture import Frame
 from fingerpost.config import Rig
+from fingerpost.consistency import unannounced
 from fingerpost.doctor.findings import Check, Finding, Severity
 from fingerpost.errors import FingerpostError
 from fingerpost.pipeline import Pointer
@@ -19,26 +18,13 @@ def judge_times_by_motion(rig: Rig, frames: Sequence[Sequence[Frame]]) -> Iterat
 
     Nothing is said of a rig that cannot point, nor where no hand is seen to move in both views.
     """
-    with _quiet():
+    with unannounced():
         try:
             pointer = Pointer(rig)
             for together in zip_longest(*frames):
-                for _ in pointer.update(together):
-                    pass
+                pointer.update(together)
         except FingerpostError:
             return
     for note in pointer.notes():
         what, _, right = note.partition("; ")
         yield Finding(Severity.WARNING, Check.TIMING, "", what, right)
-
-
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """Leave the report of observations to the doctor alone."""
-    logger = logging.getLogger("fingerpost")
-    before = logger.level
-    logger.setLevel(logging.CRITICAL)
-    try:
-        yield
-    finally:
-        logger.setLevel(before)

@@ -19,6 +19,7 @@ from types import TracebackType
 from typing import Any, Self, TypeVar
 
 from fingerpost.errors import FingerpostError, InvalidInputError
+from fingerpost.installation import require
 from fingerpost.live.commands import SetUp
 from fingerpost.live.moment import Moment
 from fingerpost.live.process import serve
@@ -30,6 +31,9 @@ Frames = TypeVar("Frames")
 
 WINDOW = 2
 """Moments that the page's process may have before it is done with the first of them."""
+
+_EXTRA = "page"
+_MODULES = ("starlette", "uvicorn", "websockets")
 
 _NICE = 10
 _END_S = 4.0
@@ -50,6 +54,8 @@ class Page:
     ------
     InvalidInputError
         The address cannot be served at.
+    MissingExtraError
+        The extra `page` is not installed.
 
     Attributes
     ----------
@@ -58,6 +64,8 @@ class Page:
     """
 
     def __init__(self, host: str, port: int) -> None:
+        for module in _MODULES:
+            require(module, _EXTRA)
         self._lock = threading.Lock()
         self._changed = threading.Condition()
         self._is_live = False

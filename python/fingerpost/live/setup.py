@@ -1,12 +1,10 @@
 """Set-up on the page: pick views, click the reference points, and the rig file is written.
 
-What is offered are the cameras of the machine and the recordings of a folder. Whoever can find the
-reference points by themselves hands them over as `Offer.proposed_px`; a click moves them.
+What is offered are the cameras of the machine and the recordings of a folder.
 """
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
@@ -15,10 +13,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fingerpost.capture import Frame, open_source
+from fingerpost.capture import Frame, list_cameras, open_source
 from fingerpost.config import Plane, Rig, View
 from fingerpost.consistency import Scenery
 from fingerpost.errors import FingerpostError, InvalidInputError
+from fingerpost.formats import corners_of
 from fingerpost.live.commands import SetUp
 from fingerpost.live.moment import encoded
 from fingerpost.live.page import Page
@@ -29,8 +28,6 @@ RIG_FILE = "rig.toml"
 _FILMS = {".avi", ".m4v", ".mkv", ".mov", ".mp4", ".mpg", ".mts", ".webm"}
 _MOST_OFFERS = 12
 _FIRST_FRAMES = 25  # of which one shall be sound
-
-Places = tuple[tuple[float, float], ...]
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -47,15 +44,12 @@ class Offer:
         A picture of it; None where it cannot be read.
     problem
         Why it cannot be used; empty if it can.
-    proposed_px
-        Where its reference points seem to be, if anybody has found them.
     """
 
     name: str
     source: str | int
     image: NDArray[np.uint8] | None = None
     problem: str = ""
-    proposed_px: Places = ()
 
     @property
     def size_px(self) -> tuple[int, int]:
@@ -73,7 +67,6 @@ class Offer:
             "source": str(self.source),
             "size": self.size_px,
             "problem": self.problem,
-            "proposed": self.proposed_px,
         }
 
 
@@ -85,22 +78,15 @@ def offers_of(folder: Path) -> list[Offer]:
     folder
         An existing one.
     """
-    cameras = _cameras()
     films = sorted(path for path in folder.iterdir() if path.suffix.lower() in _FILMS)
     stems = [path.stem for path in films]
-    sources: dict[str, str | int] = {f"camera{number}": number for number in cameras}
+    sources: dict[str, str | int] = {
+        f"camera{camera.number}": camera.number for camera in list_cameras()
+    }
     for path in films:
         name = path.stem if stems.count(path.stem) == 1 else path.name
         sources[name] = str(path.absolute())
     return [_looked_at(name, source) for name, source in islice(sources.items(), _MOST_OFFERS)]
-
-
-def _cameras() -> list[int]:
-    """Give the numbers of cameras, where the system lists them without opening any."""
-    if not sys.platform.startswith("linux"):
-        return []
-    numbers = [path.name.removeprefix("video") for path in Path("/dev").glob("video*")]
-    return sorted(int(number) for number in numbers if number.isdecimal())
 
 
 def _looked_at(name: str, source: str | int) -> Offer:
@@ -136,9 +122,8 @@ def rig_of(wanted: SetUp, offers: list[Offer]) -> Rig:
                 size_px=offer.size_px,
             )
         )
-    width, height = wanted.width, wanted.height
-    corners = ((0.0, 0.0), (width, 0.0), (width, height), (0.0, height))
-    rig = Rig(plane=Plane(unit=wanted.unit, points=corners), views=tuple(views))
+    plane = Plane(unit=wanted.unit, points=corners_of((wanted.width, wanted.height)))
+    rig = Rig(plane=plane, views=tuple(views))
     Pointer(rig)  # refuses what cannot point
     _refuse_belied(rig, [offers[chosen.offer] for chosen in wanted.views])
     return rig

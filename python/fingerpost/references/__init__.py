@@ -7,6 +7,7 @@ the working plane has moved in its picture if it does not.
 from fingerpost.references.following import Measured, ReferenceFollower
 from fingerpost.references.markers import MarkersMeter, marker_cells, sheet_markers
 from fingerpost.references.meters import Meter, RectangleMeter
+from fingerpost.references.polygons import signed_area
 from fingerpost.references.rectangles import Candidate, find_rectangles, likeness, turned
 from fingerpost.references.reduction import Reduction
 from fingerpost.references.registration import PlaneMotion, PlaneRegistration, Segment
@@ -34,5 +35,6 @@ __all__ = [
     "likeness",
     "marker_cells",
     "sheet_markers",
+    "signed_area",
     "turned",
 ]

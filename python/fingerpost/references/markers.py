@@ -21,7 +21,7 @@ from fingerpost.homography import (
 from fingerpost.lens import Lens
 from fingerpost.references.following import Measured
 from fingerpost.references.rectangles import tone
-from fingerpost.references.sides import fit_sides
+from fingerpost.references.sides import as_shown, fit_sides
 from fingerpost.uncertainty import blocks_of, homography_covariance
 
 if TYPE_CHECKING:
@@ -213,15 +213,8 @@ class MarkersMeter:
             return None
         by_entries = transfer_jacobian_by_entries(T, self._plane_points).reshape(8, 9)
         covariance = by_entries @ entries_covariance @ by_entries.T
-        if self._lens is not None:
-            corners = self._lens.distort(corners)
-            if not np.isfinite(corners).all():
-                return None
-            by_ideal = np.zeros((8, 8))
-            for k, block in enumerate(np.linalg.inv(self._lens.undistort_jacobian(corners))):
-                by_ideal[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = block
-            covariance = by_ideal @ covariance @ by_ideal.T
-        return Measured(corners, covariance)
+        shown = as_shown(corners, covariance, self._lens)
+        return None if shown is None else Measured(*shown)
 
 
 def _agreeing(plane: list[Array], ideal: list[Array]) -> list[int]:

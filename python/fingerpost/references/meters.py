@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from fingerpost.lens import Lens
 from fingerpost.references.following import Measured
+from fingerpost.references.polygons import signed_area
 from fingerpost.references.rectangles import channel_of, find_rectangles, tone, turned
 from fingerpost.references.sides import Sides, fit_sides
 
@@ -84,13 +85,13 @@ class RectangleMeter:
 
     def search(self, picture: Picture, near_px: Array) -> Measured | None:
         """Look for it in all of the picture; its corners are taken for the nearest ones."""
-        area = _area(near_px)
+        area = float(signed_area(near_px))
         for candidate in find_rectangles(picture, self._size, self._lens):
             best = min(
                 turned(candidate.sides, clockwise=area > 0.0),
                 key=lambda sides: float(np.linalg.norm(sides.corners_px - near_px, axis=1).sum()),
             )
-            if abs(math.log(_area(best.corners_px) / area)) < math.log(MOST_GROWTH):
+            if abs(math.log(float(signed_area(best.corners_px)) / area)) < math.log(MOST_GROWTH):
                 return Measured(best.corners_px, best.covariance)
         return None
 
@@ -100,8 +101,3 @@ class RectangleMeter:
         if self._steps is None:
             return True
         return bool((np.abs(sides.steps) >= FADED * np.abs(self._steps)).all())
-
-
-def _area(corners: Array) -> float:
-    x, y = corners.T
-    return float(x @ np.roll(y, -1) - y @ np.roll(x, -1))

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fingerpost.lens import Lens
+from fingerpost.references.polygons import contains, is_convex, signed_area
 from fingerpost.references.reduction import Reduction
 from fingerpost.references.segments import Line, find_lines
 from fingerpost.references.sides import Sides, refined
@@ -214,7 +215,7 @@ def _quadrilaterals(
     corners = _corners(points, along, t, sides)
     fits = _is_possible(corners, shape)
     sides, corners = sides[fits], corners[fits]
-    backward = _areas(corners) < 0.0
+    backward = signed_area(corners) < 0.0
     # The other way round: corners ab, da, cd, bc are of the sides a, d, c, b.
     sides[backward] = sides[backward][:, [0, 3, 2, 1]]
     corners[backward] = _corners(points, along, t, sides[backward])
@@ -247,23 +248,13 @@ def _is_near(points: Array, shape: tuple[int, ...]) -> NDArray[np.bool_]:
         return np.asarray(((points > -beyond) & (points < last)).all(axis=-1))
 
 
-def _areas(corners: Array) -> Array:
-    x, y = np.moveaxis(corners, -1, 0)
-    ahead_x, ahead_y = np.roll(x, -1, axis=-1), np.roll(y, -1, axis=-1)
-    return np.asarray(0.5 * (x * ahead_y - y * ahead_x).sum(axis=-1))
-
-
 def _is_possible(corners: Array, shape: tuple[int, ...]) -> NDArray[np.bool_]:
     """Tell which quadrilaterals are convex, large enough, and about the picture."""
-    ahead = np.roll(corners, -1, axis=1) - corners
-    after = np.roll(ahead, -1, axis=1)
-    turns = ahead[..., 0] * after[..., 1] - ahead[..., 1] * after[..., 0]
     with np.errstate(invalid="ignore"):
-        convex = (turns > 0.0).all(axis=1) | (turns < 0.0).all(axis=1)
-        large = np.abs(_areas(corners)) > SMALLEST * shape[0] * shape[1]
+        large = np.abs(signed_area(corners)) > SMALLEST * shape[0] * shape[1]
         middle = corners.mean(axis=1)
         inside = ((middle > 0.0) & (middle < np.array(shape[1::-1]))).all(axis=1)
-    return np.asarray(convex & large & inside)
+    return np.asarray(is_convex(corners) & large & inside)
 
 
 def _support(
@@ -356,19 +347,13 @@ def _nearness(quads: Array, near_px: Array | None, shape: tuple[int, ...]) -> Ar
         return np.ones(len(quads))
     near = np.asarray(near_px, np.float64)
     if near.ndim == 1:
-        return np.array([1.0 if _is_inside(quad, near) else 0.0 for quad in quads])
+        return np.array([1.0 if contains(quad, near) else 0.0 for quad in quads])
     off_px = [
         np.linalg.norm(np.roll(turned, k, axis=1) - near, axis=-1).mean(axis=1)
         for turned in (quads, quads[:, ::-1])
         for k in range(4)
     ]
     return np.asarray(np.exp(-np.min(off_px, axis=0) / (0.02 * max(shape[:2]))))
-
-
-def _is_inside(quad: Array, point: Array) -> bool:
-    to, ahead = point - quad, np.roll(quad, -1, axis=0) - quad
-    turns = ahead[:, 0] * to[:, 1] - ahead[:, 1] * to[:, 0]
-    return bool((turns > 0.0).all() or (turns < 0.0).all())
 
 
 def _is_same(quad: Array, other: Array) -> bool:

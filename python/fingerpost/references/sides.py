@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 
 from fingerpost._core import LineFit, edges_along, fit_line
 from fingerpost.lens import Lens
+from fingerpost.references.polygons import is_convex, signed_area
+from fingerpost.uncertainty import joint_of
 
 Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]
@@ -74,11 +76,6 @@ class Sides:
         """The part of the outline in the picture that shows an edge, 0 to 1."""
         return float(self.shares @ self.seen_px / self.seen_px.sum())
 
-    @property
-    def covariances_px2(self) -> Array:
-        """(4, 2, 2) The covariance of each corner alone."""
-        return np.stack([self.covariance[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] for k in range(4)])
-
     def ordered(self, corners: NDArray[np.intp]) -> Sides:
         """Return the same with its corners in another order, round it one way or the other."""
         entries = (2 * corners[:, None] + [0, 1]).ravel()
@@ -138,7 +135,7 @@ def fit_sides(
     if not np.isfinite(ideal).all():
         return None
     # Normals of `edges_along` lead inwards if the corners run clockwise in the picture.
-    turn = 1.0 if _area(ideal) > 0.0 else -1.0
+    turn = 1.0 if signed_area(ideal) > 0.0 else -1.0
     signs = np.zeros(4) if steps is None else np.sign(steps) * turn
     found = []
     for k in range(4):
@@ -212,20 +209,14 @@ def _joined(sides: list[_Side], turn: float, lens: Lens | None) -> Sides | None:
         j = (k - 1) % 4
         by_lines[2 * k : 2 * k + 2, 2 * j : 2 * j + 2] = by_before
         by_lines[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = by_after
-    if np.sign(_area(corners)) != turn or not _is_convex(corners):
+    if np.sign(signed_area(corners)) != turn or not is_convex(corners):
         return None
-    lines = np.zeros((8, 8))
-    for k, side in enumerate(sides):
-        lines[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = side.line.covariance
+    lines = joint_of(np.stack([side.line.covariance for side in sides]))
     covariance = by_lines @ lines @ by_lines.T
-    if lens is not None:
-        distorted = lens.distort(corners)
-        if not np.isfinite(distorted).all():
-            return None
-        by_ideal = np.zeros((8, 8))
-        for k, jacobian in enumerate(np.linalg.inv(lens.undistort_jacobian(distorted))):
-            by_ideal[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = jacobian
-        corners, covariance = distorted, by_ideal @ covariance @ by_ideal.T
+    shown = as_shown(corners, covariance, lens)
+    if shown is None:
+        return None
+    corners, covariance = shown
     return Sides(
         corners,
         covariance + MODEL_SIGMA_PX**2 * np.eye(8),
@@ -234,6 +225,20 @@ def _joined(sides: list[_Side], turn: float, lens: Lens | None) -> Sides | None:
         seen_px=np.array([side.seen_px for side in sides]),
         rms_px=np.array([side.line.rms_px for side in sides]),
     )
+
+
+def as_shown(ideal_px: Array, covariance: Array, lens: Lens | None) -> tuple[Array, Array] | None:
+    """Return ideal pixels (N, 2) and their covariance (2N, 2N) as a lens shows them.
+
+    None where it shows one of them nowhere.
+    """
+    if lens is None:
+        return ideal_px, covariance
+    shown_px = np.asarray(lens.distort(ideal_px))
+    if not np.isfinite(shown_px).all():
+        return None
+    by_ideal = joint_of(np.asarray(np.linalg.inv(lens.undistort_jacobian(shown_px)), np.float64))
+    return shown_px, by_ideal @ covariance @ by_ideal.T
 
 
 def _meet(before: LineFit, after: LineFit) -> tuple[Array, Array, Array] | None:
@@ -249,16 +254,3 @@ def _meet(before: LineFit, after: LineFit) -> tuple[Array, Array, Array] | None:
     lever = ((corner - points) * directions).sum(axis=1)
     by_line = [np.outer(inverse[:, k], [1.0, lever[k]]) for k in range(2)]
     return corner, by_line[0], by_line[1]
-
-
-def _area(corners: Array) -> float:
-    """Return twice the area that corners enclose, positive if they run clockwise as shown."""
-    x, y = corners.T
-    return float(x @ np.roll(y, -1) - y @ np.roll(x, -1))
-
-
-def _is_convex(corners: Array) -> bool:
-    ahead = np.roll(corners, -1, axis=0) - corners
-    after = np.roll(ahead, -1, axis=0)
-    turns = ahead[:, 0] * after[:, 1] - ahead[:, 1] * after[:, 0]
-    return bool((turns > 0.0).all() or (turns < 0.0).all())

@@ -2,56 +2,37 @@
 
 from __future__ import annotations
 
-import importlib
 import io
 import logging
 import sys
 from contextlib import redirect_stdout
 from types import ModuleType
 
-from fingerpost.errors import MissingExtraError
+from fingerpost.installation import require
 
 logger = logging.getLogger(__name__)
 
 
-def require(module: str, extra: str, *, silent: bool = False) -> ModuleType:
-    """Import a vendor's library.
+def require_silently(module: str, extra: str) -> ModuleType:
+    """Import a vendor's library whose words are not for the program's standard output.
+
+    What it prints, now and later, or logs there, goes to this module's logger instead.
 
     Parameters
     ----------
-    module : str
-        What to import.
-    extra : str
-        The extra of this package that brings it.
-    silent : bool
-        What the library prints, now and later, or logs to standard output, goes to this module's
-        logger instead: standard output is the program's.
+    module, extra : str
+        As for `fingerpost.installation.require`.
 
     Raises
     ------
     MissingExtraError
-        It is not installed, or cannot be imported; the message says why, and holds the command
-        that installs it.
+        As `fingerpost.installation.require`.
     """
-    try:
-        if not silent:
-            return importlib.import_module(module)
-        output = _LoggedOutput()
-        with redirect_stdout(output):
-            library = importlib.import_module(module)
-        _silence(module.partition(".")[0], output)
-        return library
-    except Exception as error:
-        command = f"pip install 'fingerpost[{extra}]'"
-        name = getattr(error, "name", None)
-        if isinstance(error, ModuleNotFoundError) and f"{module}.".startswith(f"{name}."):
-            problem = f"is not installed; install it with: {command}"
-        else:
-            problem = (
-                f"cannot be imported ({type(error).__name__}: {error}); see to that, or install it "
-                f"anew with: {command} --force-reinstall"
-            )
-        raise MissingExtraError(f"{module} {problem}") from error
+    output = _LoggedOutput()
+    with redirect_stdout(output):
+        library = require(module, extra)
+    _silence(module.partition(".")[0], output)
+    return library
 
 
 class _LoggedOutput(io.TextIOBase):

@@ -23,6 +23,7 @@ import msgspec
 import numpy as np
 
 from fingerpost.errors import FingerpostError
+from fingerpost.installation import require
 from fingerpost.robot import ur_dashboard
 from fingerpost.robot.arm import Arm, ArrivalRule, Turn
 from fingerpost.robot.errors import (
@@ -33,7 +34,6 @@ from fingerpost.robot.errors import (
     RobotError,
     RobotFaultError,
 )
-from fingerpost.robot.extras import require
 from fingerpost.robot.options import CheckedOptions
 from fingerpost.robot.orientation import (
     pose_angles,

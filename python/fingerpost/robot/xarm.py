@@ -36,7 +36,7 @@ from fingerpost.robot.errors import (
     RobotFaultError,
     RobotTimeoutError,
 )
-from fingerpost.robot.extras import require
+from fingerpost.robot.extras import require_silently
 from fingerpost.robot.options import CheckedOptions
 from fingerpost.robot.orientation import (
     fixed_angles,
@@ -178,7 +178,7 @@ class Xarm(Arm):
             sleep=sleep,
         )
         self._host = host
-        self._library = require("xarm.wrapper", "xarm", silent=True)
+        self._library = require_silently("xarm.wrapper", "xarm")
         self._api: Any = None
         self._stopped = False
 

@@ -122,7 +122,7 @@ class Clicked {
     this.offer = k;
     this.name = offer.name;
     this.size = offer.size;
-    this.points = offer.proposed.map(([u, v]) => [u, v]);
+    this.points = [];
     this.changed = changed;
     this.element = html("section", "click", parent);
     const head = html("header", "", this.element);
