@@ -15,10 +15,10 @@ RIG = Path(__file__).parents[1] / "python" / "fingerpost" / "data" / "desk" / "r
 
 
 class Served:
-    """`fingerpost live`, running."""
+    """A command that serves the page, running."""
 
     def __init__(self, *arguments: object, folder: Path | None = None) -> None:
-        command = [sys.executable, "-m", "fingerpost", "live", *map(str, arguments)]
+        command = [sys.executable, "-m", "fingerpost", *map(str, arguments)]
         environment = {**os.environ, "PYTHONUNBUFFERED": "1"}
         self.process = subprocess.Popen(
             command,
@@ -53,9 +53,11 @@ class Served:
 
 
 @contextmanager
-def served(*arguments: object, folder: Path | None = None) -> Iterator[Served]:
-    """Run `fingerpost live`, of the clip or of a folder, and see to it that it ends."""
-    running = Served(*(arguments or (() if folder else (RIG,))), folder=folder)
+def served(
+    *arguments: object, command: str = "live", folder: Path | None = None
+) -> Iterator[Served]:
+    """Run a command, by default `live` of the clip or of a folder, and see to it that it ends."""
+    running = Served(command, *(arguments or (() if folder else (RIG,))), folder=folder)
     try:
         yield running
     finally:

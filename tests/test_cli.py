@@ -110,6 +110,8 @@ def test_the_experiment_prints_its_table(tmp_path):
         (["experiment", "--guidance", str(10**20)], "is not in the range 0<=x<="),
         (["experiment", "--taper", "3"], "taper is 3.0; it must be a number from 0 to 0.6"),
         (["experiment", "--recording", "rig.toml"], "--recording and --truth go together"),
+        (["demo", "--live", "--output", "x"], "--live and --output do not go together"),
+        (["demo", "--robot", "--live"], "--live and --robot do not go together"),
         (["walk"], "No such command 'walk'"),
         (["robot", "emulate", "puma"], "'puma' is not emulated"),
         (["robot", "emulate", "acl", "--time-scale", "0"], "time_scale is 0.0; from 0.001 to"),

@@ -348,6 +348,18 @@ def test_when_fingerpost_ends_the_page_says_so(browser):
         page.context.close()
 
 
+def test_the_demo_plays_the_clip_to_its_end_and_again(browser):
+    with served("--live", command="demo") as running:
+        page = Open(browser, running)
+        assert page.page.title() == "the built-in clip – fingerpost"
+        page.at(int(page.page.get_attribute("#scrub", "max")) - 5)
+        page.press("p")
+        page.until("document.querySelector('#message').textContent.includes('P plays it again')")
+        page.press("p")
+        page.until("/frame [0-9]$/.test(document.querySelector('#clock').textContent)")
+        page.close()
+
+
 # --- set-up ----------------------------------------------------------------------------------
 
 

@@ -192,6 +192,11 @@ def run_demo(
     )
 
 
+def clip_rig() -> Rig:
+    """Return the rig of the built-in clip: two recordings of a hand over a table."""
+    return Rig.load(_CLIP / "rig.toml")
+
+
 # --- what is played ---------------------------------------------------------------------------
 
 
@@ -212,7 +217,7 @@ class _Footage:
 
 def _clip(stack: ExitStack) -> _Footage:
     """Open the packaged clip until the stack unwinds."""
-    rig = Rig.load(_CLIP / "rig.toml")
+    rig = clip_rig()
     sources = stack.enter_context(open_views(rig.sources, rig.readings))
     table = np.loadtxt(_CLIP / "truth.csv", delimiter=",", skiprows=1)
     return _Footage(

@@ -8,7 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
+from click.core import ParameterSource
 
+from fingerpost.cli.endings import ending_as_interrupted
 from fingerpost.cli.progress import telling, watched
 from fingerpost.installation import need_opencv
 from fingerpost.signals import ending_at_once
@@ -29,13 +31,17 @@ if TYPE_CHECKING:
 )
 @click.option("--simulate", is_flag=True, help="Play the simulated rig instead of the clip.")
 @click.option("--robot", is_flag=True, help="Have a robot go there, in a simulated world.")
+@click.option("--live", is_flag=True, help="Show the clip in a browser; nothing is written.")
 @click.option("--seed", type=int, default=0, show_default=True, help="Of the simulation.")
 @click.option("--max-frames", metavar="N", type=click.IntRange(min=1), help="Stop after N frames.")
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON.")
+@click.pass_context
 def demo(
+    context: click.Context,
     output: Path,
     simulate: bool,
     robot: bool,
+    live: bool,
     seed: int,
     max_frames: int | None,
     as_json: bool,
@@ -45,7 +51,13 @@ def demo(
     With --robot, an operator points at a block and at a place, corrects by what he sees the robot
     do, and the robot carries the block there: under physics if fingerpost[mujoco] is installed.
     Exits with 1 if it does not get there.
+
+    With --live, the address that is printed shows the clip on the page of `fingerpost live`.
     """
+    if live:
+        _refuse_others(context)
+        _show_clip()
+        return
     summary: DemoSummary | RobotDemoSummary
     failed = False
     if robot:
@@ -72,3 +84,24 @@ def demo(
     click.echo(json.dumps(summary.as_dict()) if as_json else "\n".join(summary.lines()))
     if failed:
         sys.exit(1)
+
+
+def _refuse_others(context: click.Context) -> None:
+    """Refuse what is of no effect beside --live."""
+    for parameter in context.command.get_params(context):
+        name = parameter.name or ""
+        given = context.get_parameter_source(name) is ParameterSource.COMMANDLINE
+        if given and name != "live":
+            raise click.UsageError(f"--live and {parameter.opts[-1]} do not go together")
+
+
+def _show_clip() -> None:
+    with ending_at_once():
+        need_opencv()
+        from fingerpost.demo import clip_rig
+        from fingerpost.live import Page, operate
+
+    with ending_as_interrupted(), Page("127.0.0.1", 0) as page:
+        click.echo(page.address)
+        operate(page, clip_rig(), "the built-in clip")
+        page.wait()
