@@ -231,36 +231,27 @@ def test_a_recording_plays_in_its_own_time():
     assert [frames[0].index for _, frames in steps] == [0, 1, 2, 3]
 
 
-def test_whoever_is_slower_than_a_recording_sees_the_newest_frames():
-    steps = played(film(12), 0.03, 0.35, 0.13, 0.0, 0.25, 0.25, 0.0)
-    given = [(now_s, frames[0].index) for now_s, frames in steps]
-    assert given == [
-        (pytest.approx(now_s), index)
-        for now_s, index in (
-            (100.0, 0),
-            (100.1, 1),
-            (100.45, 4),  # 2 and 3 are past
-            (100.58, 5),
-            (100.6, 6),  # waited for again
-            (100.85, 8),
-            (101.1, 11),  # the last comes however late
-        )
-    ]
+def test_a_recording_waits_for_whoever_is_slower():
+    steps = played(film(6), 0.03, 0.35, 0.13, 0.0, 0.25, 0.0)
+    given_s = [100.0, 100.1, 100.45, 100.58, 100.68, 100.93]
+    assert [now_s for now_s, _ in steps] == pytest.approx(given_s)
+    assert [frames[0].time_s for _, frames in steps] == pytest.approx(given_s)
+    assert [frames[0].index for _, frames in steps] == list(range(6))
 
 
-def test_of_views_with_rates_of_their_own_each_shows_its_newest_frame():
-    steps = [(left, right if k % 2 == 0 else None) for k, (left, right) in enumerate(film(6))]
-    given = [frames for _, frames in played(steps, 0.35, 0.02, 0.0, 0.0)]
-    assert [[frame and frame.index for frame in frames] for frames in given] == [
-        [0, 0],
-        [3, 2],
-        [4, 4],
-        [5, None],
-    ]
-    # Each in its own time: they are given together and were not taken together.
-    stamps = [[frame and frame.time_s for frame in frames] for frames in given]
-    assert stamps[1] == pytest.approx([100.3, 100.2])
-    assert stamps[3] == [pytest.approx(100.5), None]
+def test_views_with_rates_of_their_own_keep_their_times():
+    steps = [(left, right if k % 2 == 0 else None) for k, (left, right) in enumerate(film(4))]
+    played_steps = played(steps, 0.35, 0.02, 0.0, 0.0)
+    given = [[frame and frame.index for frame in frames] for _, frames in played_steps]
+    assert given == [[0, 0], [1, None], [2, 2], [3, None]]
+    assert [now_s for now_s, _ in played_steps] == pytest.approx([100.0, 100.35, 100.45, 100.55])
+
+
+def test_frames_that_were_not_taken_together_are_not_stamped_together():
+    left, right = film(2)[0][0], film(2)[1][0]
+    ((now_s, frames),) = played([(left, right)], 0.0)
+    assert now_s == 100.0
+    assert [frame.time_s for frame in frames] == pytest.approx([99.9, 100.0])
 
 
 def test_before_the_first_frame_nothing_is_due():

@@ -6,7 +6,6 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from enum import StrEnum
-from itertools import chain, pairwise, zip_longest
 
 from fingerpost.capture import Frame, Loss
 from fingerpost.pipeline import Step
@@ -42,9 +41,9 @@ def paced(
 ) -> Iterator[Sequence[Frame | Loss | None]]:
     """Play a recording as if it were live: each frame when it is due, and stamped with that time.
 
-    Whoever is slower than the recording misses frames, as with cameras: of those that are due by
-    the time he asks for the next, each view's newest is given. Otherwise he would see the hand ever
-    later.
+    No frame is left out. Where the caller works longer on a frame than the recording lasts, the
+    recording waits, and everything after it is due later: what is seen of it does not depend on
+    the speed of the computer, and no frame is old when it is given.
 
     Parameters
     ----------
@@ -55,22 +54,14 @@ def paced(
     sleep
         Waits for so many seconds of it.
     """
-    begin_s = math.nan  # nothing is before or after it: until there is a frame, none is due
-    newest: Sequence[Frame | Loss | None] = ()
-    for together, following in pairwise(chain(frames, [()])):
-        newest = [old if new is None else new for new, old in zip_longest(together, newest)]
-        if math.isnan(begin_s):
-            begin_s = clock() - _last_s(newest)
-        if begin_s + _last_s(following) <= clock():
-            continue
-        if (early_s := begin_s + _last_s(newest) - clock()) > 0:
+    begin_s = -math.inf  # of the recording, in the time of the clock
+    for together in frames:
+        last_s = max((frame.time_s for frame in together if frame is not None), default=math.nan)
+        if not math.isnan(last_s):
+            begin_s = max(begin_s, clock() - last_s)
+        if (early_s := begin_s + last_s - clock()) > 0:
             sleep(early_s)
         yield [
             None if frame is None else replace(frame, time_s=begin_s + frame.time_s)
-            for frame in newest
+            for frame in together
         ]
-        newest = ()
-
-
-def _last_s(frames: Sequence[Frame | Loss | None]) -> float:
-    return max((frame.time_s for frame in frames if frame is not None), default=math.nan)
