@@ -511,7 +511,7 @@ def test_the_prediction_meets_the_experiment():
         [SIZE] * 2,
         AdviceOptions(**BRIEF, pointing=PointingOptions(), reference_sigma_px=0.1),
     )
-    measured = run_experiment(ExperimentOptions(targets=30, seed=SEED), workers=1).summary.points
+    measured = run_experiment(ExperimentOptions(targets=12, seed=SEED), workers=1).summary.points
     assert 0.6 < advice.expected.median / measured.median < 1.7
 
 

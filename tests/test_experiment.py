@@ -390,14 +390,14 @@ def test_a_template_moulded_elsewhere_costs_the_paper_its_accuracy_and_the_bands
     # A planar template that was held up is another one where the hand points: section 3.3 of the
     # paper is off by 3.7 % of the plane.
     rms = {}
-    here = [Bench(ExperimentOptions()).trial(k).target for k in (0, 9)]
+    here = [Bench(ExperimentOptions()).trial(k).target for k in (0, 5)]
     for tracker in ("paper", "ribbon"):
         for away in (0, 30):
             bench = Bench(ExperimentOptions(tracker={"model": tracker}, approach_frames=away))
-            trials = [bench.trial(index) for index in range(10)]
-            np.testing.assert_array_equal([trials[0].target, trials[9].target], here)
+            trials = [bench.trial(index) for index in range(6)]
+            np.testing.assert_array_equal([trials[0].target, trials[5].target], here)
             errors = [trial.error for trial in trials if trial.status is Status.OK]
-            assert len(errors) >= 9
+            assert len(errors) >= 5
             rms[tracker, away] = np.sqrt(np.mean(np.square(errors)))
     assert rms["paper", 30] > 2.0 * rms["paper", 0]
     assert rms["ribbon", 30] < 1.5 * rms["ribbon", 0]
@@ -427,19 +427,15 @@ def test_trackers_start_where_the_device_is_first():
 def test_what_noise_does_to_a_target_its_mirror_does_the_other_way_round():
     # The same reference points and start, and exact ones: what is left is noise, and little else.
     bench = Bench(ExperimentOptions(targets=4, reference_noise_px=0.0))
-    errors = np.array(
-        [
-            [bench.trial(k, 1, mirrored=m).point - bench.trial(k).target for m in (False, True)]
-            for k in range(4)
-        ]
-    )
+    pairs = [[bench.trial(k, 1, mirrored=m) for m in (False, True)] for k in range(4)]
+    errors = np.array([[trial.point - trial.target for trial in pair] for pair in pairs])
     single, pair = np.sqrt(np.mean(errors**2)), np.sqrt(np.mean(errors.mean(axis=1) ** 2))
     assert pair < 0.5 * single
 
 
 def test_the_paper_reaches_its_accuracy_over_the_workspace():
     options = ExperimentOptions(tracker=PAPER, targets=40, frames=6)
-    summary = run_experiment(options, workers=4).summary
+    summary = run_experiment(options, workers=1).summary
     assert summary.available >= 20
     assert summary.points.rms <= 0.037 * PLANE
     assert summary.bound.rms < summary.points.rms
@@ -467,12 +463,12 @@ def test_the_finger_that_a_lens_bends_is_straight_again():
     rms_mm = {}
     for k1 in (0.0, -0.2):
         options = ExperimentOptions(
-            targets=24,
+            targets=12,
             cameras=Placement(distance_m=0.75, f_px=622.0, k1=(k1,)),
             reference_noise_px=0.0,
             sensor=Sensor(noise=0.0),
         )
-        rms_mm[k1] = run_experiment(options, workers=4).summary.points.rms
+        rms_mm[k1] = run_experiment(options, workers=1).summary.points.rms
     assert rms_mm[-0.2] < 1.2 * rms_mm[0.0]
 
 

@@ -27,7 +27,7 @@ from fingerpost.simulate import (
 from fingerpost.simulated_rig_file import rig_from_simulation
 
 # Targets whose waiting templates mostly take something on the cluttered table for a hand first.
-TARGETS = 10
+TARGETS = 6
 # A fifth of a per cent of the plane is what many targets reach on average.
 KNOWN_RMS_MM = 1.2
 TABLE_FRAMES = 30
@@ -79,7 +79,7 @@ def test_what_covers_a_hand_in_part_is_no_other_hand(channels, levels):
     # or brighter than the hand, may look like it in the mixture of colours that shows a hand best.
     rig = SimulatedRig(sensor=Sensor(channels=channels))
     pose = DevicePose.pointing_at((200.0, 200.0), azimuth_deg=20.0, slant_deg=50.0, hover_mm=120.0)
-    for seed in range(4):
+    for seed in range(2):
         pointer = Pointer(waiting_rig(rig, pose), pointing_options=PointingOptions())
         rng = np.random.default_rng([0x636F76, seed])
         covers = rig.occluders(pose, 0.3, rng, levels=levels)
@@ -348,7 +348,7 @@ def test_a_bumped_camera_lets_go_of_what_it_knew(session, shift_px):
 def test_a_template_of_the_wrong_length_acquires_the_finger(scale):
     # One that is too long might take the prong for a part of a bent finger.
     options = ExperimentOptions(
-        targets=24,
+        targets=10,
         start_offset_px=(0.0, 0.0),
         start_angle_deg=(0.0, 0.0),
         start_scale=(scale, scale),

@@ -173,17 +173,21 @@ class ReferenceSearch:
         return bool(signed_area(np.array(self._rig.plane.points)) < 0.0)
 
     def _agreed(self) -> Rig:
-        """Choose one place of each view, so that together they are the likeliest."""
+        """Choose one place of each view, so that together they are the likeliest.
+
+        Cameras stand upright, or at least alike.
+        """
         rig = self._with({k: places[0] for k, places in self._places.items()})
         views = list(range(len(rig.views)))
         pictures = [self._pictures[k] for k in views]
         scenery = Scenery(rig, pictures)
         options = [self._places.get(k, []) or [_as_given(rig.views[k])] for k in views]
+        ups = [[self._up(one.measured.points_px) for one in places] for places in options]
         anchor = next((k for k in views if not is_open(self._rig.views[k])), 0)
         best: dict[int, Placed] = {}
         most = -math.inf
-        for first in options[anchor]:
-            total = first.score + self._upright(first, None)
+        for first, first_up in zip(options[anchor], ups[anchor], strict=True):
+            total = first.score + UPRIGHT_WEIGHT * float(first_up[1])
             chosen = {anchor: first}
             for k in views:
                 if k == anchor:
@@ -193,20 +197,14 @@ class ReferenceSearch:
                     + scenery.agreement_of(
                         {anchor: first.measured.points_px, k: one.measured.points_px}, (anchor, k)
                     )
-                    + self._upright(one, first)
-                    for one in options[k]
+                    + UPRIGHT_WEIGHT * float(up @ first_up)
+                    for one, up in zip(options[k], ups[k], strict=True)
                 ]
                 chosen[k] = options[k][int(np.argmax(scores))]
                 total += max(scores)
             if total > most:
                 best, most = chosen, total
         return self._with({k: best[k] for k in self._places})
-
-    def _upright(self, place: Placed, other: Placed | None) -> float:
-        """Return what a place counts by where its camera stands, as another view's or upright."""
-        up = self._up(place.measured.points_px)
-        to = np.array([0.0, 1.0]) if other is None else self._up(other.measured.points_px)
-        return UPRIGHT_WEIGHT * float(up @ to)
 
     def _up(self, corners_px: Array) -> Array:
         """Return which way on the plane leads upwards in the picture."""

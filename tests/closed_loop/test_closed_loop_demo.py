@@ -10,6 +10,7 @@ from click.testing import CliRunner
 
 from fingerpost.cli import main
 from fingerpost.closed_loop import run_robot_demo
+from fingerpost.closed_loop.trials import GOAL_MM
 from fingerpost.config import Rig
 from fingerpost.errors import InvalidInputError
 
@@ -55,7 +56,10 @@ def test_the_demo_is_played_to_its_end(tmp_path):
     assert summary.problem == ""
     assert not summary.shortened
     assert summary.placed_mm < 10.0
+    assert len(summary.legs) == 2
+    assert all(leg.open_mm > GOAL_MM for leg in summary.legs)  # without feedback
     assert all(leg.closed_mm < 10.0 for leg in summary.legs)
+    assert all(leg.corrections >= 1 for leg in summary.legs)
     assert summary.false_fixes == 0  # the gripper, which is in the picture all the time, is no hand
     assert summary.fixes > 0.9 * summary.frames
     assert summary.table_steps == 0

@@ -20,7 +20,7 @@ PLANE_RMS_MM = 2.0
 
 @pytest.mark.parametrize("height_mm", [0.0, 50.0])
 def test_the_robot_defines_the_plane_it_points_by(height_mm):
-    rig, accuracy = measure_plane(height_mm, GuidanceOptions(plane_targets=8))
+    rig, accuracy = measure_plane(height_mm, GuidanceOptions(plane_targets=4))
     assert rig.plane.unit == "m"
     assert rig.robot is not None
     assert rig.robot.height_m == pytest.approx(height_mm / 1000, abs=3e-4)

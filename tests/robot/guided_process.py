@@ -34,7 +34,7 @@ EMPTY_FRAMES = 30
 
 FIRST_MM, SECOND_MM = (130.0, 90.0), (130.0, 320.0)
 HOLD_FRAMES = 90
-"""As long as it points at the first place: a crowded machine sees one frame in ten of them."""
+"""As long as it points at the first place: the arm enters the region meanwhile."""
 HEIGHT_M = 0.02
 
 SPEED = ("--speed", "0.1")
@@ -49,8 +49,8 @@ PATIENT = ("--max-age", "3", "--operator-timeout", "5")
 BY_HAND = ("--attendance", "hand")
 """Where there is no terminal, the hand on film stands for the operator."""
 
-PATIENCE_S = 20.0
-"""For what a crowded machine may delay: the start of a process, say."""
+PATIENCE_S = 120.0
+"""For what a crowded machine may delay: the start of a process, say, or a whole film."""
 
 ORIGIN_M = np.array([0.28, -0.2])
 """The recording's plane, in millimetres, has its origin here in the robot's frame."""

@@ -16,7 +16,6 @@ other would pass for one.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -222,7 +221,7 @@ class Scenery:
             still.astype(np.float64) - cv2.GaussianBlur(still, (0, 0), _SMOOTH_PATCH)
             for still in (self._smooth[j], self._smooth[k])
         )
-        return (_correlation(one, other) or 0.0) > SAME
+        return bool(_correlations(one.reshape(1, -1), other.reshape(1, -1))[0] > SAME)
 
     def mistake(self) -> Mistake | None:
         """Return the likeliest mistake in the points; None if there is none to be seen."""
@@ -488,25 +487,35 @@ def _sharp_corners(still: Grey) -> Array:
 def _agreement(first: Array, second: Array) -> float:
     """Return the mean correlation over cells with a texture; 0 where there are too few of them.
 
-    A cell that only one of the views shows a texture in counts as uncorrelated.
+    Cells of which less than half is seen in both views do not count. A cell that only one of the
+    views shows a texture in counts as uncorrelated.
     """
-    cells = range(0, _PATCH, _CELL)
-    areas = [np.s_[i : i + _CELL, j : j + _CELL] for i in cells for j in cells]
-    found = [_correlation(first[area], second[area]) for area in areas]
-    known = [value for value in found if value is not None]
-    return float(np.mean(known)) if len(known) >= LEAST_CELLS else 0.0
+    found = _correlations(_cells(first), _cells(second))
+    known = found[~np.isnan(found)]
+    return float(known.mean()) if len(known) >= LEAST_CELLS else 0.0
 
 
-def _correlation(first: Array, second: Array) -> float | None:
-    """Return the correlation of two textures, 0 if one of them is plain.
+def _correlations(first: Array, second: Array) -> Array:
+    """Return the correlation of the textures in each row, 0 if one of them is plain.
 
-    None where both are, or less than half of the place is seen in both.
+    NaN where both are, or less than half of the row is seen in both.
     """
     both = np.isfinite(first) & np.isfinite(second)
-    if 2 * both.sum() < both.size:
-        return None
-    a, b = first[both] - first[both].mean(), second[both] - second[both].mean()
-    plain, other = sorted((a.std(), b.std()))
-    if plain < _PLAIN_LEVELS:
-        return None if other < _PLAIN_LEVELS else 0.0
-    return float((a @ b) / math.sqrt((a @ a) * (b @ b)))
+    counts = np.maximum(both.sum(axis=1), 1)
+    a, b = (np.where(both, one, 0.0) for one in (first, second))
+    means = (one.sum(axis=1) / counts for one in (a, b))
+    a, b = (
+        np.where(both, one - mean[:, None], 0.0) for one, mean in zip((a, b), means, strict=True)
+    )
+    squares = np.stack([(a * a).sum(axis=1), (b * b).sum(axis=1)])
+    is_plain = squares < _PLAIN_LEVELS**2 * counts
+    scales = np.sqrt(np.where(is_plain, 1.0, squares).prod(axis=0))
+    found = np.where(is_plain.any(axis=0), 0.0, (a * b).sum(axis=1) / scales)
+    return np.where(is_plain.all(axis=0) | (2 * counts < both.shape[1]), np.nan, found)
+
+
+def _cells(patch: Array) -> Array:
+    """Return the square cells of a patch, each in a row."""
+    across = _PATCH // _CELL
+    cells = patch.reshape(across, _CELL, across, _CELL).swapaxes(1, 2)
+    return cells.reshape(across * across, _CELL * _CELL)

@@ -4,7 +4,6 @@
 use crate::appearance::background::ForegroundMap;
 use crate::geometry::template::Thumb;
 use crate::image::frame::{Frame, chromaticity};
-use crate::image::gray::GrayView;
 use nalgebra::Matrix3;
 use nalgebra::Point2;
 use nalgebra::Vector2;
@@ -58,6 +57,8 @@ pub(super) struct Band {
     pub(super) angle_rad: f64,
     pub(super) half_width_px: f64,
     pub(super) score: f64,
+    /// The score, increased in the foreground.
+    pub(super) weight: f64,
 }
 
 /// A refined band.
@@ -166,21 +167,44 @@ impl<'a> BandFrame<'a> {
         self.tip + self.e * along_px + self.n * across_px
     }
 
+    /// Column and row of the pixel nearest to a place; `None` outside the image.
+    #[inline]
+    fn nearest(&self, along_px: f64, across_px: f64) -> Option<(usize, usize)> {
+        let at = self.place(along_px, across_px);
+        // By way of `i32`, to which a float converts in a single instruction.
+        let whole = |x: f64| (x + 0.5) as i32 as usize;
+        self.frame.image().contains(at.x, at.y, -0.5).then(|| (whole(at.x), whole(at.y)))
+    }
+
     /// Colour of the pixel nearest to a place; without colours, the grey level repeated three
     /// times.
+    #[inline]
     fn pixel(&self, along_px: f64, across_px: f64) -> Option<Vector3<f64>> {
-        let at = self.place(along_px, across_px);
-        let image: &GrayView<'_> = self.frame.image();
-        if !image.contains(at.x, at.y, -0.5) {
-            return None;
-        }
-        let (x, y) = ((at.x + 0.5) as usize, (at.y + 0.5) as usize);
+        let (x, y) = self.nearest(along_px, across_px)?;
         match self.frame.colour() {
             Some(colour) => colour.pixel(x, y).map(|p| {
                 if self.is_chromatic { chromaticity(p) } else { Vector3::from(p.map(f64::from)) }
             }),
-            None => image.pixel(x, y).map(|g| Vector3::repeat(f64::from(g))),
+            None => self.frame.image().pixel(x, y).map(|g| Vector3::repeat(f64::from(g))),
         }
+    }
+
+    /// Mean colour of the pixels nearest to some places; `None` if one lies outside the image.
+    #[inline]
+    fn mean(&self, places: impl ExactSizeIterator<Item = (f64, f64)>) -> Option<Vector3<f64>> {
+        let (count, mut sum) = (places.len() as f64, [0_u32; 3]);
+        let image = self.frame.image();
+        for (along_px, across_px) in places {
+            let (x, y) = self.nearest(along_px, across_px)?;
+            let levels = match self.frame.colour() {
+                Some(colour) => colour.pixel(x, y)?,
+                None => [image.pixel(x, y)?; 3],
+            };
+            for (sum, level) in sum.iter_mut().zip(levels) {
+                *sum += u32::from(level);
+            }
+        }
+        Some(Vector3::from(sum.map(f64::from)) / count)
     }
 
     /// Offset of the strongest change of the mean colour in `from ..= to` px, and its strength
@@ -191,14 +215,7 @@ impl<'a> BandFrame<'a> {
         samples: usize,
         at: impl Fn(f64, usize) -> (f64, f64),
     ) -> Option<(f64, f64)> {
-        let mean = |offset: f64| -> Option<Vector3<f64>> {
-            let mut sum = Vector3::zeros();
-            for k in 0..samples {
-                let (along, across) = at(offset, k);
-                sum += self.pixel(along, across)?;
-            }
-            Some(sum / samples as f64)
-        };
+        let mean = |offset: f64| self.mean((0..samples).map(|k| at(offset, k)));
         let steps = (to - from).abs().ceil().max(1.0) as usize;
         let offset = |i: usize| from + (to - from) * i as f64 / steps as f64;
         let step = (to - from) / steps as f64;
@@ -308,11 +325,11 @@ pub(super) fn refine_candidate(
             band_frame
                 .strongest_change((0.6 * w, 1.5 * w), ALONG, |offset, k| (back(k), side * offset))
         };
-        let (Some((left, l)), Some((right, r))) = (flank(-1.0), flank(1.0)) else { continue };
-        let strength = l.min(r) * (1.0 - (turn_rad / TURN_REACH_RAD).powi(2));
-        if best.as_ref().is_none_or(|(s, ..)| strength > *s) {
-            best = Some((strength, angle_rad, band_frame, [left, right]));
-        }
+        let weight = 1.0 - (turn_rad / TURN_REACH_RAD).powi(2);
+        let exceeds = |strength: f64| best.as_ref().is_none_or(|(s, ..)| strength * weight > *s);
+        let Some((left, l)) = flank(-1.0).filter(|&(_, l)| exceeds(l)) else { continue };
+        let Some((right, r)) = flank(1.0).filter(|&(_, r)| exceeds(r)) else { continue };
+        best = Some((l.min(r) * weight, angle_rad, band_frame, [left, right]));
     }
     let (_, angle_rad, mut band_frame, [left, right]) = best?;
     let half_width_px = 0.5 * (left + right);
@@ -325,7 +342,7 @@ pub(super) fn refine_candidate(
     let inside = Inside::of(&band_frame, half_width_px, WHOLE)?;
     let score = band.score * stands_out(&band_frame, &inside, half_width_px)?;
     let band = Band { tip: band_frame.tip, angle_rad, half_width_px, ..*band };
-    let foreground = inside_foreground(map, &band);
+    let foreground = inside_foreground(map, band.tip, angle_rad, half_width_px);
     let length_px = visible_length(&band_frame, &inside, half_width_px);
     Some(RefinedCandidate { band, length_px, colour: inside.mean, foreground, score })
 }
@@ -431,14 +448,18 @@ pub(super) fn visible_length(band_frame: &BandFrame<'_>, inside: &Inside, w: f64
 }
 
 /// Mean foreground probability along the axis of a band.
-pub(super) fn inside_foreground(map: &ForegroundMap, band: &Band) -> f64 {
+pub(super) fn inside_foreground(
+    map: &ForegroundMap,
+    tip: Point2<f64>,
+    angle_rad: f64,
+    half_width_px: f64,
+) -> f64 {
     const SAMPLES: usize = 6;
     if map.cells.is_empty() {
         return 0.0;
     }
-    let (sin, cos) = band.angle_rad.sin_cos();
-    let along = Vector2::new(cos, sin) * band.half_width_px;
-    let at = |k: usize| band.tip - along * (0.7 + 0.5 * k as f64);
+    let along = direction(angle_rad) * half_width_px;
+    let at = |k: usize| tip - along * (0.7 + 0.5 * k as f64);
     (0..SAMPLES).map(|k| map.at(at(k).x, at(k).y)).sum::<f64>() / SAMPLES as f64
 }
 

@@ -200,11 +200,13 @@ impl HandFinder {
         full.planes.resize(self.channels * pixels, 0);
         for (y, row) in (0..full.height).filter_map(|y| Some((y, image.row(y)?))) {
             let at = y * full.width;
-            if let Some(colour) = frame.colour() {
-                for x in 0..full.width {
-                    for (c, level) in colour.pixel(x, y).unwrap_or_default().iter().enumerate() {
-                        full.planes[c * pixels + at + x] = *level;
-                    }
+            if let Some(row) = frame.colour().and_then(|colour| colour.row(y)) {
+                for (c, plane) in full.planes.chunks_exact_mut(pixels).take(colours).enumerate() {
+                    let levels = row.iter().skip(c).step_by(3);
+                    plane[at..at + full.width]
+                        .iter_mut()
+                        .zip(levels)
+                        .for_each(|(out, &g)| *out = g);
                 }
             } else {
                 full.planes[at..at + full.width].copy_from_slice(row);
@@ -212,10 +214,9 @@ impl HandFinder {
             if with_foreground {
                 let map = &self.foreground;
                 let cells = &map.cells[y / map.step * map.width..];
-                for (x, out) in
-                    full.planes[colours * pixels + at..][..full.width].iter_mut().enumerate()
-                {
-                    *out = (FOREGROUND_GAIN * f64::from(cells[x / map.step])) as u8;
+                let plane = &mut full.planes[colours * pixels + at..][..full.width];
+                for (out, &cell) in plane.chunks_mut(map.step).zip(cells) {
+                    out.fill((FOREGROUND_GAIN * f64::from(cell)) as u8);
                 }
             }
         }
@@ -245,18 +246,15 @@ impl HandFinder {
         let first = self.bands.len();
         for (x, y, score, angle) in level.peaks() {
             let place = |i: usize| (i as f64 + 0.5) * cell_px - 0.5;
-            self.bands.push(Band {
-                tip: Point2::new(place(x), place(y)),
-                angle_rad: self.templates[usize::from(angle)].angle_rad,
-                half_width_px,
-                score: f64::from(score) / f64::from(MEETS * CAP_SAMPLES as u8),
-            });
+            let tip = Point2::new(place(x), place(y));
+            let angle_rad = self.templates[usize::from(angle)].angle_rad;
+            let score = f64::from(score) / f64::from(MEETS * CAP_SAMPLES as u8);
+            let foreground = inside_foreground(&self.foreground, tip, angle_rad, half_width_px);
+            let weight = score + FOREGROUND_WEIGHT * foreground;
+            self.bands.push(Band { tip, angle_rad, half_width_px, score, weight });
         }
-        let level_bands = &mut self.bands[first..];
         // Among equal scores, the one in the foreground goes first.
-        let map = &self.foreground;
-        let weight = |band: &Band| band.score + FOREGROUND_WEIGHT * inside_foreground(map, band);
-        level_bands.sort_by(|a, b| weight(b).total_cmp(&weight(a)));
+        self.bands[first..].sort_by(|a, b| b.weight.total_cmp(&a.weight));
         self.bands.truncate(first + REFINED_CANDIDATES);
     }
 

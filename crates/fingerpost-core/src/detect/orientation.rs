@@ -32,14 +32,87 @@ pub(super) struct Level {
     height: usize,
     /// Cells in a row of the planes below, which include a margin on all sides.
     stride: usize,
+    /// The octave's column and the weight of the next one, in 1/256, of each column.
+    columns: Vec<(usize, u16)>,
+    /// One row in between of two of the octave's.
+    blended: Vec<u16>,
+    gradients: Gradients,
     image: Vec<u8>,
     orientations: Vec<u8>,
     spread: Vec<u8>,
     responses: Vec<u8>,
     flank: [Vec<u8>; 2],
-    cap: Vec<u8>,
     best: Vec<u8>,
     angle: Vec<u8>,
+}
+
+/// The strongest gradient of any channel in each cell of a row: its components, in one eighth of a
+/// grey level per cell, and the sum of their squares.
+#[derive(Debug, Clone, Default)]
+struct Gradients {
+    u: Vec<i16>,
+    v: Vec<i16>,
+    strength: Vec<i32>,
+    /// Across three rows, in each column: the weighted sum and the difference.
+    sum: Vec<i16>,
+    difference: Vec<i16>,
+}
+
+impl Gradients {
+    /// Starts a row of `cells`: a gradient must be stronger than `least`.
+    fn clear(&mut self, cells: usize, least: i32) {
+        for component in [&mut self.u, &mut self.v] {
+            component.clear();
+            component.resize(cells, 0);
+        }
+        self.strength.clear();
+        self.strength.resize(cells, least);
+    }
+
+    /// Adds a channel by three of its rows: Sobel's operator. Every step is a loop over bytes or
+    /// words in a row, which compilers vectorise.
+    fn add(&mut self, [above, here, below]: [&[u8]; 3]) {
+        let rows = || above.iter().zip(here).zip(below);
+        let word = |&level: &u8| i16::from(level);
+        self.sum.clear();
+        self.sum.extend(rows().map(|((a, h), b)| word(a) + 2 * word(h) + word(b)));
+        self.difference.clear();
+        self.difference.extend(rows().map(|((a, _), b)| word(b) - word(a)));
+        let best = self.u.iter_mut().zip(&mut self.v).zip(&mut self.strength);
+        let sums = self.sum.iter().zip(&self.sum[2..]);
+        let differences =
+            self.difference.iter().zip(&self.difference[1..]).zip(&self.difference[2..]);
+        for ((((best_u, best_v), best), (s0, s2)), ((d0, d1), d2)) in
+            best.zip(sums).zip(differences)
+        {
+            let (u, v) = (s2 - s0, d0 + 2 * d1 + d2);
+            let strength = i32::from(u) * i32::from(u) + i32::from(v) * i32::from(v);
+            let is_stronger = strength > *best;
+            *best_u = if is_stronger { u } else { *best_u };
+            *best_v = if is_stronger { v } else { *best_v };
+            *best = if is_stronger { strength } else { *best };
+        }
+    }
+
+    /// Writes the bit of the orientation of each gradient that is stronger than `least`, 0 for the
+    /// others. Orientations are bins over half a turn, the first of them about +u.
+    fn orientations(&self, least: i32, out: &mut [u8]) {
+        // Tangents of 11.25°, 33.75°, 56.25° and 78.75°, in 1/1024, and the bins beyond them on
+        // either side.
+        const BINS_BEYOND: [(i32, u8, u8); 4] =
+            [(204, 1 << 1, 1 << 7), (684, 1 << 2, 1 << 6), (1532, 1 << 3, 1 << 5), (5148, 16, 16)];
+        let gradients = self.u.iter().zip(&self.v).zip(&self.strength);
+        for (out, ((&u, &v), &strength)) in out.iter_mut().zip(gradients) {
+            let (u, v) = (i32::from(u), i32::from(v));
+            let falls = (u < 0) != (v < 0);
+            let mut bit = 1;
+            for (tangent, rising, falling) in BINS_BEYOND {
+                let beyond = if falls { falling } else { rising };
+                bit = if 1024 * v.abs() > tangent * u.abs() { beyond } else { bit };
+            }
+            *out = if strength > least { bit } else { 0 };
+        }
+    }
 }
 
 impl BandTemplate {
@@ -76,14 +149,14 @@ impl Octave {
         for c in 0..channels {
             let plane = &from.planes[c * from.width * from.height..][..from.width * from.height];
             for y in 0..self.height {
-                let row = &plane[2 * y.min(from.height / 2) * from.width..];
-                self.planes.extend((0..self.width).map(|x| {
-                    let sum = [0, right, below, below + right]
-                        .iter()
-                        .map(|o| u16::from(row[2 * x + o]))
-                        .sum::<u16>();
-                    ((sum + 2) / 4) as u8
-                }));
+                let above = &plane[2 * y.min(from.height / 2) * from.width..];
+                let below = &above[below..][..from.width];
+                if right == 0 {
+                    self.planes.push(quarter(above[0], above[0], below[0], below[0]));
+                    continue;
+                }
+                let pairs = above[..from.width].chunks_exact(2).zip(below.chunks_exact(2));
+                self.planes.extend(pairs.map(|(a, b)| quarter(a[0], a[1], b[0], b[1])));
             }
         }
     }
@@ -102,8 +175,10 @@ impl Level {
         let fixed = |i: usize, n: usize| {
             let at = ((i as f64 + 0.5) * step - 0.5).clamp(0.0, (n - 1) as f64);
             let whole = (at as usize).min(n.saturating_sub(2));
-            (whole, ((at - whole as f64) * 256.0) as u32)
+            (whole, ((at - whole as f64) * 256.0) as u16)
         };
+        self.columns.clear();
+        self.columns.extend((0..self.width).map(|x| fixed(x, octave.width)));
         let right = usize::from(octave.width > 1);
         let below = if octave.height > 1 { octave.width } else { 0 };
         for c in 0..channels {
@@ -111,12 +186,15 @@ impl Level {
             for y in 0..self.height {
                 let (y0, t) = fixed(y, octave.height);
                 let row = &plane[y0 * octave.width..];
-                self.image.extend((0..self.width).map(|x| {
-                    let (x0, s) = fixed(x, octave.width);
-                    let level = |o: usize| u32::from(row[x0 + o]);
-                    let top = level(0) * (256 - s) + level(right) * s;
-                    let bottom = level(below) * (256 - s) + level(below + right) * s;
-                    ((top * (256 - t) + bottom * t) >> 16) as u8
+                let pairs = row[..octave.width].iter().zip(&row[below..][..octave.width]);
+                // At most 255 · 256: in between of two rows, in 1/256 grey level.
+                self.blended.clear();
+                self.blended
+                    .extend(pairs.map(|(&a, &b)| u16::from(a) * (256 - t) + u16::from(b) * t));
+                let blended = &self.blended;
+                self.image.extend(self.columns.iter().map(|&(x0, s)| {
+                    let (a, b) = (u32::from(blended[x0]), u32::from(blended[x0 + right]));
+                    ((a * u32::from(256 - s) + b * u32::from(s)) >> 16) as u8
                 }));
             }
         }
@@ -133,23 +211,14 @@ impl Level {
         }
         // Sobel's weights add up to eight.
         let least = (8.0 * min_gradient_grey) as i32;
+        let inside = width.saturating_sub(2);
         for y in 1..height.saturating_sub(1) {
-            for x in 1..width.saturating_sub(1) {
-                let (mut gx, mut gy, mut strength) = (0, 0, least * least);
-                let mut found = false;
-                for plane in self.image.chunks_exact(width * height).take(channels) {
-                    let at =
-                        |dx: usize, dy: usize| i32::from(plane[(y + dy - 1) * width + x + dx - 1]);
-                    let u = at(2, 0) + 2 * at(2, 1) + at(2, 2) - at(0, 0) - 2 * at(0, 1) - at(0, 2);
-                    let v = at(0, 2) + 2 * at(1, 2) + at(2, 2) - at(0, 0) - 2 * at(1, 0) - at(2, 0);
-                    if u * u + v * v > strength {
-                        (gx, gy, strength, found) = (u, v, u * u + v * v, true);
-                    }
-                }
-                if found {
-                    self.orientations[(y + MARGIN) * stride + x + MARGIN] = 1 << bin_of(gx, gy);
-                }
+            self.gradients.clear(inside, least * least);
+            for plane in self.image.chunks_exact(width * height).take(channels) {
+                self.gradients.add([y - 1, y, y + 1].map(|y| &plane[y * width..][..width]));
             }
+            let out = &mut self.orientations[(y + MARGIN) * stride + MARGIN + 1..];
+            self.gradients.orientations(least * least, out);
         }
         let o = &self.orientations;
         let inner = stride + 1..cells - stride - 1;
@@ -159,10 +228,10 @@ impl Level {
         }
         self.responses.clear();
         for bin in 0..BINS {
-            let met = response_table(bin);
-            self.responses.extend(self.spread.iter().map(|&m| met[usize::from(m)]));
+            let (own, next) = response_bits(bin);
+            self.responses.extend(self.spread.iter().map(|&set| response(set, own, next)));
         }
-        for plane in [&mut self.best, &mut self.angle, &mut self.cap] {
+        for plane in [&mut self.best, &mut self.angle] {
             plane.clear();
             plane.resize(cells, 0);
         }
@@ -202,22 +271,32 @@ impl Level {
             next[hi..].fill(0);
             std::mem::swap(&mut sum, &mut next);
         }
-        let cap = &mut self.cap[inner.clone()];
-        cap.fill(0);
-        for &(offset, bin) in &template.cap {
-            let responses = plane(bin);
-            let met = &responses[from(responses, shift(offset))];
-            for (out, &m) in cap.iter_mut().zip(met) {
-                *out = out.wrapping_add(m);
-            }
-        }
         let [left, right] = template.flanks.map(|flank| &sum[from(sum, shift(flank))]);
-        let best = self.best[inner.clone()].iter_mut().zip(&mut self.angle[inner]);
-        for ((((best, at), &l), &r), &c) in best.zip(left).zip(right).zip(cap.iter()) {
-            let mean = |a: u8, b: u8| u16::midpoint(u16::from(a), u16::from(b)) as u8;
-            let score = mean(l.min(r).min(c), mean(mean(l, r), c));
-            *at = if score > *best { angle } else { *at };
-            *best = (*best).max(score);
+        let caps = template.cap.map(|(offset, bin)| {
+            let responses = plane(bin);
+            &responses[from(responses, shift(offset))]
+        });
+        // So few cells at a time that their sums stay in the processor's first cache.
+        let mut sums = [0_u8; 1024];
+        let best = self.best[inner.clone()].chunks_mut(sums.len());
+        let angles = self.angle[inner].chunks_mut(sums.len());
+        for (k, (best, angles)) in best.zip(angles).enumerate() {
+            let at = k * sums.len();
+            let part =
+                |plane: &[u8]| -> std::ops::Range<usize> { at..(at + best.len()).min(plane.len()) };
+            let cap = &mut sums[..best.len()];
+            cap.fill(0);
+            for responses in caps {
+                for (sum, &response) in cap.iter_mut().zip(&responses[part(responses)]) {
+                    *sum = sum.wrapping_add(response);
+                }
+            }
+            let flanks = left[part(left)].iter().zip(&right[part(right)]);
+            for (((best, at), &c), (&l, &r)) in best.iter_mut().zip(angles).zip(&*cap).zip(flanks) {
+                let score = mean(l.min(r).min(c), mean(mean(l, r), c));
+                *at = if score > *best { angle } else { *at };
+                *best = (*best).max(score);
+            }
         }
     }
 
@@ -243,27 +322,25 @@ impl Level {
     }
 }
 
-/// Orientation of a gradient, in bins over half a turn.
-pub(super) fn bin_of(gx: i32, gy: i32) -> usize {
-    // Tangents of 11.25°, 33.75°, 56.25° and 78.75°, in 1/1024.
-    const TANGENTS: [i32; 4] = [204, 684, 1532, 5148];
-    let (gx, gy) = if gy < 0 || (gy == 0 && gx < 0) { (-gx, -gy) } else { (gx, gy) };
-    let steps = TANGENTS.iter().filter(|&&t| 1024 * gy > t * gx.abs()).count();
-    if gx >= 0 { steps } else { (BINS - steps) % BINS }
+/// Mean of two scores, rounded down; in bytes throughout.
+fn mean(a: u8, b: u8) -> u8 {
+    (a & b) + ((a ^ b) >> 1)
 }
 
-/// Response of a sample of one orientation to each set of orientations nearby.
-pub(super) fn response_table(bin: usize) -> [u8; 256] {
-    std::array::from_fn(|set| {
-        let has = |b: usize| set >> (b % BINS) & 1 == 1;
-        if has(bin) {
-            MEETS
-        } else if has(bin + 1) || has(bin + BINS - 1) {
-            NEARLY_MEETS
-        } else {
-            0
-        }
-    })
+/// Rounded mean of four levels.
+fn quarter(a: u8, b: u8, c: u8, d: u8) -> u8 {
+    ((u16::from(a) + u16::from(b) + u16::from(c) + u16::from(d) + 2) / 4) as u8
+}
+
+/// The bit of an orientation in a set of orientations, and those of its two neighbours.
+fn response_bits(bin: usize) -> (u8, u8) {
+    (1 << bin, (1 << ((bin + 1) % BINS)) | (1 << ((bin + BINS - 1) % BINS)))
+}
+
+/// Response of a sample to a set of orientations nearby, given the bits of its own and the next.
+fn response(set: u8, own: u8, next: u8) -> u8 {
+    let nearly = if set & next == 0 { 0 } else { NEARLY_MEETS };
+    if set & own == 0 { nearly } else { MEETS }
 }
 
 /// Half a finger's width in cells of the level that searches it.
