@@ -325,7 +325,7 @@ mod tests {
             film.extend(header.as_bytes());
             film.extend((0..SIZE.0 * SIZE.1).map(|i| {
                 let d = Point2::new((i % SIZE.0) as f64, (i / SIZE.0) as f64) - tip(k);
-                let inside = 8.0 - (d - along * d.dot(&along).clamp(-120.0, -8.0)).norm();
+                let inside = 8.0 - (d - along * d.dot(&along).min(-8.0)).norm();
                 (60.0 + 100.0 * (0.5 + 0.5 * inside).clamp(0.0, 1.0)) as u8
             }));
         }
