@@ -10,7 +10,8 @@ with the truth. fingerpost gives its point itself, with a covariance; the peers 
 
 - *available*: frames with a truth that have a point
 - *held*: 95 % ellipses that hold the true point
-- *a pair*: time to process both views' decoded frames, median over the frames
+- *a pair*: processor time of all threads for both views' decoded frames, median over the frames;
+  unlike time on a clock, other work on the machine changes it little
 - *memory*: the most that the process used; libraries and models included
 """
 

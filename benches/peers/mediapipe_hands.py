@@ -1,8 +1,8 @@
 """MediaPipe Hands: `mediapipe_hands.py JOB.JSON COMPLEXITY`, 0 for the lite model, 1 for the full.
 
-The finger line leads through the middle joint (PIP) and the tip of the index finger: on the built-in
-clip the full model's points are off by 22.6 mm (RMS) so, by 25.2 mm with the knuckle and by 35.7 mm
-with the last joint.
+The finger line leads through the middle joint (PIP) and the tip of the index finger. On the
+built-in clip the full model's points are off by 22.6 mm (RMS) so, by 25.2 mm with the knuckle in
+place of that joint, and by 35.7 mm with the last joint.
 """
 
 from __future__ import annotations

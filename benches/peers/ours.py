@@ -22,9 +22,9 @@ steps, spent_s = [], []
 with ExitStack() as stack:
     sources = stack.enter_context(open_views(rig.sources, rig.readings))
     for frames in read_views(sources):
-        begun = time.perf_counter()
+        begun = time.process_time()
         steps += pointer.update(frames)
-        spent_s.append(time.perf_counter() - begun)
+        spent_s.append(time.process_time() - begun)
 steps += pointer.finish()
 points = []
 for step in steps:
