@@ -6,6 +6,8 @@
 VENV := .venv
 BIN := $(VENV)/bin
 STAMPS := $(VENV)/stamps
+# Its tools are large, and no test needs them.
+DOCS_VENV := .venv-docs
 
 # rustup installs below the home directory; a bare environment names neither.
 export HOME ?= $(shell /usr/bin/getent passwd "$$(/usr/bin/id -u)" | /usr/bin/cut -d: -f6)
@@ -35,15 +37,29 @@ RUST_VERSION := $(shell $(WITH_PATH) sed -n 's/^rust-version = "\(.*\)"/\1/p' Ca
 RUST_SOURCES := Cargo.toml Cargo.lock \
 	$(shell $(WITH_PATH) find crates -name '*.rs' -o -name Cargo.toml)
 
+PYTHON_SOURCES := pyproject.toml $(shell $(WITH_PATH) find python -name '*.py')
+
+# Installs the Debian packages that the shell's variable `missing` lists.
+define INSTALL_MISSING
+if [ -n "$$missing" ]; then \
+		echo "installing the Debian packages $$missing"; \
+		root=; [ "$$(id -u)" = 0 ] || root=sudo; \
+		$$root apt-get update --quiet=2 && \
+		$$root apt-get install --yes --no-install-recommends --quiet=2 $$missing || \
+		{ echo "please install $$missing with your system's package manager" >&2; exit 1; }; \
+	fi
+endef
+
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
 
-.PHONY: help demo test lint lint-rust lint-python test-rust instructions bench setup clean
+.PHONY: help demo test lint lint-rust lint-python test-rust instructions bench peers docs setup clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-12s  %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
 
-demo: $(STAMPS)/extension ## the main job with nothing plugged in: pictures, a table, a summary
+# Where a developer's tools are, the demo shows the working tree; elsewhere nobody needs them.
+demo: $(if $(wildcard $(STAMPS)/extension),$(STAMPS)/extension,$(STAMPS)/installed) ## the main job with nothing plugged in: pictures, a table, a summary
 	$(BIN)/fingerpost demo
 
 # What Rust's tests need and what Python's need are built apart, and so at one time. A file's tests
@@ -81,10 +97,16 @@ bench: $(STAMPS)/extension ## speed as ratios to the C limit, a pair from end to
 	cargo bench --locked --package fingerpost-benches --bench stages
 	$(BIN)/python benches/bench_simulate.py
 
+peers: $(STAMPS)/extension ## other trackers on the same footage, each in an environment of its own
+	$(BIN)/python benches/peers
+
+docs: $(DOCS_VENV)/stamp ## the documentation site, into site/
+	PYTHONPATH=python $(DOCS_VENV)/bin/python docs/build.py
+
 setup: $(STAMPS)/extension ## .venv with the extension built, and nothing more
 
 clean: ## remove everything that was installed or built here
-	rm -rf $(VENV) target python/fingerpost/_core*.so
+	rm -rf $(VENV) $(DOCS_VENV) build site target python/fingerpost/_core*.so
 
 # --- what the targets stand on ---------------------------------------------------------------
 
@@ -92,10 +114,24 @@ $(STAMPS)/extension: $(STAMPS)/rust $(STAMPS)/python $(RUST_SOURCES)
 	$(BIN)/maturin develop --release --locked --quiet
 	@touch $@
 
-$(STAMPS)/python: pyproject.toml $(STAMPS)/debian
+# What a user gets from a wheel: the package and what it needs.
+$(STAMPS)/installed: $(STAMPS)/rust $(STAMPS)/venv $(RUST_SOURCES) $(PYTHON_SOURCES)
+	$(BIN)/python -m pip install .
+	@touch $@
+
+$(STAMPS)/python: pyproject.toml $(STAMPS)/venv $(STAMPS)/debian
+	$(BIN)/python -m pip install --group dev
+	@touch $@
+
+$(DOCS_VENV)/stamp: pyproject.toml $(STAMPS)/compiler $(STAMPS)/rust
+	$(PYTHON) -m venv $(DOCS_VENV)
+	$(DOCS_VENV)/bin/python -m pip install --upgrade 'pip>=25.1'
+	$(DOCS_VENV)/bin/python -m pip install --group docs
+	@touch $@
+
+$(STAMPS)/venv: $(STAMPS)/compiler
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --upgrade 'pip>=25.1'
-	$(BIN)/python -m pip install --group dev
 	@touch $@
 
 $(STAMPS)/rust: Cargo.toml
@@ -107,10 +143,8 @@ $(STAMPS)/rust: Cargo.toml
 	fi
 	@mkdir -p $(@D) && touch $@
 
-# Rust links with the C compiler; valgrind counts instructions; Debian's Python comes without the
-# module that makes .venv; the simulated robot cell is drawn off the screen, by EGL; the operator's
-# page is tested in a browser.
-$(STAMPS)/debian:
+# Rust links with the C compiler; Debian's Python comes without the module that makes .venv.
+$(STAMPS)/compiler:
 	@if ! "$(PYTHON)" -c '$(NEW_ENOUGH)' 2>/dev/null; then \
 		echo "Python 3.11 or newer is needed; name one with make PYTHON=..." >&2; \
 		exit 1; \
@@ -118,14 +152,15 @@ $(STAMPS)/debian:
 	@missing=; \
 	command -v cc >/dev/null || missing="gcc libc6-dev"; \
 	$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || missing="$$missing python3-venv"; \
+	$(INSTALL_MISSING)
+	@mkdir -p $(@D) && touch $@
+
+# For developers: valgrind counts instructions; the simulated robot cell is drawn off the screen, by
+# EGL; the operator's page is tested in a browser.
+$(STAMPS)/debian: $(STAMPS)/compiler
+	@missing=; \
 	[ "$$(uname -s)" != Linux ] || command -v valgrind >/dev/null || missing="$$missing valgrind"; \
 	[ "$$(uname -s)" != Linux ] || command -v chromium >/dev/null || missing="$$missing chromium"; \
 	$(PYTHON) -c '$(DRAWS)' 2>/dev/null || missing="$$missing libegl1 libgl1 libgl1-mesa-dri"; \
-	if [ -n "$$missing" ]; then \
-		echo "installing the Debian packages $$missing"; \
-		root=; [ "$$(id -u)" = 0 ] || root=sudo; \
-		$$root apt-get update --quiet=2 && \
-		$$root apt-get install --yes --no-install-recommends --quiet=2 $$missing || \
-		{ echo "please install $$missing with your system's package manager" >&2; exit 1; }; \
-	fi
+	$(INSTALL_MISSING)
 	@mkdir -p $(@D) && touch $@

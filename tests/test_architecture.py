@@ -4,6 +4,7 @@ A module that stands in no table fails: whoever adds one says where it belongs.
 """
 
 import ast
+import re
 import shutil
 import subprocess
 import sys
@@ -12,9 +13,11 @@ from pathlib import Path
 
 import pytest
 from house import (
+    CORE,
     circles,
     function_lengths,
     private_names,
+    public_items,
     retired_words,
     rust_files,
     rust_imports,
@@ -222,6 +225,20 @@ def test_names_are_the_fields_and_stand_for_one_thing():
     assert private_names() == []
     assert retired_words() == []
     assert [name for name, count in type_names().items() if count > 1] == []
+
+
+def test_the_crate_shows_what_an_embedder_needs_and_no_room():
+    assert 40 <= len(public_items()) <= 80
+    assert len(set(public_items())) == len(public_items())
+    crate = (CORE / "lib.rs").read_text(encoding="utf-8")
+    shown = re.findall(r"(#\[doc\(hidden\)\]\n)?pub mod (\w+);", crate)
+    assert {room for _, room in shown} == set(RUST_RULES) - {"error"}
+    assert [room for hidden, room in shown if not hidden] == []
+
+
+def test_the_crate_carries_the_licence_of_the_project():
+    licences = [(folder / "LICENSE").read_text(encoding="utf-8") for folder in (ROOT, CORE.parent)]
+    assert licences[0] == licences[1]
 
 
 def test_files_and_functions_of_the_core_are_short():

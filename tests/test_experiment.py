@@ -19,6 +19,7 @@ from fingerpost.experiment import (
     Trial,
     run_experiment,
     run_recording,
+    score_points,
 )
 from fingerpost.experiment.bench import Bench
 from fingerpost.experiment.bound import edge_information, line_bound, point_bound
@@ -661,6 +662,41 @@ def test_a_truth_with_a_frame_at_another_time_is_refused(video, tmp_path, time_s
         InvalidInputError, match=r"truth\.csv: line 3: time_s of frame 3 is .* 0\.1 s"
     ):
         run_recording(*with_rows(video, tmp_path, rows))
+
+
+POINTS = "frame,time_s,status,x,y,cov_xx,cov_xy,cov_yy,crossing_angle_deg"
+
+
+def scored(footage, tmp_path, rows):
+    points = tmp_path / "points.csv"
+    points.write_text("\n".join([POINTS, *rows]) + "\n", encoding="utf-8")
+    truth = ["frame,time_s,x,y", *(f"{k},{k / 10},180,220" for k in range(4))]
+    rig_file, truth_file = with_rows(footage, tmp_path, truth)
+    return score_points(rig_file, points, truth_file)
+
+
+def test_points_that_somebody_found_are_scored(footage, tmp_path):
+    rows = [f"{k},{k / 10},ok,183,224,25,0,25,30" for k in range(3)]
+    summary = scored(footage, tmp_path, rows).summary
+    assert (summary.targets, summary.available) == (4, 3)
+    assert summary.points.rms == summary.points.median == pytest.approx(5.0)
+    # One standard deviation off: outside no ellipse of more than 39 %.
+    assert [coverage.held for coverage in summary.points.coverages] == [1.0] * 4
+    assert summary.points.nees.mean == pytest.approx(0.5)
+
+
+def test_points_without_a_covariance_have_errors_and_no_ellipses(footage, tmp_path):
+    result = scored(footage, tmp_path, ["0,0.0,ok,183,224,,,,", "1,0.1,lost,,,,,,"])
+    assert result.summary.points.rms == pytest.approx(5.0)
+    assert not any("ellipse" in line or "nan" in line for line in result.table())
+    assert json.loads(json.dumps(result.as_dict(), allow_nan=False))["figures"]["available"] == 1
+    with pytest.raises(InvalidInputError, match="cov_xx"):
+        result.draw(tmp_path / "points.png")
+
+
+def test_points_of_other_times_are_refused(footage, tmp_path):
+    with pytest.raises(InvalidInputError, match=r"frame 1 is 0\.1, but .* 0\.5 s"):
+        scored(footage, tmp_path, ["1,0.5,ok,183,224,,,,"])
 
 
 def test_a_truth_that_is_missing_is_refused(footage, tmp_path):

@@ -2,11 +2,15 @@
 
 import json
 import os
+import platform
+import re
 import subprocess
 import sys
 import tomllib
+from importlib import metadata
 from pathlib import Path
 
+import numpy
 import pytest
 from patience import PATIENCE_S
 
@@ -64,8 +68,48 @@ def test_an_installation_of_one_opencv_has_nothing_wrong():
     code, said, error = fingerpost(ROOT, "doctor")
     assert (code, error) == (0, "")
     assert said.endswith("nothing is wrong\n")
-    for name in ("python", "numpy", "opencv-python-headless", "cv2", "extras"):
-        assert f"{name} " in said
+    rows = dict(re.split(r"\s{2,}", line, maxsplit=1) for line in said.splitlines()[:-2])
+    assert list(rows)[-3:] == ["extras", "cameras", "drawing"]
+    assert {"python", "system", "numpy", "opencv-python-headless", "cv2"} < set(rows)
+    assert rows["drawing"] in {"EGL", "by the system"} or "install it with: " in rows["drawing"]
+
+
+def test_version_says_what_a_bug_report_needs_without_opencv(site):
+    code, said, error = fingerpost(site({}, "raise ImportError('broken')"), "--version")
+    assert (code, error) == (0, "")
+    first, *others = said.splitlines()
+    assert first == f"fingerpost {metadata.version('fingerpost')}"
+    names = [line.partition(" ")[0] for line in others]
+    assert names == ["python", "system", "numpy", "opencv-python-headless", "extras"]
+    assert platform.python_version() in others[0]
+    assert others[2] == f"numpy {numpy.__version__}"
+
+
+@pytest.mark.parametrize(
+    ("typed", "offered"),
+    [
+        ("ex", {"experiment", "export"}),
+        ("experiment --dev", {"--device"}),
+        ("live --h", {"--host", "--help"}),
+    ],
+)
+def test_the_shell_completes_commands_and_options(typed, offered):
+    words = f"fingerpost {typed}"
+    program = "import sys; from fingerpost.__main__ import main; sys.argv = ['fingerpost']; main()"
+    done = subprocess.run(
+        [sys.executable, "-c", program],
+        capture_output=True,
+        text=True,
+        env=os.environ
+        | {
+            "_FINGERPOST_COMPLETE": "bash_complete",
+            "COMP_WORDS": words,
+            "COMP_CWORD": str(words.count(" ")),
+        },
+        timeout=PATIENCE_S,
+        check=False,
+    )
+    assert {line.partition(",")[2] for line in done.stdout.splitlines()} == offered
 
 
 @pytest.mark.parametrize("name", ["opencv-python", "opencv_contrib_python"])

@@ -47,7 +47,10 @@ def test_undistortion_is_opencvs(lens):
     K, coefficients = opencv(lens)
     shown = image_points(32)
     many = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-14)
-    expected = cv2.undistortPoints(shown[:, None], K, coefficients, P=K, criteria=many)
+    if hasattr(cv2, "undistortPointsIter"):  # OpenCV 4
+        expected = cv2.undistortPointsIter(shown[:, None], K, coefficients, None, K, many)
+    else:
+        expected = cv2.undistortPoints(shown[:, None], K, coefficients, P=K, criteria=many)
     assert np.allclose(lens.undistort(shown), expected[:, 0], rtol=0, atol=1e-7)
 
 

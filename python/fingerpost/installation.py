@@ -10,10 +10,11 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
+import platform
 import re
 import sys
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from types import ModuleType
 from typing import Any
 
@@ -34,6 +35,7 @@ _EXTRAS = {
     "mcap": "mcap",
     "mujoco": "mujoco",
     "page": "uvicorn",
+    "plot": "matplotlib",
     "ur": "rtde_control",
     "xarm": "xarm",
 }
@@ -87,19 +89,22 @@ class Installation:
     Attributes
     ----------
     versions
-        Of Python and of the packages that matter, by name.
+        Of Python, of the system and of the packages that matter, by name.
     opencv
         OpenCV as Python finds it.
     extras
         Optional parts that are there.
     findings
         What is wrong; empty if nothing is.
+    surroundings
+        What else was looked at, such as cameras, and what was found, by name.
     """
 
     versions: Mapping[str, str]
     opencv: OpenCv
     extras: tuple[str, ...]
     findings: tuple[Fault, ...]
+    surroundings: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def serious(self) -> bool:
@@ -111,6 +116,7 @@ class Installation:
         windows = "with windows" if self.opencv.has_windows else "without windows"
         used = f"{self.opencv.version}, {windows}" if self.opencv.version else "cannot be imported"
         rows = {**self.versions, "cv2": used, "extras": ", ".join(self.extras) or "none"}
+        rows |= self.surroundings
         lines = [f"{name:<32}{value}" for name, value in rows.items()]
         return [*lines, "", *(map(str, self.findings) if self.findings else ["nothing is wrong"])]
 
@@ -119,9 +125,24 @@ class Installation:
         return {"serious": self.serious, **asdict(self)}
 
 
-def examine_installation() -> Installation:
-    """Look at what is installed beside fingerpost, and say what is wrong."""
-    from importlib.metadata import distributions  # takes a while, and no other command needs it
+def examine_installation(surroundings: Mapping[str, str] | None = None) -> Installation:
+    """Look at what is installed beside fingerpost, and say what is wrong.
+
+    Parameters
+    ----------
+    surroundings
+        What else was found, by name; it is handed on.
+    """
+    versions = installed_versions()
+    opencv = _read_opencv()
+    packages = {name: versions[name] for name in OPENCV_PACKAGES if name in versions}
+    findings = tuple(judge_opencv(opencv, packages))
+    return Installation(versions, opencv, installed_extras(), findings, surroundings or {})
+
+
+def installed_versions() -> dict[str, str]:
+    """Return the versions of Python, the system and the packages that matter; imports none."""
+    from importlib.metadata import distributions  # takes a while, and few commands need it
 
     found = {
         name: distribution.version
@@ -129,11 +150,15 @@ def examine_installation() -> Installation:
         if (name := _normalized(distribution.metadata["Name"] or ""))
         in {"fingerpost", "numpy", *OPENCV_PACKAGES}
     }
-    opencv = _read_opencv()
-    packages = {name: found[name] for name in OPENCV_PACKAGES if name in found}
-    extras = tuple(name for name, module in _EXTRAS.items() if importlib.util.find_spec(module))
-    versions = {"python": ".".join(map(str, sys.version_info[:3])), **dict(sorted(found.items()))}
-    return Installation(versions, opencv, extras, tuple(judge_opencv(opencv, packages)))
+    # Pythons without a global interpreter lock are builds of their own.
+    unlocked = "" if getattr(sys, "_is_gil_enabled", lambda: True)() else ", free-threaded"
+    python = f"{platform.python_version()} ({platform.python_implementation()}{unlocked})"
+    return {"python": python, "system": platform.platform(), **dict(sorted(found.items()))}
+
+
+def installed_extras() -> tuple[str, ...]:
+    """Return the extras of this package that are there; imports none of them."""
+    return tuple(name for name, module in _EXTRAS.items() if importlib.util.find_spec(module))
 
 
 def need_opencv() -> None:

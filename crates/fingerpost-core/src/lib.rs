@@ -1,75 +1,92 @@
-//! Track a pointing finger in an image with an active contour.
+#![doc = include_str!("../README.md")]
 //!
-//! A B-spline [`template`](geometry::template) of the index finger and the up-turned thumb is
-//! placed in the image. In every frame the tracker [`search`](measure::edge_search)es for edges
-//! along the normals of the contour and [`fit`](solve::fit)s the deformations that a
-//! [`shape_space`](geometry::shape_space) allows by weighted least squares; the fit is accepted, or
-//! the hand is lost. One basis vector of the template lies along the index finger, so the fitted
-//! shape vector gives the *finger line*, the image line along which the finger points, with its
-//! covariance.
+//! # Names
 //!
-//! The method is that of Cipolla, Hadfield & Hollinghurst, *Uncalibrated stereo vision with
-//! pointing for a man–machine interface*, MVA 1994.
+//! What an embedder needs stands here, at the root. The modules in which it is implemented are no
+//! part of the interface: they change without notice.
 //!
-//! Pixel (0, 0) is the centre of the top-left pixel; u runs right, v runs down; angles are in
-//! radians from +u towards +v. Nothing here reads files, opens cameras, prints or panics.
+//! | for | names |
+//! |---|---|
+//! | images | [`GrayView`], [`ColourView`], and both as a [`Frame`] |
+//! | one hand in one view | [`ContourTracker`] of a [`Template`] at a [`StartPose`]; a [`Track`] for every frame, with its [`Status`] and [`FingerLine`] |
+//! | several views at once | [`update_views`], one [`ViewUpdate`] each |
+//! | a hand that may be anywhere | [`HandFinder`], whose [`Candidate`]s are start poses of [`ContourTracker::at_hand`] |
+//! | a camera that keeps still | [`Background`], for [`ContourTracker::update_before`] |
+//! | the parts | [`BSpline`], [`sample_contour`], [`EdgeSearch`], [`ShapeSpace`], [`Fitter`] |
 //!
-//! # Example: tracking a finger
-//!
-//! ```
-//! use fingerpost_core::nalgebra::{Point2, Vector2};
-//! use fingerpost_core::geometry::template::{Template, Thumb};
-//! use fingerpost_core::track::{ContourTracker, StartPose, Status, TrackerOptions};
-//! use fingerpost_core::{Frame, GrayView};
-//!
-//! // A camera's frame: a bright finger of 70 px, its tip at `tip`, before a darker table.
-//! let (width, height, angle_rad) = (320, 240, 0.6_f64);
-//! let e = Vector2::new(angle_rad.cos(), angle_rad.sin());
-//! let picture = |tip: Point2<f64>| -> Vec<u8> {
-//!     let pixel = |i: usize| {
-//!         let d = Point2::new((i % width) as f64, (i / width) as f64) - tip;
-//!         let along = d.dot(&e).clamp(-120.0, -8.0);
-//!         let inside = 8.0 - (d - e * along).norm();
-//!         (60.0 + 100.0 * (0.5 + 0.5 * inside).clamp(0.0, 1.0)) as u8
-//!     };
-//!     (0..width * height).map(pixel).collect()
-//! };
-//!
-//! // The start pose of the template is near the finger, a few pixels off.
-//! let start = StartPose { tip_px: Point2::new(183.0, 137.0), angle_rad: 0.55, length_px: 70.0 };
-//! let template = Template::pistol(Thumb::None)?;
-//! let mut tracker = ContourTracker::new(template, &start, TrackerOptions::default())?;
-//!
-//! // It is fitted to the finger for a few frames, then tracks it.
-//! for k in 0..12 {
-//!     let tip = Point2::new(180.0, 140.0) + Vector2::new(2.0, -1.0) * f64::from(k);
-//!     let pixels = picture(tip);
-//!     let frame = Frame::gray(GrayView::new(&pixels, width, height, width)?);
-//!     let track = tracker.update(&frame, f64::from(k) / 30.0)?;
-//!     if k >= 4 {
-//!         assert_eq!(track.status, Status::Tracking);
-//!         let line = track.finger_line.expect("the finger is in view");
-//!         assert!((line.axis.tip - tip).norm() < 0.5);
-//!         assert!((line.axis.angle_rad - angle_rad).abs() < 0.01);
-//!         // The standard deviation of the angle.
-//!         assert!(line.covariance[(1, 1)].sqrt() < 0.01);
-//!     }
-//! }
-//! # Ok::<(), fingerpost_core::Error>(())
-//! ```
+//! Every options struct has a `Default`; unit and range stand beside each field.
 
+#[doc(hidden)]
 pub mod appearance;
+#[doc(hidden)]
 pub mod axis;
+#[doc(hidden)]
 pub mod detect;
 mod error;
+#[doc(hidden)]
 pub mod geometry;
+#[doc(hidden)]
 pub mod image;
+#[doc(hidden)]
 pub mod measure;
+#[doc(hidden)]
 pub mod numeric;
+#[doc(hidden)]
 pub mod solve;
+#[doc(hidden)]
 pub mod track;
 
 pub use error::{Error, Result};
-pub use image::frame::Frame;
-pub use image::gray::GrayView;
 pub use nalgebra;
+
+// Images.
+#[doc(inline)]
+pub use image::frame::{ColourView, Frame};
+#[doc(inline)]
+pub use image::gray::GrayView;
+
+// One hand in one view, or in several.
+#[doc(inline)]
+pub use axis::{BisectorOptions, PhotometricOptions, RefineOptions, Stretch};
+#[doc(inline)]
+pub use geometry::shape_space::{Axis, PlacedSample};
+#[doc(inline)]
+pub use geometry::template::{
+    Limb, OutlineAxis, Proportions, Template, TemplateSample, Thumb, ThumbProportions,
+};
+#[doc(inline)]
+pub use track::views::{Schedule, ViewUpdate, update_views};
+#[doc(inline)]
+pub use track::{
+    AcceptOptions, AcquireOptions, ContourTracker, Diagnostics, DynamicsOptions, FingerLine,
+    LineSource, MAX_DOF, Model, Refusal, SearchedLine, ShapeEstimate, StartPose, Status, Track,
+    TrackOptions, TrackerOptions,
+};
+
+// A hand that may be anywhere, and what is behind it.
+#[doc(inline)]
+pub use appearance::background::Background;
+#[doc(inline)]
+pub use appearance::background::options::{BackgroundOptions, KeepOut, Light};
+#[doc(inline)]
+pub use appearance::histogram::HistogramModel;
+#[doc(inline)]
+pub use detect::candidates::{Candidate, FinderOptions, HandFinder};
+
+// The parts: curves, edge measurements, shape spaces, least squares.
+#[doc(inline)]
+pub use geometry::bspline::{BSpline, BasisRow, CurvePoint, Degree, Parametrization, SplineFit};
+#[doc(inline)]
+pub use geometry::contour::{ContourSample, HandSide, sample as sample_contour};
+#[doc(inline)]
+pub use geometry::planar::{Affine, AffineMap, Rigid, RigidShear};
+#[doc(inline)]
+pub use geometry::shape_space::{Pose, ShapeSpace};
+#[doc(inline)]
+pub use measure::edge::{Edge, EdgeMeasurement, Miss, Polarity, Scale, SearchLine};
+#[doc(inline)]
+pub use measure::edge_search::{Cue, EdgeSearch, SearchOptions};
+#[doc(inline)]
+pub use solve::fit::{
+    EquationBuffer, Equations, FitOptions, FitReport, Fitter, Loss, Outcome, Prior, Solve,
+};

@@ -33,6 +33,7 @@ from fingerpost.cli.robot import robot
 from fingerpost.cli.run import run
 from fingerpost.cli.sync import sync
 from fingerpost.errors import FingerpostError, InvalidInputError
+from fingerpost.installation import installed_extras, installed_versions
 from fingerpost.signals import STOPPED
 
 FAILED = 1
@@ -85,8 +86,26 @@ def _stop(message: str, code: int) -> NoReturn:
     sys.exit(code)
 
 
+def _show_version(context: click.Context, _option: click.Parameter, is_wanted: bool) -> None:
+    """Print what a bug report needs: the version in the first line, then what it stands on."""
+    if is_wanted and not context.resilient_parsing:
+        versions = installed_versions()
+        click.echo(f"fingerpost {versions.pop('fingerpost')}")
+        for name, version in versions.items():
+            click.echo(f"{name} {version}")
+        click.echo(f"extras {', '.join(installed_extras()) or 'none'}")
+        context.exit()
+
+
 @click.group(cls=_Commands, context_settings={"help_option_names": ["-h", "--help"]})
-@click.version_option(package_name="fingerpost")
+@click.option(
+    "--version",
+    is_flag=True,
+    expose_value=False,
+    is_eager=True,
+    callback=_show_version,
+    help="Show the version and what it stands on, as a bug report needs it.",
+)
 @click.option("-v", "--verbose", is_flag=True, help="Say more on stderr.")
 def main(verbose: bool) -> None:
     """Point at a table and a program knows where, and how sure that is."""

@@ -12,7 +12,7 @@ import click
 
 from fingerpost.cli.live_views import hush_streams
 from fingerpost.cli.progress import watched
-from fingerpost.errors import InvalidInputError
+from fingerpost.errors import InvalidInputError, MissingExtraError
 from fingerpost.installation import Installation, examine_installation, need_opencv
 from fingerpost.signals import ending_at_once
 
@@ -36,8 +36,8 @@ def doctor(rig_file: Path | None, frames: int | None, as_json: bool) -> None:
 
     Contrast, focus, exposure, noise, size of the hand, reference points, lens, frame rates: what,
     where and what would be right. Without a rig, look at the installation: whether OpenCV is whole,
-    and whether another one is beside it. Exits with 0 if nothing serious is found, with 1 if
-    something prevents tracking (marked "error").
+    whether another one is beside it, and which extras, cameras and means to draw there are. Exits
+    with 0 if nothing serious is found, with 1 if something prevents tracking (marked "error").
     """
     found: Installation | Diagnosis
     if rig_file is not None:
@@ -46,10 +46,27 @@ def doctor(rig_file: Path | None, frames: int | None, as_json: bool) -> None:
         raise click.UsageError("--frames goes with a rig file; name one")
     else:
         with ending_at_once():
-            found = examine_installation()
+            found = examine_installation(_surroundings())
     click.echo(json.dumps(found.as_dict()) if as_json else "\n".join(found.table()))
     if found.serious:
         sys.exit(SERIOUS)
+
+
+def _surroundings() -> dict[str, str]:
+    """Look at what the machine has for fingerpost: cameras, and what draws the simulated robot."""
+    try:
+        from fingerpost.capture import list_cameras
+        from fingerpost.closed_loop.engine import require_mujoco
+
+        found = [camera.name or f"number {camera.number}" for camera in list_cameras()]
+    except ImportError:  # of OpenCV, which is broken: a finding of its own
+        return {}
+    cameras = ", ".join(found) or "none found"
+    try:
+        require_mujoco()
+    except MissingExtraError as error:
+        return {"cameras": cameras, "drawing": str(error)}
+    return {"cameras": cameras, "drawing": "EGL" if sys.platform == "linux" else "by the system"}
 
 
 def _examined(rig_file: Path, frames: int | None) -> Diagnosis:

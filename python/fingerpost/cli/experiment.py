@@ -55,6 +55,12 @@ _IN = click.Path(path_type=Path)
 @click.option("--recording", metavar="RIG.TOML", type=_IN, help="Measure on footage instead.")
 @click.option("--truth", metavar="T.CSV", type=_IN, help="Its truth: frame,time_s,x,y.")
 @click.option(
+    "--points",
+    metavar="P.CSV",
+    type=_IN,
+    help="Score these points, whoever found them, instead of following the footage.",
+)
+@click.option(
     "--guidance",
     metavar="N",
     type=click.IntRange(0, 1_000_000),
@@ -66,6 +72,7 @@ def experiment(
     tracker: str,
     recording: Path | None,
     truth: Path | None,
+    points: Path | None,
     guidance: int | None,
     draw: Path | None,
     as_json: bool,
@@ -77,7 +84,8 @@ def experiment(
     ordinary settings.
 
     --recording measures on footage instead, whose truth --truth gives; it takes --tracker, --draw
-    and --json.
+    and --json. With --points it scores a table of points (frame,time_s,status,x,y,...) that any
+    program found in that footage.
 
     --guidance repeats the robot guidance experiment of section 3.4 under physics; it takes --seed
     and --json, and needs fingerpost[mujoco].
@@ -89,9 +97,13 @@ def experiment(
 
     if (recording is None) != (truth is None):
         raise click.UsageError("--recording and --truth go together")
+    if points is not None and recording is None:
+        raise click.UsageError("--points goes with --recording and --truth")
     if draw is not None:
         check_picture(draw)
-    if recording is not None and truth is not None:
+    if recording is not None and truth is not None and points is not None:
+        result = _scored(recording, points, truth, draw)
+    elif recording is not None and truth is not None:
         result = _measured(recording, truth, tracker, draw)
     else:
         result = _simulated(_options(tracker, settings))
@@ -120,6 +132,17 @@ def _measured(recording: Path, truth: Path, tracker: str, draw: Path | None) -> 
         return run_recording(
             recording, truth, tracker_options={"model": tracker}, progress=progress
         )
+
+
+def _scored(recording: Path, points: Path, truth: Path, draw: Path | None) -> ExperimentResult:
+    """Score points that were found elsewhere."""
+    with ending_at_once():
+        need_opencv()
+        from fingerpost.experiment import score_points
+
+    _refuse_beside("points", {"recording", "truth", "draw", "as_json"})
+    keep_apart({"--draw": draw}, [("the rig", recording), ("the points", points)])
+    return score_points(recording, points, truth)
 
 
 def _guide(trials: int, seed: int, as_json: bool) -> None:

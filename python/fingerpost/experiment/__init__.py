@@ -14,7 +14,7 @@ same as for real cameras) gives for the last images is compared with the exact t
 `summary` says what each figure means, `bound` what the physics allows.
 """
 
-from fingerpost.experiment.footage import run_recording
+from fingerpost.experiment.footage import run_recording, score_points
 from fingerpost.experiment.options import ExperimentOptions
 from fingerpost.experiment.result import ExperimentResult
 from fingerpost.experiment.run import Progress, run_experiment
@@ -30,4 +30,5 @@ __all__ = [
     "Trial",
     "run_experiment",
     "run_recording",
+    "score_points",
 ]

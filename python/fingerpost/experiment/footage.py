@@ -15,8 +15,10 @@ from fingerpost.capture.video import VideoFile
 from fingerpost.config import Rig
 from fingerpost.errors import InvalidInputError
 from fingerpost.experiment.result import ExperimentResult
-from fingerpost.experiment.trial import trial_of
-from fingerpost.pipeline import Pointer, Step, steps
+from fingerpost.experiment.trial import Trial, trial_of
+from fingerpost.pipeline import Pointer, steps
+from fingerpost.pointing import Status
+from fingerpost.recording import PointRow, read_points
 
 _COLUMNS = ("frame", "x", "y")
 
@@ -80,31 +82,97 @@ def run_recording(
                 continue
             row = truth[step.index]
             if isinstance(sources[0], VideoFile):
-                _refuse_other_time(row, step)
+                _refuse_other_time(row, step.index, step.fix.time_s)
             trials.append(trial_of(step, pointer.plane_views, index=step.index, target=row.point))
             if progress is not None:
                 progress(len(trials), len(truth))
+    title = f"{len(trials)} frames of {rig_path} with a truth in {truth_path}"
+    settings = {"recording": str(rig_path), "truth": str(truth_path), **options}
+    return _result(title, settings, pointer, trials, truth)
+
+
+def score_points(
+    rig_path: str | Path, points_path: str | Path, truth_path: str | Path
+) -> ExperimentResult:
+    """Compare points that any program found in a recording with the truth.
+
+    Parameters
+    ----------
+    rig_path
+        The rig file, whose plane and unit count; no footage is read.
+    points_path
+        A `points.csv` (`fingerpost.recording.read_points`). Frames with a truth and without a row
+        are lost; points may lack a covariance.
+    truth_path
+        As of `run_recording`.
+
+    Returns
+    -------
+    ExperimentResult
+        One trial per frame that has a truth.
+
+    Raises
+    ------
+    RigError
+        A rig file that cannot be used.
+    InvalidInputError
+        A table that cannot be read, or a row of another time than its frame's truth.
+    """
+    rig = Rig.load(rig_path)
+    truth = _read_truth(Path(truth_path))
+    rows = {row.frame: row for row in read_points(points_path)}
+    trials = []
+    for index, true in sorted(truth.items()):
+        row = rows.get(index)
+        if row is None:
+            trials.append(Trial(index, true.point, Status.LOST, "no row"))
+            continue
+        _refuse_other_time(true, index, row.time_s)
+        trials.append(_scored(row, true.point))
+    title = f"{len(trials)} frames with a truth in {truth_path}, scored by {points_path}"
+    settings = {"points": str(points_path), "truth": str(truth_path)}
+    return _result(title, settings, Pointer(rig), trials, truth)
+
+
+def _scored(row: PointRow, target: NDArray[np.float64]) -> Trial:
+    """Put a row of a table beside what is true of its frame."""
+    status = Status(row.status)
+    if row.x is None or row.y is None:
+        return Trial(row.frame, target, status, row.reason)
+    point, covariance = np.array([row.x, row.y]), None
+    if row.cov_xx is not None and row.cov_xy is not None and row.cov_yy is not None:
+        covariance = np.array([[row.cov_xx, row.cov_xy], [row.cov_xy, row.cov_yy]])
+    return Trial(row.frame, target, status, row.reason, point, covariance)
+
+
+def _result(
+    title: str,
+    settings: dict[str, Any],
+    pointer: Pointer,
+    trials: list[Trial],
+    truth: dict[int, _TrueRow],
+) -> ExperimentResult:
     if not trials:
         raise InvalidInputError(
-            f"{truth_path}: no frame of the recording has a row with x and y; its frames are "
-            f"{min(truth)} to {max(truth)}"
+            f"{settings['truth']}: no frame of the recording has a row with x and y; its frames "
+            f"are {min(truth)} to {max(truth)}"
         )
     return ExperimentResult(
-        title=(f"{len(trials)} frames of {rig_path} with a truth in {truth_path}",),
-        settings={"recording": str(rig_path), "truth": str(truth_path), **options},
-        unit=rig.plane.unit,
+        title=(title,),
+        settings=settings,
+        unit=pointer.rig.plane.unit,
         plane_size=max(view.plane_size for view in pointer.plane_views),
         plane_points=pointer.plane_views[0].plane_points,
         trials=tuple(trials),
     )
 
 
-def _refuse_other_time(row: _TrueRow, step: Step) -> None:
+def _refuse_other_time(row: _TrueRow, frame: int, time_s: float) -> None:
     """Refuse a truth of other footage, or one that counts frames otherwise."""
-    if row.time_s is not None and abs(row.time_s - step.fix.time_s) > _ROUNDING_S:
+    if row.time_s is not None and abs(row.time_s - time_s) > _ROUNDING_S:
         raise InvalidInputError(
-            f"{row.place}: time_s of frame {step.index} is {row.time_s:g}, but the recording shows "
-            f"it at {step.fix.time_s:.6g} s; a truth of this recording is needed"
+            f"{row.place}: time_s of frame {frame} is {row.time_s:g}, but the recording shows "
+            f"it at {time_s:.6g} s; a truth of this recording is needed"
         )
 
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fingerpost.errors import InvalidInputError
 from fingerpost.experiment.summary import Summary, summarise
 from fingerpost.experiment.table import table_lines
 from fingerpost.experiment.trial import Trial
@@ -71,8 +72,11 @@ class ExperimentResult:
         Raises
         ------
         InvalidInputError
-            The file cannot be written, or images of its kind cannot.
+            The file cannot be written, or images of its kind cannot; or points have no covariance,
+            and so no ellipses.
         """
+        if self.summary.points is not None and not self.summary.points.coverages:
+            raise InvalidInputError(f"{path}: points without cov_xx, cov_xy, cov_yy are not drawn")
         from fingerpost.experiment.drawing import draw_result  # OpenCV takes its time to load
 
         draw_result(self, Path(path))

@@ -67,9 +67,9 @@ class PointFigures:
     percentile_95: float
     largest: float
     mean_error: tuple[float, float]  # in X and Y, without gross errors
-    coverages: tuple[Coverage, ...]
-    nees: Nees | None  # None if every error is gross
-    ellipse_area: float  # mean of the 95 % ellipses, plane units²
+    coverages: tuple[Coverage, ...]  # empty if points have no covariance
+    nees: Nees | None  # None if every error is gross, or points have no covariance
+    ellipse_area: float  # mean of the 95 % ellipses, plane units²; NaN without covariance
     ellipse_area_at_95: float  # the same, scaled until 95 % hold their target
 
 
@@ -216,7 +216,8 @@ def _points(available: Sequence[Trial], fair: Sequence[Trial]) -> PointFigures:
         for trial in available
         if trial.point is not None and trial.covariance is not None
     ]
-    area = float(np.mean(areas))
+    has_ellipses = len(areas) == len(available)
+    area = float(np.mean(areas)) if has_ellipses else math.nan
     return PointFigures(
         rms=_rms(fair_errors),
         rms_of_all=_rms(errors),
@@ -224,8 +225,12 @@ def _points(available: Sequence[Trial], fair: Sequence[Trial]) -> PointFigures:
         percentile_95=float(np.percentile(errors, 95)),
         largest=float(errors.max()),
         mean_error=(mean_x, mean_y),
-        coverages=tuple(_coverage(squared, nominal) for nominal in NOMINAL_COVERAGES),
-        nees=_nees(np.array([trial.mahalanobis2 for trial in fair]), 2) if fair else None,
+        coverages=tuple(
+            _coverage(squared, nominal) for nominal in NOMINAL_COVERAGES if has_ellipses
+        ),
+        nees=_nees(np.array([trial.mahalanobis2 for trial in fair]), 2)
+        if fair and has_ellipses
+        else None,
         ellipse_area=area,
         ellipse_area_at_95=area * _held_by_95(squared) / chi2_quantile(0.95),
     )

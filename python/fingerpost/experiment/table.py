@@ -42,10 +42,11 @@ class _Table:
         if summary.points is not None:
             yield ""
             yield from self._errors(summary.points)
-            yield ""
-            yield from self._ellipses(summary.points)
-            yield ""
-            yield from self._nees(summary.points)
+            if summary.points.coverages:
+                yield ""
+                yield from self._ellipses(summary.points)
+                yield ""
+                yield from self._nees(summary.points)
         if summary.lines is not None:
             yield ""
             yield from _finger_lines(summary.lines)

@@ -72,9 +72,7 @@ impl ForegroundMap {
 /// The learned background of one view.
 ///
 /// ```
-/// use fingerpost_core::appearance::background::Background;
-/// use fingerpost_core::appearance::background::options::BackgroundOptions;
-/// use fingerpost_core::{Frame, GrayView};
+/// use fingerpost_core::{Background, BackgroundOptions, Frame, GrayView};
 ///
 /// let mut background = Background::new(BackgroundOptions::default())?;
 /// let table = [80; 64 * 48];

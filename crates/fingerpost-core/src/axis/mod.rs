@@ -17,9 +17,7 @@
 //! ```
 //! use fingerpost_core::nalgebra::{Point2, Vector2};
 //! use fingerpost_core::axis::{Finger, RefineOptions, Refiner, Source, Stretch};
-//! use fingerpost_core::measure::edge::Polarity;
-//! use fingerpost_core::geometry::shape_space::Axis;
-//! use fingerpost_core::{Frame, GrayView};
+//! use fingerpost_core::{Axis, Frame, GrayView, Polarity};
 //!
 //! // A finger, 14 px wide, that points to the upper right; it ends at (90, 45).
 //! let (width, height, angle_rad) = (128, 96, -0.5_f64);

@@ -69,7 +69,7 @@ pub struct PhotometricOptions {
     pub restlessness_px: f64,
 }
 
-/// Options of a [`Refiner`](super::Refiner).
+/// Options of the refinement of a finger's axis from its flanks.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RefineOptions {
     /// The bisector.

@@ -76,8 +76,7 @@ type Matrix = SMatrix<f64, UNKNOWNS, UNKNOWNS>;
 /// ```
 /// use fingerpost_core::nalgebra::Point2;
 /// use fingerpost_core::axis::RoundFinger;
-/// use fingerpost_core::geometry::shape_space::Axis;
-/// use fingerpost_core::{Frame, GrayView};
+/// use fingerpost_core::{Axis, Frame, GrayView};
 ///
 /// // A round finger along u that tapers to its tip, 16 px wide and about v = 60 at u = 110, lit
 /// // from above. Its lower flank is as dark as the table: only the upper 13 px are visible.

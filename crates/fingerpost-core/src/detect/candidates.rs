@@ -63,8 +63,7 @@ const FOREGROUND_GAIN: f64 = 0.6;
 /// reused.
 ///
 /// ```
-/// use fingerpost_core::detect::candidates::{FinderOptions, HandFinder};
-/// use fingerpost_core::{Frame, GrayView};
+/// use fingerpost_core::{FinderOptions, Frame, GrayView, HandFinder};
 ///
 /// // A bright finger of 14 px that points right, its tip at (200, 120).
 /// let pixels: Vec<u8> = (0..320 * 240)

@@ -72,7 +72,7 @@ impl TryFrom<usize> for Degree {
 /// A B-spline basis: degree, knots, open or closed. Control points give it a shape.
 ///
 /// ```
-/// use fingerpost_core::geometry::bspline::{BSpline, Degree};
+/// use fingerpost_core::{BSpline, Degree};
 /// use fingerpost_core::nalgebra::Point2;
 ///
 /// // A knot repeated three times makes the corner of an L: the curve passes through (4, 0).
@@ -146,7 +146,7 @@ impl BSpline {
     /// [`Error::TooFew`] below degree + 1 control points, [`Error::OutOfRange`] above 2²⁰.
     ///
     /// ```
-    /// # use fingerpost_core::geometry::bspline::{BSpline, Degree};
+    /// # use fingerpost_core::{BSpline, Degree};
     /// let spline = BSpline::open_uniform(Degree::Quadratic, 5)?;
     /// assert_eq!(spline.knots(), [0.0, 0.0, 0.0, 1.0, 2.0, 3.0, 3.0, 3.0]);
     /// # Ok::<(), fingerpost_core::Error>(())
@@ -249,7 +249,7 @@ impl BSpline {
     /// [`Error::NotFinite`], and for an open B-spline [`Error::OutsideDomain`].
     ///
     /// ```
-    /// # use fingerpost_core::geometry::bspline::{BSpline, Degree};
+    /// # use fingerpost_core::{BSpline, Degree};
     /// let row = BSpline::closed_uniform(Degree::Quadratic, 6)?.basis(5.0)?;
     /// assert_eq!(row.values(), [0.5, 0.5, 0.0]);
     /// assert_eq!(row.indices().collect::<Vec<_>>(), [5, 0, 1]);

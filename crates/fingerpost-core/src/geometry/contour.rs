@@ -59,13 +59,12 @@ pub struct ContourSample {
 /// points.
 ///
 /// ```
-/// use fingerpost_core::geometry::bspline::{BSpline, Degree};
-/// use fingerpost_core::geometry::contour::{HandSide, sample};
+/// use fingerpost_core::{BSpline, Degree, HandSide, sample_contour};
 /// use fingerpost_core::nalgebra::Point2;
 ///
 /// let spline = BSpline::open_uniform(Degree::Quadratic, 3)?;
 /// let line = [0.0, 1.0, 2.0].map(|u| Point2::new(u, 0.0));
-/// let samples = sample(&spline, &line, 4, HandSide::Right)?;
+/// let samples = sample_contour(&spline, &line, 4, HandSide::Right)?;
 /// assert_eq!(samples[0].arc_length, 0.25);
 /// assert_eq!(samples[0].normal.y, -1.0);
 /// # Ok::<(), fingerpost_core::Error>(())

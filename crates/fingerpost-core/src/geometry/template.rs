@@ -180,7 +180,7 @@ impl Template {
     /// [`with_proportions`](Self::with_proportions).
     ///
     /// ```
-    /// use fingerpost_core::geometry::template::{Template, Thumb};
+    /// use fingerpost_core::{Template, Thumb};
     ///
     /// let template = Template::pistol(Thumb::Left)?;
     /// assert!(template.samples(100)?.iter().any(|s| s.position.y < -0.5));

@@ -39,7 +39,7 @@ impl<'a> ColourView<'a> {
     /// after row without padding; bit-identical to OpenCV's conversion.
     ///
     /// ```
-    /// use fingerpost_core::image::frame::ColourView;
+    /// use fingerpost_core::ColourView;
     /// let red = ColourView::new(&[0, 0, 255], 1, 1, 3)?;
     /// assert_eq!(red.luma(), [76]);
     /// # Ok::<(), fingerpost_core::Error>(())
@@ -54,7 +54,7 @@ impl<'a> ColourView<'a> {
     /// monochrome camera may have three equal channels.
     ///
     /// ```
-    /// use fingerpost_core::image::frame::ColourView;
+    /// use fingerpost_core::ColourView;
     /// assert!(!ColourView::new(&[90, 91, 94], 1, 1, 3)?.has_colours());
     /// assert!(ColourView::new(&[90, 91, 95], 1, 1, 3)?.has_colours());
     /// # Ok::<(), fingerpost_core::Error>(())

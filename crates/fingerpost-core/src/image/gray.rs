@@ -16,7 +16,7 @@ use crate::{Error, Result};
 /// A borrowed view of an 8-bit grey image.
 ///
 /// ```
-/// use fingerpost_core::image::gray::GrayView;
+/// use fingerpost_core::GrayView;
 ///
 /// // 3 × 2 pixels in rows of 4 bytes; the last row may end with its last pixel.
 /// let bytes = [0, 10, 20, 255, 40, 50, 60];

@@ -134,6 +134,7 @@ impl EdgeSearch {
     /// The same search with another instruction set than the processor's widest: slower, with
     /// bit-identical results.
     #[must_use]
+    #[doc(hidden)]
     pub fn with_isa(self, isa: Isa) -> Self {
         Self { isa, ..self }
     }

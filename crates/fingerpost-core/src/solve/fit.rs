@@ -194,6 +194,7 @@ impl Fitter {
     /// The same solver with another instruction set than the processor's widest: slower, with
     /// bit-identical results.
     #[must_use]
+    #[doc(hidden)]
     pub fn with_isa(self, isa: Isa) -> Self {
         Self { isa, ..self }
     }

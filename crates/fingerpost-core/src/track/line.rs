@@ -171,10 +171,9 @@ impl FingerLine {
 pub enum LineSource {
     /// The contour: the axis of the fitted template.
     Contour,
-    /// The pixels about both flanks ([`Source::Photometric`](crate::axis::Source::Photometric)).
+    /// The pixels about both flanks, which agree with the model of a finger.
     Pixels,
-    /// Both, where the pixels alone are not trusted
-    /// ([`Source::Unsure`](crate::axis::Source::Unsure)).
+    /// Both, where the pixels alone are not trusted.
     Both,
 }
 

@@ -12,8 +12,7 @@ pub(super) const MIN_HALF_LENGTH_PX: f64 = 5.0;
 /// Model of the hand.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Model {
-    /// The band template: finger and thumb with widths of their own
-    /// ([`Ribbon`](crate::geometry::ribbon::Ribbon)).
+    /// The band template: finger and thumb with widths of their own.
     Ribbon,
     /// The planar template of 1994: affine during acquisition, then rigid with one shear.
     Paper,
@@ -73,8 +72,7 @@ pub struct TrackOptions {
     pub dynamics: DynamicsOptions,
 }
 
-/// Motion model of a hand in the image: a Kalman filter with constant velocity, see
-/// [`Dynamics`](crate::solve::dynamics::Dynamics).
+/// Motion model of a hand in the image: a Kalman filter with constant velocity.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct DynamicsOptions {
     /// Root mean square acceleration along u and along v \[px/s²\], 1–1e5.
@@ -163,9 +161,8 @@ pub struct TrackerOptions {
     /// Factor on the covariance of the fit, at least 1: neighbouring edge measurements share
     /// pixels.
     pub correlation: f64,
-    /// Whether the band model's finger line is refined by the flanks alone
-    /// ([`Refiner`](crate::axis::Refiner)) and combined with the lines of earlier frames; the
-    /// paper's model is never refined.
+    /// Whether the band model's finger line is refined by the flanks alone and combined with the
+    /// lines of earlier frames; the paper's model is never refined.
     pub refine: bool,
     /// Options until the hand is acquired.
     pub acquire: AcquireOptions,

@@ -33,6 +33,15 @@ use super::outcome::Track;
 use super::status::{StartPose, Status};
 
 /// Tracks one hand in one view.
+///
+/// - *Acquiring*: the initial template waits at its start pose and is fitted to the hand that is
+///   held up to it, until its size has settled.
+/// - *Tracking*: every frame is searched where a Kalman filter predicts the hand. Frames whose fit is
+///   not accepted have no finger line, and [`Diagnostics`](super::Diagnostics) says why.
+/// - *Lost*: after [`TrackOptions::lose_after_frames`](super::TrackOptions::lose_after_frames) such
+///   frames in a row. The hand is searched for at its last pose and at the start pose.
+///
+/// Nothing is allocated while a hand is tracked.
 #[derive(Debug, Clone)]
 pub struct ContourTracker {
     pub(super) template: Template,
@@ -168,8 +177,8 @@ impl ContourTracker {
         })
     }
 
-    /// A tracker of a hand that is already at `start`, such as one of
-    /// [`candidates`](crate::detect::candidates). The first frame is fitted there directly, from
+    /// A tracker of a hand that is already at `start`, such as a
+    /// [`Candidate`](crate::Candidate). The first frame is fitted there directly, from
     /// the template's own width, and keeps its length; a tracker made by [`new`](Self::new) would
     /// try several places, angles and widths. If that frame shows no hand there, acquisition starts
     /// as with `new`.
@@ -204,6 +213,7 @@ impl ContourTracker {
     /// The same tracker with another instruction set than the processor's widest: slower, with
     /// bit-identical results.
     #[must_use]
+    #[doc(hidden)]
     pub fn with_isa(self, isa: Isa) -> Self {
         let convergence = self.convergence.with_isa(isa);
         Self { convergence, refiner: self.refiner.with_isa(isa), ..self }

@@ -42,10 +42,8 @@ pub enum Schedule {
 ///
 /// ```
 /// use fingerpost_core::nalgebra::Point2;
-/// use fingerpost_core::geometry::template::{Template, Thumb};
-/// use fingerpost_core::track::{ContourTracker, StartPose, Status};
-/// use fingerpost_core::track::views::{Schedule, ViewUpdate, update_views};
-/// use fingerpost_core::{Frame, GrayView};
+/// use fingerpost_core::{ContourTracker, Frame, GrayView, StartPose, Status, Template, Thumb};
+/// use fingerpost_core::{Schedule, ViewUpdate, update_views};
 ///
 /// let start = StartPose { tip_px: Point2::new(90.0, 60.0), angle_rad: 0.5, length_px: 50.0 };
 /// let tracker = ContourTracker::new(Template::pistol(Thumb::None)?, &start, Default::default())?;

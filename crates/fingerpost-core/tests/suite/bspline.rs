@@ -1,4 +1,4 @@
-//! B-splines against golden data (`tests/golden/generate_bspline.py`), against what defines them, and on degenerate input.
+//! B-splines against golden data (`../golden/generate_bspline.py`), against what defines them, and on degenerate input.
 
 use fingerpost_core::Error;
 use fingerpost_core::geometry::bspline::{BSpline, Degree, Parametrization};
@@ -21,7 +21,7 @@ mod golden {
     use super::*;
 
     fn cases(kind: &str) -> Vec<Value> {
-        let text = include_str!("../../../../tests/golden/bspline.json");
+        let text = include_str!("../golden/bspline.json");
         let golden: Value = serde_json::from_str(text).unwrap();
         golden[kind].as_array().unwrap().clone()
     }

@@ -56,7 +56,7 @@ impl BSpline {
     /// [`Error::UnusableLength`] if they all coincide or their distances overflow.
     ///
     /// ```
-    /// use fingerpost_core::geometry::bspline::{BSpline, Degree};
+    /// use fingerpost_core::{BSpline, Degree};
     /// use fingerpost_core::nalgebra::Point2;
     ///
     /// // A straight line that starts slowly: half its parameters make a third of its length.

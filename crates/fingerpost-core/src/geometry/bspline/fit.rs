@@ -58,7 +58,7 @@ impl BSpline {
     /// parameters, [`Error::UndeterminedControlPoints`] if no outline point falls where some basis
     /// function needs one (the condition of Schoenberg and Whitney, to within rounding).
     /// ```
-    /// use fingerpost_core::geometry::bspline::{BSpline, Degree, Parametrization};
+    /// use fingerpost_core::{BSpline, Degree, Parametrization};
     /// use fingerpost_core::nalgebra::Point2;
     ///
     /// // A circle of radius 50 px, seen at 60 points.
