@@ -33,6 +33,7 @@ OPENCV_VERSIONS = ((4, 10), (6, 0))
 _EXTRAS = {
     "mcap": "mcap",
     "mujoco": "mujoco",
+    "net": "zenoh",
     "page": "uvicorn",
     "ur": "rtde_control",
     "xarm": "xarm",

@@ -22,6 +22,7 @@ from fingerpost.cli.live_status import LiveStatus
 from fingerpost.cli.live_views import hush_streams
 from fingerpost.cli.operators import operator_called, operator_option
 from fingerpost.cli.progress import StatusLine, status_line, watched
+from fingerpost.cli.publishing import Publishing, prints_fixes, publish_option
 from fingerpost.cli.recorder import open_recorder
 from fingerpost.cli.run_summary import RunSummary, source_notes
 
@@ -57,6 +58,7 @@ class Following:
     settings: tuple[str, ...] = ()
     reference_sigma_px: float | None = None
     operator: str | None = None
+    publish: Sequence[str] = ()
     as_json: bool = False
 
     @property
@@ -73,7 +75,7 @@ class Following:
     @property
     def prints_lines(self) -> bool:
         """Whether standard output gets lines of JSON, and nothing between them."""
-        return self.as_json or self.events == STDOUT
+        return self.as_json or self.events == STDOUT or prints_fixes(self.publish)
 
     def pointer(self, rig: Rig) -> Pointer:
         """Return what follows a rig's views with these options."""
@@ -121,6 +123,7 @@ _OPTIONS = (
         "[default: 0.5]",
     ),
     operator_option,
+    publish_option,
     click.option(
         "--json",
         "as_json",
@@ -175,6 +178,7 @@ def follow(
     summary = RunSummary()
     sources: list[Source] = []
     recorders: list[Recorder] = []
+    published: list[Publishing] = []
     started_s = time.monotonic()
     try:
         with ending_as_interrupted(), ExitStack() as stack:
@@ -188,6 +192,9 @@ def follow(
             takers = _takers(stack, pointer, rig.plane.unit, asked, is_live)
             if asked.events is not None:
                 takers.append(event_taker(stack, rig, asked.events, asked.dwell_s))
+            if asked.publish:
+                published.append(Publishing(stack, asked.publish, rig, is_live=is_live))
+                takers.append(published[0].take)
             frames = read_views(sources, give_up_after_s=asked.give_up_after_s)
             frames = at_most(frames, asked.max_frames)
             if asked.record is not None:
@@ -213,6 +220,7 @@ def follow(
     finally:
         notes = [*source_notes(rig.sources, sources), *pointer.notes()]
         notes += [note for recorder in recorders for note in recorder.notes()]
+        notes += [note for one in published for note in one.notes()]
         if asked.prints_lines:
             lines = [json.dumps({"notes": notes})] if notes else []
         elif summary.frames:
