@@ -69,9 +69,9 @@ def free_port(kind: int = socket.SOCK_STREAM) -> int:
         return one.getsockname()[1]
 
 
-def listening() -> set[str]:
-    """Addresses, as the kernel writes them, at which this process listens, or has a UDP socket."""
-    links = Path("/proc/self/fd").iterdir()
+def listening(process: int | str = "self") -> set[str]:
+    """Addresses, as the kernel writes them, at which a process listens, or has a UDP socket."""
+    links = Path(f"/proc/{process}/fd").iterdir()
     mine = {str(link.readlink()) for link in links if link.is_symlink()}
     found = set()
     for table, listens in (("tcp", "0A"), ("tcp6", "0A"), ("udp", "07"), ("udp6", "07")):

@@ -73,7 +73,7 @@ def _failure(said: str, place: str, *, listens: bool) -> str:
 
 
 def image_key(prefix: str, view: str) -> str:
-    """Return the key of a view's pictures: JPEG or PNG, with a stamp attached."""
+    """Return the key of a view's pictures: JPEG, with a stamp attached."""
     return f"{prefix}/{re.sub(_NOT_IN_KEYS, '_', view)}/image"
 
 

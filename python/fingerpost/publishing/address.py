@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from urllib.parse import parse_qsl, urlsplit
 
 from fingerpost.errors import InvalidInputError
@@ -62,6 +62,10 @@ class Address:
             parts.path.strip("/"),
             dict(parse_qsl(parts.query, keep_blank_values=True)),
         )
+
+    def with_options(self, options: Mapping[str, str]) -> Address:
+        """Return the address with these options, in place of its own."""
+        return replace(self, options=options)
 
     def port_or(self, default: int, *, is_free: bool = False) -> int:
         """Return the port.

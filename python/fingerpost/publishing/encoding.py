@@ -1,22 +1,23 @@
-"""Pictures as they are sent: those that came as JPEG or PNG as they are, others as JPEG."""
+"""Pictures as they are sent: JPEG, as it came where it did."""
 
 from __future__ import annotations
 
 from fingerpost.errors import CaptureError
 from fingerpost.publishing.fix import Picture
 
+_JPEG = b"\xff\xd8"
 _QUALITY = 95
 
 
 def encoded(picture: Picture) -> bytes:
-    """Return a picture as a JPEG or PNG file.
+    """Return a picture as a JPEG file.
 
     Raises
     ------
     CaptureError
         It cannot be encoded.
     """
-    if picture.encoded:
+    if picture.encoded.startswith(_JPEG):
         return picture.encoded
     import cv2
 

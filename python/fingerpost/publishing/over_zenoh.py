@@ -1,15 +1,15 @@
 """`zenoh://`: fixes as JSON, and the views' pictures if asked for, to programs on other machines.
 
-Under `KEY/fix` there is JSON; with `?pictures`, under `KEY/VIEW/image` each frame as JPEG or PNG
+Under `KEY/fix` there is JSON; with `?pictures`, under `KEY/VIEW/image` each frame as JPEG
 with its stamp, and whoever asks for `KEY/clock` gets the time by which they are stamped, so that a
 rig elsewhere can have them as a source (`fingerpost.capture`).
 """
 
 from __future__ import annotations
 
-import logging
+import threading
 import time
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from fingerpost.errors import CaptureError, InvalidInputError
 from fingerpost.publishing.address import Address
@@ -20,11 +20,10 @@ from fingerpost.zenoh_link import DEFAULT_PORT, clock_key, image_key, open_sessi
 if TYPE_CHECKING:
     import zenoh
 
-_log = logging.getLogger(__name__)
-
 _KEY = "fingerpost"
 _ROLES = ("connect", "listen")
 _RETRY_S = 1.0
+_MOST_QUESTIONS = 16
 
 
 class Link:
@@ -48,6 +47,7 @@ class Link:
     def __init__(self, address: Address, *, listens: bool) -> None:
         self._address, self._listens = address, listens
         self._session: zenoh.Session | None = None
+        self._one_at_a_time = threading.Lock()  # several cameras share a link
         self._asked_s = -_RETRY_S
         self._failure: CaptureError | None = None
         try:
@@ -70,6 +70,10 @@ class Link:
         CaptureError
             Nobody is there. That is asked once a second.
         """
+        with self._one_at_a_time:
+            return self._checked()
+
+    def _checked(self) -> zenoh.Session:
         now_s = time.monotonic()
         if now_s - self._asked_s >= _RETRY_S:
             self._failure = None
@@ -99,15 +103,16 @@ class Link:
 
 
 class Zenoh:
-    """Publishes fixes; parameters as `registry.Opener`."""
+    """Publishes fixes, or pictures alone; parameters as `registry.Opener`."""
 
-    def __init__(self, address: Address, _extent: Extent) -> None:
+    def __init__(self, address: Address, _extent: Extent | None = None) -> None:
         address.refuse_others(["role", "pictures"], has_path=True)
         self._key = address.path or _KEY
         refuse_wild(address, self._key)
         self.wants_pictures = "pictures" in address.options
         self._link = Link(address, listens=address.choice("role", _ROLES) == "listen")
-        self._clocked: zenoh.Session | None = None
+        self._clock: _Clock | None = None
+        self._one_at_a_time = threading.Lock()
 
     def send(self, fix: PublishedFix, pictures: Pictures) -> None:
         """Send a fix, and pictures if they were asked for."""
@@ -130,9 +135,9 @@ class Zenoh:
         import zenoh
 
         session = self._link.session()
-        if session is not self._clocked:
-            session.declare_queryable(clock_key(self._key), _answer_time)
-            self._clocked = session
+        with self._one_at_a_time:
+            if self._clock is None:
+                self._clock = _Clock(session, clock_key(self._key))
         for view, picture in pictures:
             session.put(
                 image_key(self._key, view),
@@ -144,7 +149,35 @@ class Zenoh:
 
     def close(self) -> None:
         """Close the session."""
+        if self._clock is not None:
+            self._clock.close()
+        self._clock = None
         self._link.close()
+
+
+class _Clock:
+    """Answers with the time of the clock by which pictures are stamped [ns].
+
+    From a thread of Python's own: one of zenoh's that calls Python while the interpreter ends takes
+    the process down.
+    """
+
+    def __init__(self, session: zenoh.Session, key: str) -> None:
+        import zenoh
+
+        channel: Any = zenoh.handlers.FifoChannel(_MOST_QUESTIONS)
+        self._questions = session.declare_queryable(key, channel)
+        self._thread = threading.Thread(target=self._answer, daemon=True)
+        self._thread.start()
+
+    def _answer(self) -> None:
+        for query in self._questions:
+            with query:
+                query.reply(query.key_expr, str(time.monotonic_ns()))
+
+    def close(self) -> None:
+        self._questions.undeclare()  # type: ignore[no-untyped-call]
+        self._thread.join()
 
 
 def refuse_wild(address: Address, key: str) -> None:
@@ -157,9 +190,3 @@ def refuse_wild(address: Address, key: str) -> None:
     """
     if any(sign in key for sign in "*$?#") or "//" in key:
         raise InvalidInputError(f"{address.url}: {key!r} is no single key; lab/left is right")
-
-
-def _answer_time(query: zenoh.Query) -> None:
-    """Answer with the time of the clock by which pictures are stamped [ns]."""
-    with query:
-        query.reply(query.key_expr, str(time.monotonic_ns()))
