@@ -63,6 +63,7 @@ PYTHON_GROUPS = {
     "sync": "application",
     "setting_up": "application",
     "workers": "application",
+    "cluster": "application",
     "batch": "application",
     "installation": "checks",
     "signals": "errors",

@@ -31,6 +31,7 @@ OPENCV_VERSIONS = ((4, 10), (6, 0))
 """The oldest version of OpenCV that will do, and the first that is not known to."""
 
 _EXTRAS = {
+    "cluster": "distributed",
     "mcap": "mcap",
     "mujoco": "mujoco",
     "net": "zenoh",
