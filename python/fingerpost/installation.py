@@ -35,6 +35,7 @@ _EXTRAS = {
     "mcap": "mcap",
     "mujoco": "mujoco",
     "net": "zenoh",
+    "parquet": "pyarrow",
     "page": "uvicorn",
     "ur": "rtde_control",
     "xarm": "xarm",
