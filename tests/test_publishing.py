@@ -29,6 +29,7 @@ from scipy.stats import chi2
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
+from fingerpost.capture import Loss, at_speed
 from fingerpost.cli import main
 from fingerpost.errors import InvalidInputError
 from fingerpost.publishing import SCHEMES, Extent, PublishedFix, Publisher, open_publisher
@@ -570,3 +571,27 @@ def test_a_receiver_that_takes_nothing_is_left_in_the_end(caplog, monkeypatch):
     stuck.going_on.set()
     thread.join()
     assert stuck.frames == [0]
+
+
+# --- the pace of recordings -------------------------------------------------------------------
+
+
+def test_recordings_play_at_the_speed_that_is_asked_for():
+    slept: list[float] = []
+    now_s = [50.0]
+
+    def sleep(duration_s: float) -> None:
+        slept.append(duration_s)
+        now_s[0] += duration_s
+
+    times_s = (0.0, 0.1, 0.2, 0.3)
+    film = [(Loss(k, time_s, ""), None) for k, time_s in enumerate(times_s)]
+    seen = []
+    for together in at_speed(iter(film), 2.0, clock=lambda: now_s[0], sleep=sleep):
+        seen.append(together)
+        now_s[0] += 0.2 if len(seen) == 2 else 0.01  # once the caller is slow
+    assert seen == film
+    # 0.05 s apart, less the caller's work; what comes after the slow one is due later.
+    assert slept == pytest.approx([0.04, 0.04])
+    with pytest.raises(InvalidInputError, match="speed"):
+        next(at_speed(iter(film), 0.0))

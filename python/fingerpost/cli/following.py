@@ -59,6 +59,7 @@ class Following:
     reference_sigma_px: float | None = None
     operator: str | None = None
     publish: Sequence[str] = ()
+    speed: float | None = None
     as_json: bool = False
 
     @property
@@ -125,6 +126,12 @@ _OPTIONS = (
     operator_option,
     publish_option,
     click.option(
+        "--speed",
+        type=click.FloatRange(1e-3, 1e3),
+        help="Play recorded views at their own pace times this, as receivers of --publish expect.  "
+        "[default: as fast as they are followed]",
+    ),
+    click.option(
         "--json",
         "as_json",
         is_flag=True,
@@ -168,7 +175,7 @@ def follow(
     closing_words
         Gives lines that end the summary.
     """
-    from fingerpost.capture import SourceKind, open_views, read_views
+    from fingerpost.capture import SourceKind, at_speed, open_views, read_views
     from fingerpost.pipeline import at_most, steps
 
     if asked.events is not None and not rig.targets:
@@ -197,6 +204,10 @@ def follow(
                 takers.append(published[0].take)
             frames = read_views(sources, give_up_after_s=asked.give_up_after_s)
             frames = at_most(frames, asked.max_frames)
+            if asked.speed is not None:
+                if is_live:
+                    raise click.UsageError("--speed: live views come at their own pace")
+                frames = at_speed(frames, asked.speed)
             if asked.record is not None:
                 recorder = open_recorder(asked.record, rig, sources, asked.images)
                 recorders.append(stack.enter_context(recorder))
