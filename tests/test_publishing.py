@@ -6,6 +6,7 @@ import math
 import os
 import re
 import shutil
+import signal
 import socket
 import struct
 import subprocess
@@ -21,6 +22,7 @@ import numpy as np
 import pytest
 import zenoh
 from click.testing import CliRunner, Result
+from live_server import RIG, served
 from patience import wait_until
 from pythonosc.dispatcher import Dispatcher
 from pythonosc.osc_server import BlockingOSCUDPServer
@@ -595,3 +597,13 @@ def test_recordings_play_at_the_speed_that_is_asked_for():
     assert slept == pytest.approx([0.04, 0.04])
     with pytest.raises(InvalidInputError, match="speed"):
         next(at_speed(iter(film), 0.0))
+
+
+def test_the_page_publishes_beside():
+    with OscServer() as server:
+        address = f"osc://127.0.0.1:{server.port}"
+        with served(RIG, "--publish", address) as page:
+            wait_until(lambda: ("/fingerpost/status", ("acquiring",)) in server.received)
+            page.process.send_signal(signal.SIGINT)
+            code, said = page.end()
+    assert (code, "Traceback" in said) == (130, False)
