@@ -56,9 +56,8 @@ class Publishing:
     rig
         Whose fixes they are.
     is_live
-        Whether their times are the machine's clock's.
-    waits
-        As for `fingerpost.publishing.Publisher`; as recorded views do if nothing is said.
+        Whether their times are the machine's clock's. Receivers that are slow are not waited for
+        then.
     """
 
     def __init__(
@@ -68,16 +67,14 @@ class Publishing:
         rig: Rig,
         *,
         is_live: bool,
-        waits: bool | None = None,
     ) -> None:
         from fingerpost.publishing import Extent, open_publisher
 
         extent = Extent.of(rig.plane.points, rig.plane.unit)
-        waits = not is_live if waits is None else waits
         self._unit = rig.plane.unit
         self._epoch_s = time.time() - time.monotonic() if is_live else None
         self._publishers: list[Publisher] = [
-            stack.enter_context(open_publisher(url, extent, waits=waits)) for url in urls
+            stack.enter_context(open_publisher(url, extent, waits=not is_live)) for url in urls
         ]
 
     def take(self, step: Step) -> None:

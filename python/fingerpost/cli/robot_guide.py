@@ -196,9 +196,8 @@ def _guide(given: Mapping[str, Any], carry: PickPlaceOptions | None) -> None:
         stack.enter_context(ending_orderly())
         hush_streams(rig.sources)
         sources = stack.enter_context(open_views(rig.sources, rig.readings))
-        is_live = sources[0].kind is SourceKind.LIVE
-        # An arm waits for no receiver, whatever its views are.
-        published = Publishing(stack, given["publish"], rig, is_live=is_live, waits=False)
+        # Recordings are played as if they were live, with times of the machine's clock.
+        published = Publishing(stack, given["publish"], rig, is_live=True)
         give_up_after_s = given["give_up_after_s"]
         frames: Iterator[Sequence[Frame | Loss | None]]
         frames = read_views(sources, give_up_after_s=give_up_after_s)
@@ -219,7 +218,7 @@ def _guide(given: Mapping[str, Any], carry: PickPlaceOptions | None) -> None:
             )
             if has_keys:
                 stack.enter_context(Keys(session.press, session.leave))
-            if not is_live:
+            if sources[0].kind is SourceKind.RECORDED:
                 frames = paced(frames, time.monotonic, time.sleep)
             taken = steps(pointer, at_most(frames, given["max_frames"]))
             if attendance is Attendance.HAND:
