@@ -192,7 +192,7 @@ def test_a_receiver_that_is_not_there_is_one_line(caplog):
             one.put(fix(k))
     (record,) = caplog.records
     assert record.getMessage() == (
-        f"osc://127.0.0.1:{port}: Connection refused; fixes go on, and it is tried again"
+        f"osc://127.0.0.1:{port}: nobody listens there; fixes go on, and it is tried again"
     )
 
 
@@ -431,7 +431,7 @@ def test_a_reader_that_leaves_costs_a_line_and_no_fix(rig_file, tmp_path):
     assert running.wait() == 0
     running.stderr.close()
     (line,) = [line for line in said.splitlines() if "Broken pipe" in line]
-    assert line == "WARNING: ndjson:: Broken pipe; fixes go on, and it is tried again"
+    assert line == "WARNING: ndjson: Broken pipe; fixes go on, and it is tried again"
     assert "Traceback" not in said
     assert len(read_points(points)) == FRAMES
 

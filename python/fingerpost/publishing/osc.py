@@ -11,7 +11,7 @@ import math
 import socket
 from typing import TYPE_CHECKING
 
-from fingerpost.errors import InvalidInputError
+from fingerpost.errors import CaptureError, InvalidInputError
 from fingerpost.installation import require
 from fingerpost.publishing.address import Address
 from fingerpost.publishing.fix import Extent, Pictures, PublishedFix
@@ -51,7 +51,10 @@ class _Line:
             ) from error
 
     def send(self, bundle: OscBundleBuilder) -> None:
-        self._socket.send(bundle.build().dgram)
+        try:
+            self._socket.send(bundle.build().dgram)
+        except ConnectionRefusedError as error:
+            raise CaptureError("nobody listens there") from error
 
     def close(self) -> None:
         self._socket.close()

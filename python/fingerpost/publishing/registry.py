@@ -49,7 +49,8 @@ def open_publisher(url: str, extent: Extent, *, waits: bool) -> Publisher:
         The extra `net` is not installed.
     """
     address = refuse_unknown(url)
-    return Publisher(url, SCHEMES[address.scheme](address, extent), waits=waits)
+    name = url.removesuffix(":")
+    return Publisher(name, SCHEMES[address.scheme](address, extent), waits=waits)
 
 
 def refuse_unknown(url: str) -> Address:
