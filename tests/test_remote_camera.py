@@ -180,7 +180,13 @@ def test_cameras_are_published_as_they_send(camera, server):  # noqa: F811
     [
         (["--publish", "osc://127.0.0.1", "0"], "zenoh://ADDRESS:PORT/KEY is right for cameras"),
         (["--publish", "zenoh://", "0", "0"], "there is a camera 'camera-0' already"),
-        (["0"], "0: is for --publish, which names an address"),
+        (["0"], "0: is for --publish, which is not given"),
+        (
+            ["--publish", "zenoh://", "0", "--set", "widht=3"],
+            "unknown key 'widht'; known are width",
+        ),
+        (["--publish", "zenoh://", "0", "--set", "fps=0"], "fps"),
+        (["--publish", "zenoh://", "0", "--set", "fps"], "KEY=VALUE as in TOML is right"),
     ],
 )
 def test_slips_are_one_line(arguments, said):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import tomllib
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
@@ -13,7 +14,7 @@ from fingerpost.cli.live_views import hush_streams
 from fingerpost.errors import FingerpostError, InvalidInputError
 
 if TYPE_CHECKING:
-    from fingerpost.capture import Source
+    from fingerpost.capture import CameraSettings, Source
     from fingerpost.publishing.address import Address
     from fingerpost.publishing.over_zenoh import Zenoh
 
@@ -55,7 +56,34 @@ def named(sources: Sequence[str]) -> dict[str, str | int]:
     return found
 
 
-def serve(sources: Mapping[str, str | int], url: str) -> None:
+def settings_of(settings: Sequence[str]) -> CameraSettings | None:
+    """Return what cameras are asked for; each of the settings is a line of TOML, as in a rig file.
+
+    Raises
+    ------
+    InvalidInputError
+        It is none, of an unknown key, or out of range.
+    """
+    from fingerpost.config import CameraTable
+
+    if not settings:
+        return None
+    shown = " ".join(settings)
+    try:
+        given = tomllib.loads("\n".join(settings))
+    except tomllib.TOMLDecodeError as error:
+        raise InvalidInputError(
+            f"--set {shown}: {error}; KEY=VALUE as in TOML is right, such as width=1280"
+        ) from error
+    if unknown := set(given) - set(CameraTable.__struct_fields__):
+        known = ", ".join(CameraTable.__struct_fields__)
+        raise InvalidInputError(f"--set {shown}: unknown key {unknown.pop()!r}; known are {known}")
+    return CameraTable(**given).settings()
+
+
+def serve(
+    sources: Mapping[str, str | int], url: str, settings: CameraSettings | None = None
+) -> None:
     """Publish the newest pictures of cameras until Ctrl-C, or until one of them fails.
 
     Parameters
@@ -64,15 +92,18 @@ def serve(sources: Mapping[str, str | int], url: str) -> None:
         As `fingerpost.capture.open_source` takes them, by name.
     url
         Where to.
+    settings
+        What each of the cameras is asked for.
     """
-    from fingerpost.capture import SourceKind, open_views
+    from fingerpost.capture import Reading, SourceKind, open_views
     from fingerpost.publishing.over_zenoh import Zenoh
 
     address = address_of(url)
     hush_streams(sources)
+    readings = [Reading(camera=settings)] * len(sources)
     counts: dict[str, int] = dict.fromkeys(sources, 0)
     try:
-        with ending_as_interrupted(), open_views(sources) as opened:
+        with ending_as_interrupted(), open_views(sources, readings) as opened:
             for source in opened:
                 if source.kind is not SourceKind.LIVE:
                     raise InvalidInputError(f"{source.name}: is a recording; a camera is right")

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from fingerpost.cli.camera_server import named, serve
+from fingerpost.cli.camera_server import named, serve, settings_of
 from fingerpost.errors import CaptureError
 from fingerpost.installation import need_opencv
 from fingerpost.signals import ending_at_once
@@ -33,6 +33,14 @@ _WIDTH_PX = 320
     "zenoh://ADDRESS:PORT/KEY, where ADDRESS is this machine's.",
 )
 @click.option(
+    "--set",
+    "settings",
+    metavar="KEY=VALUE",
+    multiple=True,
+    help="Ask the cameras that are published for it, as the key camera of a rig file does: "
+    "width=1280.",
+)
+@click.option(
     "--thumbnails",
     "folder",
     metavar="DIR",
@@ -43,7 +51,12 @@ _WIDTH_PX = 320
 @click.option("--no-thumbnails", is_flag=True, help="Open no camera; list them alone.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object a camera, all modes.")
 def cameras(
-    sources: tuple[str, ...], publish: str | None, folder: Path, no_thumbnails: bool, as_json: bool
+    sources: tuple[str, ...],
+    publish: str | None,
+    settings: tuple[str, ...],
+    folder: Path,
+    no_thumbnails: bool,
+    as_json: bool,
 ) -> None:
     """List the cameras that are plugged in: number, name, modes, and a picture of each.
 
@@ -61,10 +74,10 @@ def cameras(
         given = sources or [str(camera.number) for camera in list_cameras()]
         if not given:
             raise CaptureError(NONE)
-        serve(named(given), publish)
+        serve(named(given), publish, settings_of(settings))
         return
-    if sources:
-        raise click.UsageError(f"{sources[0]}: is for --publish, which names an address")
+    if sources or settings:
+        raise click.UsageError(f"{(*sources, *settings)[0]}: is for --publish, which is not given")
     found = list_cameras()
     for camera in found:
         picture = None if no_thumbnails or camera.trouble else _thumbnail(camera, folder)
