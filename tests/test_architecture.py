@@ -45,6 +45,7 @@ PYTHON_GROUPS = {
     "simulate": "simulate",
     "recording": "recording",
     "robot": "robot",
+    "publishing": "publishing",
     "config": "config",
     "admission": "pipeline",
     "consistency": "pipeline",
@@ -65,11 +66,13 @@ PYTHON_GROUPS = {
     "sync": "application",
     "setting_up": "application",
     "workers": "application",
+    "cluster": "application",
     "batch": "application",
     "installation": "checks",
     "signals": "errors",
     "rig_text": "checks",
     "mcap_file": "mcap_file",
+    "zenoh_link": "zenoh_link",
     "formats": "checks",
     "locating": "pipeline",
     "cli": "cli",
@@ -81,8 +84,9 @@ PYTHON_GROUPS = {
 _BASE = {"errors", "checks"}
 _GEOMETRY = _BASE | {"geometry"}
 _POINTING = _GEOMETRY | {"pointing", "core"}
-_EDGES = {"references", "capture", "simulate", "recording", "robot"}
-_PIPELINE = _POINTING | _EDGES | {"config", "mcap_file", "pipeline"}
+_EDGES = {"references", "capture", "simulate", "recording", "robot", "publishing"}
+_FORMATS = {"mcap_file", "zenoh_link"}
+_PIPELINE = _POINTING | _EDGES | _FORMATS | {"config", "pipeline"}
 
 # What each group may import of the others. The edges never import each other, and nobody but the
 # command line itself imports it.
@@ -92,7 +96,8 @@ PYTHON_RULES = {
     "geometry": _GEOMETRY,
     "pointing": _GEOMETRY | {"core"},
     "mcap_file": {"errors"},
-    **dict.fromkeys(_EDGES, _POINTING | {"mcap_file"}),
+    "zenoh_link": _BASE,
+    **dict.fromkeys(_EDGES, _POINTING | _FORMATS),
     "config": _GEOMETRY | {"capture", "mcap_file"},
     "pipeline": _PIPELINE,
     "application": _PIPELINE | {"application"},

@@ -3,6 +3,8 @@
 import csv
 import os
 import signal
+import socket
+import subprocess
 import sys
 import threading
 from pathlib import Path
@@ -10,11 +12,14 @@ from pathlib import Path
 import cv2
 import pytest
 from click.testing import CliRunner, Result
+from distributed import LocalCluster
 from patience import wait_until
+from test_publishing import listening
 from test_workers import children
 
-from fingerpost.batch import run_batch, tasks
+from fingerpost.batch import run_batch, tasks, work
 from fingerpost.cli import main
+from fingerpost.cluster import cluster_at
 from fingerpost.errors import InvalidInputError
 from fingerpost.recording.picture.palette import STATUSES
 from fingerpost.recording.picture.shares import draw_shares
@@ -39,19 +44,26 @@ def rigs(tmp_path_factory):
     return folder
 
 
+@pytest.fixture(scope="module")
+def recorded(rigs, tmp_path_factory):
+    """A folder with a recording, one that was cut, and a rig whose pictures are elsewhere."""
+    folder = tmp_path_factory.mktemp("recorded")
+    recording, points = folder / "r.mcap", folder / "p.csv"
+    assert invoked("run", rigs / "a.toml", "--record", recording, "--points", points).exit_code == 0
+    (folder / "cut.mcap").write_bytes(recording.read_bytes()[: recording.stat().st_size // 2])
+    (folder / "bad.toml").write_text((rigs / "a.toml").read_text())
+    return folder
+
+
 def rows(folder: Path) -> list[dict[str, str]]:
     with (folder / "batch.csv").open(newline="") as file:
         return list(csv.DictReader(file))
 
 
-def test_a_batch_gives_what_each_run_gives_and_lists_what_fails(rigs, tmp_path):
-    recording, cut = tmp_path / "r.mcap", tmp_path / "cut.mcap"
-    points = tmp_path / "p.csv"
-    assert invoked("run", rigs / "a.toml", "--record", recording, "--points", points).exit_code == 0
-    cut.write_bytes(recording.read_bytes()[: recording.stat().st_size // 2])
-    (tmp_path / "bad.toml").write_text((rigs / "a.toml").read_text())  # its pictures are elsewhere
-    out = tmp_path / "out"
-    done = invoked("batch", rigs / "*.toml", recording, cut, tmp_path / "bad.toml", "--out", out)
+def test_a_batch_gives_what_each_run_gives_and_lists_what_fails(rigs, recorded, tmp_path):
+    points, out = recorded / "p.csv", tmp_path / "out"
+    others = [recorded / name for name in ("r.mcap", "cut.mcap", "bad.toml")]
+    done = invoked("batch", rigs / "*.toml", *others, "--out", out)
     assert done.exit_code == 1
     assert done.stdout == f"5 of 6 recordings: {out}/batch.csv\n"
     (line,) = done.stderr.splitlines()
@@ -96,6 +108,129 @@ def test_a_worker_that_is_killed_costs_nothing(rigs, tmp_path):
     thread.join()
     assert [one.reason for one in outcomes] == [""] * 3
     assert [one.frames for one in outcomes] == [FRAMES] * 3
+
+
+# --- on a cluster -----------------------------------------------------------------------------
+
+HIDING = (
+    "import sys\n"
+    "class Hidden:\n"
+    "    def find_spec(self, name, path=None, target=None):\n"
+    "        if name.partition('.')[0] == 'fingerpost':\n"
+    "            raise ModuleNotFoundError(f'No module named {name!r}', name=name)\n"
+    "sys.meta_path.insert(0, Hidden())\n"
+)
+
+
+@pytest.fixture
+def cluster():
+    """What starts a scheduler of Dask and workers, as separate processes; gives its address."""
+    running = []
+
+    def started(*words: str, before: str = "") -> subprocess.Popen:
+        program = (
+            f"{before}import sys; sys.argv[0] = 'dask'\nfrom dask.__main__ import main; main()"
+        )
+        quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+        running.append(subprocess.Popen([sys.executable, "-c", program, *words], **quiet))
+        return running[-1]
+
+    def start(workers: int, before: str = "") -> tuple[str, list]:
+        with socket.socket() as one:
+            one.bind(("127.0.0.1", 0))
+            port = one.getsockname()[1]
+        address = f"tcp://127.0.0.1:{port}"
+        place = ("--host", "127.0.0.1", "--port", str(port))
+        started("scheduler", *place, "--no-dashboard", before=before)
+        options = ("--nthreads", "1", "--no-nanny", "--no-dashboard")
+        return address, [started("worker", address, *options) for _ in range(workers)]
+
+    yield start
+    for one in reversed(running):
+        one.kill()
+        one.wait()
+
+
+def files_of(folder: Path) -> dict[str, bytes]:
+    paths = (path for path in folder.rglob("*") if path.is_file())
+    return {str(path.relative_to(folder)): path.read_bytes() for path in paths}
+
+
+def test_a_cluster_gives_the_same_files_though_a_worker_dies(rigs, recorded, cluster, tmp_path):
+    paths = (rigs / "a.toml", recorded / "cut.mcap", recorded / "bad.toml")
+    todo = tasks([str(path) for path in paths], {})
+    for task in todo:
+        work(task, str(tmp_path / "here"))
+    address, workers = cluster(2)
+    with cluster_at(address) as there:
+        there._client.wait_for_workers(2)
+        told = []
+
+        def tell(done: int, _of: int) -> None:
+            told.append(done)
+            if done == 1:
+                workers[0].kill()
+
+        outcomes = run_batch(todo, tmp_path / "there", cluster=there, tell=tell)
+    assert told == list(range(4))
+    reasons = {one.task.name: one.reason for one in outcomes if one.reason}
+    assert set(reasons) == {"bad"}
+    assert "no file matches" in reasons["bad"]
+    assert f"(on worker {address.rpartition(':')[0]}:" in reasons["bad"]
+    found = files_of(tmp_path / "there")
+    assert found == files_of(tmp_path / "here")
+    assert {Path(name).parts[0] for name in found} == {"a", "cut"}
+
+
+def test_a_local_cluster_works_on_this_machine_alone():
+    with cluster_at("local:1") as there:
+        assert list(there.each(abs, [-3])) == [(-3, 3, "")]
+        (worker,) = there._client.scheduler_info(n_workers=-1)["workers"]
+        assert worker.startswith("tcp://127.0.0.1:")
+        if sys.platform.startswith("linux"):
+            assert {address[:8] for address in listening()} == {"0100007F"}
+
+
+def refused(rigs: Path, folder: Path, address: str) -> str:
+    done = invoked("batch", rigs / "a.toml", "--out", folder, "--dask", address)
+    assert (done.exit_code, done.stdout) == (1, "")
+    (line,) = done.stderr.splitlines()
+    assert line.startswith(f"fingerpost: --dask {address}: ")
+    return line
+
+
+def test_a_scheduler_without_fingerpost_is_one_line(rigs, cluster, tmp_path):
+    address, _ = cluster(0, before=HIDING)
+    said = refused(rigs, tmp_path, address)
+    assert "the scheduler cannot import fingerpost (No module named 'fingerpost')" in said
+    assert "pip install 'fingerpost[cluster]==" in said
+
+
+def test_workers_of_several_threads_are_one_line(rigs, tmp_path):
+    given = {"host": "127.0.0.1", "protocol": "tcp", "dashboard_address": None}
+    with LocalCluster(n_workers=1, threads_per_worker=2, processes=False, **given) as there:
+        said = refused(rigs, tmp_path, there.scheduler_address)
+    assert "has 2 threads; start as many workers as there are cores" in said
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "said"),
+    [
+        (["--dask", "local:0"], 2, "local:4 for four workers on this machine, is right"),
+        (["--dask", "local:2", "--workers", "2"], 2, "leave it out"),
+        (["--dask", "tcp://127.0.0.1:1"], 1, "no scheduler answers there"),
+    ],
+)
+def test_an_address_that_is_no_clusters_is_one_line(
+    rigs, tmp_path, monkeypatch, arguments, code, said
+):
+    monkeypatch.setattr("fingerpost.cluster._ANSWERS_S", 0.5)
+    done = invoked("batch", rigs / "a.toml", "--out", tmp_path, *arguments)
+    assert done.exit_code == code, done.output
+    assert said in done.stderr.splitlines()[-1]
+
+
+# --- names and pictures -----------------------------------------------------------------------
 
 
 def test_names_tell_files_of_one_name_apart(tmp_path):

@@ -1,11 +1,14 @@
 """The pages of docs/ speak of everything that there is."""
 
 import re
+import shlex
 from pathlib import Path
 
+import click
 import msgspec
 import pytest
 
+from fingerpost.cli import main
 from fingerpost.config import Rig, rig_tables
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
@@ -39,3 +42,19 @@ def test_no_page_links_to_one_that_is_not_there():
     for page in [*DOCS.rglob("*.md"), DOCS.parent / "README.md"]:
         for link in re.findall(r"\]\(([^)#:\s]+)(?:#[^)]*)?\)", page.read_text(encoding="utf-8")):
             assert (page.parent / link).exists(), f"{page}: {link}"
+
+
+def commands(page: str) -> list[list[str]]:
+    """Every command line of fingerpost that a page shows, as its words."""
+    text = (DOCS / page).read_text(encoding="utf-8")
+    lines = re.findall(r"^    fingerpost (.*)$", text, re.MULTILINE)
+    return [shlex.split(line, comments=True) for line in lines]
+
+
+@pytest.mark.parametrize("page", ["publishing.md", "recordings.md", "cameras.md"])
+def test_the_commands_of_a_page_are_understood(page):
+    assert commands(page)
+    for name, *words in commands(page):
+        command = main.get_command(click.Context(main), name)
+        assert command is not None, name
+        command.make_context(name, words)  # parses, and does nothing

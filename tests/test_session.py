@@ -1,5 +1,6 @@
 """Recordings (MCAP): they hold what was seen, replay to the same bits, and outlive what happens."""
 
+import dataclasses
 import itertools
 import json
 import os
@@ -22,7 +23,7 @@ from fingerpost.config import Rig
 from fingerpost.errors import InvalidInputError, RecordingError, SourceError
 from fingerpost.mcap_file import read_about
 from fingerpost.pipeline import Pointer, steps
-from fingerpost.recording import read_points
+from fingerpost.recording import read_points, read_tracks
 from fingerpost.recording.session import About, Images, Recorder
 from fingerpost.simulate import DevicePose, SimulatedRig, Trajectory, write_recording
 
@@ -234,6 +235,32 @@ def test_exported_tables_are_those_of_the_run(recording, tmp_path):
     for table in tables:
         assert table.read_bytes() == recording.with_name(table.name).read_bytes()
     assert "nothing to write" in refused("export", recording)
+
+
+def test_exported_parquet_is_read_by_arrow(recording, tmp_path):
+    parquet = pytest.importorskip("pyarrow.parquet")
+    paths = [tmp_path / "p.parquet", tmp_path / "t.parquet"]
+    done = invoked("export", recording, "--points", paths[0], "--tracks", paths[1])
+    assert done.exit_code == 0, done.output
+    points, tracks = (parquet.read_table(path) for path in paths)
+    assert points.schema.names == [
+        *("frame", "time_s", "status", "x_mm", "y_mm", "cov_xx_mm2", "cov_xy_mm2", "cov_yy_mm2"),
+        *("crossing_angle_deg", "reason"),
+    ]
+    assert [str(kind) for kind in points.schema.types] == [
+        *("int64", "double", "string", *["double"] * 6, "string")
+    ]
+    assert points.schema.metadata[b"unit"] == b"mm"
+    assert "[mm²]" in points.schema.field("cov_xy_mm2").metadata[b"meaning"].decode()
+    rows = read_points(recording.with_name("p.csv"))
+    for row, cells in zip(rows, points.to_pylist(), strict=True):
+        assert list(cells.values()) == list(dataclasses.asdict(row).values())
+    lines = read_tracks(recording.with_name("t.csv"))
+    assert "tip_u_px" in tracks.schema.names
+    for line, cells in zip(lines, tracks.to_pylist(), strict=True):
+        assert list(cells.values()) == list(dataclasses.asdict(line).values())
+    nowhere = tmp_path / "nowhere" / "p.parquet"
+    assert "No such file or directory" in refused("export", recording, "--points", nowhere)
 
 
 def test_an_exported_video_shows_every_step_at_its_time(recording, rig_file, tmp_path):

@@ -10,6 +10,7 @@ import glob
 import logging
 import os
 import shutil
+import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import as_completed
@@ -23,6 +24,7 @@ import numpy as np
 
 from fingerpost.capture import SourceKind, open_views, read_views
 from fingerpost.checks import make_folder
+from fingerpost.cluster import Cluster
 from fingerpost.config import Rig
 from fingerpost.errors import FingerpostError, InvalidInputError
 from fingerpost.pipeline import Pointer, steps
@@ -134,6 +136,7 @@ def run_batch(
     folder: Path,
     *,
     workers: int | None = None,
+    cluster: Cluster | None = None,
     tell: Callable[[int, int], None] = lambda _done, _of: None,
 ) -> list[Outcome]:
     """Work through recordings; those of which the folder holds the outcome are not done again.
@@ -146,6 +149,8 @@ def run_batch(
         Gets a folder for each; made if need be.
     workers
         How many processes; None for all cores.
+    cluster
+        Where to work instead of here. Its workers have to see the recordings, by the same names.
     tell
         Told how many of all are done.
 
@@ -164,6 +169,11 @@ def run_batch(
     done = {task.name: known for task in todo if (known := _known(task, folder)) is not None}
     begun: Counter[str] = Counter()
     tell(len(done), len(todo))
+    if cluster is not None:
+        left = [task for task in todo if task.name not in done]
+        for outcome in _far_away(left, folder, cluster):
+            done[outcome.task.name] = outcome
+            tell(len(done), len(todo))
     while left := [task for task in todo if task.name not in done]:
         for outcome in _shared(left, folder, min(count, len(left))):
             done[outcome.task.name] = outcome
@@ -190,6 +200,45 @@ def _shared(left: Sequence[Task], folder: Path, workers: int) -> Iterable[Outcom
                 return
 
 
+def _far_away(left: Sequence[Task], folder: Path, cluster: Cluster) -> Iterator[Outcome]:
+    """Have recordings worked through on a cluster; what comes of them is written here."""
+    for task, came, reason in cluster.each(work_far_away, left):
+        if reason:
+            yield Outcome(task=task, reason=reason)
+            continue
+        outcome, written = came
+        if not outcome.reason:
+            part = _part(task, folder)
+            shutil.rmtree(part, ignore_errors=True)
+            make_folder(part)
+            for name, data in written.items():
+                (part / name).write_bytes(data)
+            _complete(part, folder / task.name)
+        yield outcome
+
+
+def work_far_away(task: Task) -> tuple[Outcome, dict[str, bytes]]:
+    """Work through one recording on a worker of a cluster, whose disk nobody else need see.
+
+    Returns
+    -------
+    tuple
+        What came of it, and the files of its folder by their names; none if it failed. The reason
+        names the worker then.
+    """
+    import cv2
+    from distributed import get_worker
+
+    cv2.setNumThreads(1)  # as many workers as cores; those of BLAS are held by Dask's nannies
+    with tempfile.TemporaryDirectory() as folder:
+        outcome = work(task, folder)
+        if outcome.reason:
+            reason = f"{outcome.reason} (on worker {get_worker().address})"
+            return msgspec.structs.replace(outcome, reason=reason), {}
+        files = (Path(folder) / task.name).iterdir()
+        return outcome, {file.name: file.read_bytes() for file in files}
+
+
 def _part(task: Task, folder: Path) -> Path:
     return folder / f"{task.name}{_PART}"
 
@@ -214,13 +263,16 @@ def work(task: Task, folder: str) -> Outcome:
         notes = *outcome.notes, *dict.fromkeys(warnings)
         outcome = msgspec.structs.replace(outcome, notes=notes)
         (part / _OUTCOME).write_bytes(msgspec.json.encode(outcome))
-        complete = Path(folder) / task.name
-        shutil.rmtree(complete, ignore_errors=True)
-        part.replace(complete)
+        _complete(part, Path(folder) / task.name)
     except (FingerpostError, OSError) as error:
         shutil.rmtree(part, ignore_errors=True)
         return Outcome(task=task, reason=" ".join(str(error).split()))
     return outcome
+
+
+def _complete(part: Path, complete: Path) -> None:
+    shutil.rmtree(complete, ignore_errors=True)
+    part.replace(complete)
 
 
 @contextmanager

@@ -14,7 +14,8 @@ SIZES_MM = {
 }
 """Width and height of sheets as one reads them, and of cards (ISO 216, ANSI Y14.1, ISO 7810)."""
 
-UNITS_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "in": 25.4}
+UNITS_MM = {"µm": 1e-3, "mm": 1.0, "cm": 10.0, "dm": 100.0, "m": 1000.0, "in": 25.4, "inch": 25.4}
+"""Names of plane units whose length is known [mm]."""
 
 NAMES = '"A4", "letter", "A3", "credit-card" or [w, h] in the plane\'s unit'
 

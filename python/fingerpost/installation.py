@@ -32,8 +32,11 @@ OPENCV_VERSIONS = ((4, 10), (6, 0))
 """The oldest version of OpenCV that will do, and the first that is not known to."""
 
 _EXTRAS = {
+    "cluster": "distributed",
     "mcap": "mcap",
     "mujoco": "mujoco",
+    "net": "zenoh",
+    "parquet": "pyarrow",
     "page": "uvicorn",
     "plot": "matplotlib",
     "ur": "rtde_control",

@@ -2,6 +2,7 @@
 
 import json
 import re
+import socket
 import subprocess
 import sys
 
@@ -34,9 +35,13 @@ def rig(hand_film, tmp_path):
 
 def test_the_arm_follows_the_hand_and_every_command_has_its_fix(rig, tmp_path):
     log = tmp_path / "commands.csv"
-    with EmulatedArm() as arm:
-        with Guided("follow", rig, "--url", arm.url, "--arm", "--log", log, *OPTIONS) as guided:
+    with EmulatedArm() as arm, socket.socket(type=socket.SOCK_DGRAM) as receiver:
+        receiver.bind(("127.0.0.1", 0))
+        address = f"osc://127.0.0.1:{receiver.getsockname()[1]}"
+        options = ("--log", log, "--publish", address, *OPTIONS)
+        with Guided("follow", rig, "--url", arm.url, "--arm", *options) as guided:
             assert guided.end() == 0, guided.said()
+        assert b"/fingerpost/status" in receiver.recv(1 << 16)
         there = arm.pose()
         assert not arm.is_moving()
     np.testing.assert_allclose(there.position_m, [*robot_xy(SECOND_MM), HEIGHT_M + 0.05], atol=0.01)

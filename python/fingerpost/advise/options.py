@@ -6,12 +6,10 @@ from dataclasses import dataclass, field, replace
 
 from fingerpost.checks import in_range
 from fingerpost.errors import InvalidInputError
+from fingerpost.formats import UNITS_MM
 from fingerpost.pipeline import DEFAULT_REFERENCE_SIGMA_PX
 from fingerpost.pointing import UNSEEN_HAND, PointingOptions
 from fingerpost.simulate import PoseLimits
-
-UNITS_MM = {"µm": 1e-3, "mm": 1.0, "cm": 10.0, "dm": 100.0, "m": 1000.0, "in": 25.4, "inch": 25.4}
-"""Names of plane units whose length is known [mm]."""
 
 LEAST = 1e-6
 """Noise and errors of reference points as good as none [grey levels, px]; their squares are still

@@ -20,7 +20,7 @@ from fingerpost.capture.opening import (
 from fingerpost.capture.remote import is_url
 from fingerpost.capture.settings import AS_IT_IS, Arrangement, CameraSettings, Reading
 from fingerpost.capture.source import Frame, Loss, Source, SourceKind
-from fingerpost.capture.views import read_views
+from fingerpost.capture.views import at_speed, read_views
 
 __all__ = [
     "AS_IT_IS",
@@ -32,6 +32,7 @@ __all__ = [
     "Reading",
     "Source",
     "SourceKind",
+    "at_speed",
     "is_url",
     "list_cameras",
     "open_source",

@@ -21,7 +21,7 @@ import time
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 from fingerpost.capture.as_sent import as_sent, picture_of
 from fingerpost.capture.raw import STDIN, RawStream, StreamEndedError, raw_format
@@ -54,6 +54,18 @@ class Device(Protocol):
 
     def release(self) -> None:
         """Give the device back."""
+
+
+@runtime_checkable
+class Stamping(Protocol):
+    """A device that knows better than its reader when its pictures were captured."""
+
+    def captured_ns(self) -> int:
+        """Return when the grabbed frame was captured, by the reader's clock [ns]."""
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What is to be said of how it knows, for people."""
 
 
 def _connect(source: str | int, timeout_s: float, camera: CameraSettings | None = None) -> Device:
@@ -147,7 +159,8 @@ class LiveSource(Source):
         How long opening may take, and how long the wait for a new frame, before the source
         counts as lost.
     clock
-        Gives the time in nanoseconds; called right after each grab.
+        Gives the time in nanoseconds; called right after each grab, unless the device is
+        `Stamping`.
     camera
         What the camera is asked for, or the format of the raw frames on a pipe.
     connect
@@ -173,6 +186,7 @@ class LiveSource(Source):
         super().__init__("standard input" if source == STDIN else masked(source))
         self._camera = camera
         self._differences: tuple[str, ...] = ()
+        self._stamping: Stamping | None = None
         self._timeout_s = timeout_s
         self._clock = clock
         self._connect = connect or partial(_connect, camera=camera)
@@ -212,7 +226,8 @@ class LiveSource(Source):
         """What else is to be said of the source in the end, for people."""
         times = "once" if self._stalls == 1 else f"{self._stalls} times"
         stalls = f"sent nothing for {self._timeout_s:g} s and more, {times}"
-        return (*self._differences, stalls) if self._stalls else self._differences
+        notes = (*self._differences, *(self._stamping.notes if self._stamping else ()))
+        return (*notes, stalls) if self._stalls else notes
 
     def wait(self, at_most_s: float = math.inf) -> None:
         """Return when a frame is there that was not fetched yet, or the source is closed or lost.
@@ -345,6 +360,7 @@ class LiveSource(Source):
             opened = device.isOpened()
             if opened:
                 self._ask(device)
+            self._stamping = device if isinstance(device, Stamping) else None
             with self._changed:
                 self._opened = opened
                 self._changed.notify_all()
@@ -359,6 +375,8 @@ class LiveSource(Source):
         while not self._closed:
             grabbed = device.grab()
             time_ns = self._clock()
+            if grabbed and self._stamping is not None:
+                time_ns = self._stamping.captured_ns()
             ok, sent = device.retrieve() if grabbed else (False, None)
             image, encoded = picture_of(sent) if ok and sent is not None else (None, b"")
             if image is None:

@@ -9,8 +9,10 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
+from functools import partial
 from pathlib import Path
 
+from fingerpost.capture import over_zenoh
 from fingerpost.capture.images import (
     ImageSequence,
     JpegFilm,
@@ -58,7 +60,7 @@ def open_source(
         camera number, a camera device (`/dev/video0`) or a named pipe, or a URL (`http://`,
         `https://`, `rtsp://`, ...): live, unless a web server says that it is a film; or `-`: raw
         frames on standard input (`fingerpost.capture.raw`), which are live as well. A view of a
-        recording is `session.mcap#left`.
+        recording is `session.mcap#left`, a camera on another machine `zenoh://HOST:PORT/KEY/NAME`.
     camera
         What a camera is asked for, or the format of the raw frames on a pipe.
     fps
@@ -118,6 +120,10 @@ def _opened(
                 f"{masked(source)}: camera = {{ ... }} is for cameras and pipes; set a network "
                 "camera where it is"
             )
+        if source.startswith(over_zenoh.SCHEME):
+            over_zenoh.parts_of(source)
+            connect = partial(_remote_camera, clock=clock)
+            return LiveSource(source, timeout_s=timeout_s, clock=clock, connect=connect)
         if source.startswith("file:"):
             raise InvalidInputError(f"{source}: give the file's path instead of a file: URL")
         if look_up(source, timeout_s) is Remote.FILM:
@@ -159,6 +165,12 @@ def _opened(
         return ImageSequence(paths, fps=fps, name=source)
     hint = "; a camera's number goes without quotes" if source.isdecimal() else ""
     raise CaptureError(f"{source}: no such file{hint}")
+
+
+def _remote_camera(
+    source: str | int, timeout_s: float, *, clock: Callable[[], int]
+) -> over_zenoh.ZenohCamera:
+    return over_zenoh.ZenohCamera(str(source), timeout_s, clock)
 
 
 def _open_file(path: Path, fps: float) -> Source:

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator, Sequence
+import math
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import TypeVar
 
 from fingerpost.capture.source import Frame, Loss, Source, SourceKind
 from fingerpost.checks import in_range
@@ -12,6 +15,7 @@ from fingerpost.errors import CaptureError, InvalidInputError
 _log = logging.getLogger(__name__)
 
 _GIVE_UP_AFTER_S = (1e-3, 1e9)
+_SPEEDS = (1e-3, 1e3)
 
 _ALL_LOST_STEP_S = 0.5
 """Time between steps while no view sends anything: what waits for steps goes on to be called."""
@@ -63,6 +67,46 @@ def read_views(
     if len(recordings) == 1 and None not in recordings:
         return _as_recorded(sources)
     return _in_step(sources)
+
+
+Together = TypeVar("Together", bound=Sequence[Frame | Loss | None])
+
+
+def at_speed(
+    frames: Iterable[Together],
+    speed: float,
+    *,
+    clock: Callable[[], float] = time.monotonic,
+    sleep: Callable[[float], None] = time.sleep,
+) -> Iterator[Together]:
+    """Give the frames of recorded views when they are due, and change nothing of them.
+
+    No frame is left out: where the caller is slower, everything after is due later.
+
+    Parameters
+    ----------
+    frames
+        As `read_views` gives them.
+    speed
+        How many seconds of the recording pass in a second, > 0.
+    clock
+        The time [s].
+    sleep
+        Waits for so many seconds.
+
+    Raises
+    ------
+    InvalidInputError
+        `speed` is out of range.
+    """
+    in_range(speed, "speed", *_SPEEDS)
+    begin_s = -math.inf
+    for together in frames:
+        due_s = min(seen.time_s for seen in together if seen is not None) / speed
+        begin_s = max(begin_s, clock() - due_s)
+        if (early_s := begin_s + due_s - clock()) > 0.0:
+            sleep(early_s)
+        yield together
 
 
 def _as_recorded(sources: Sequence[Source]) -> Iterator[tuple[Frame | Loss | None, ...]]:

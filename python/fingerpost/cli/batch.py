@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import sys
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -33,23 +34,38 @@ _FAILED = 1
     help="Gets a folder for each recording, batch.csv and batch.png.",
 )
 @click.option("--workers", metavar="N", type=int, help="Processes.  [default: one a core]")
+@click.option(
+    "--dask",
+    metavar="tcp://HOST:PORT|local:N",
+    help="Work on a Dask cluster: its scheduler's address, or N workers on this machine.",
+)
 @tracker_options
-def batch(rigs: tuple[str, ...], folder: Path, workers: int | None, **options: Any) -> None:
+def batch(
+    rigs: tuple[str, ...], folder: Path, workers: int | None, dask: str | None, **options: Any
+) -> None:
     """Work through many rig files and recordings, named or as globs in quotes.
 
     Every recording gets a folder with its tables; batch.csv and batch.png show all of them. What is
     done already, with the same options, is not done again. What fails is listed with its reason and
     stops nothing; the exit code is 1 then.
+
+    With --dask the results are the same to the last bit. The workers of the cluster need
+    fingerpost, and have to see the recordings by the same names; tables are written here.
     """
+    if dask is not None and workers is not None:
+        raise click.UsageError("--workers: a cluster has the workers that it has; leave it out")
     with ending_at_once():
         need_opencv()
         from fingerpost.batch import run_batch, tasks
+        from fingerpost.cluster import cluster_at
         from fingerpost.recording import write_picture
         from fingerpost.recording.picture.shares import draw_shares
 
     todo = tasks(rigs, settings_of(**options))
-    with ending_as_interrupted(), counting("recordings") as tell:
-        outcomes = run_batch(todo, folder, workers=workers, tell=tell)
+    with ending_as_interrupted(), ExitStack() as stack:
+        cluster = None if dask is None else stack.enter_context(cluster_at(dask))
+        tell = stack.enter_context(counting("recordings"))
+        outcomes = run_batch(todo, folder, workers=workers, cluster=cluster, tell=tell)
     _write_table(folder / "batch.csv", outcomes)
     shares = [(one.task.name, one.statuses, one.reason) for one in outcomes]
     write_picture(folder / "batch.png", draw_shares(shares))

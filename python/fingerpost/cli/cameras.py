@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 
 import click
 
+from fingerpost.cli.camera_server import named, serve, settings_of
+from fingerpost.errors import CaptureError
 from fingerpost.installation import need_opencv
 from fingerpost.signals import ending_at_once
 
@@ -23,6 +25,21 @@ _WIDTH_PX = 320
 
 
 @click.command()
+@click.argument("sources", metavar="[CAMERA...]", nargs=-1)
+@click.option(
+    "--publish",
+    metavar="URL",
+    help="Send the pictures of all cameras, or of those named, to rigs on other machines: "
+    "zenoh://ADDRESS:PORT/KEY, where ADDRESS is this machine's.",
+)
+@click.option(
+    "--set",
+    "settings",
+    metavar="KEY=VALUE",
+    multiple=True,
+    help="Ask the cameras that are published for it, as the key camera of a rig file does: "
+    "width=1280.",
+)
 @click.option(
     "--thumbnails",
     "folder",
@@ -33,16 +50,34 @@ _WIDTH_PX = 320
 )
 @click.option("--no-thumbnails", is_flag=True, help="Open no camera; list them alone.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object a camera, all modes.")
-def cameras(folder: Path, no_thumbnails: bool, as_json: bool) -> None:
+def cameras(
+    sources: tuple[str, ...],
+    publish: str | None,
+    settings: tuple[str, ...],
+    folder: Path,
+    no_thumbnails: bool,
+    as_json: bool,
+) -> None:
     """List the cameras that are plugged in: number, name, modes, and a picture of each.
 
     The number is what stands in a rig file as the view's source; the modes, what its camera can be
     asked for.
+
+    With --publish, a CAMERA is a number, NAME=NUMBER, or NAME= and whatever a rig file may have as
+    a live source; what the rig file on the other machine has to say is printed. Ctrl-C ends it.
     """
     with ending_at_once():
         need_opencv()
         from fingerpost.capture import list_cameras
 
+    if publish is not None:
+        given = sources or [str(camera.number) for camera in list_cameras()]
+        if not given:
+            raise CaptureError(NONE)
+        serve(named(given), publish, settings_of(settings))
+        return
+    if sources or settings:
+        raise click.UsageError(f"{(*sources, *settings)[0]}: is for --publish, which is not given")
     found = list_cameras()
     for camera in found:
         picture = None if no_thumbnails or camera.trouble else _thumbnail(camera, folder)

@@ -22,6 +22,7 @@ from fingerpost.cli.live_status import LiveStatus
 from fingerpost.cli.live_views import hush_streams
 from fingerpost.cli.operators import operator_called, operator_option
 from fingerpost.cli.progress import StatusLine, status_line, watched
+from fingerpost.cli.publishing import Publishing, prints_fixes, publish_option
 from fingerpost.cli.recorder import open_recorder
 from fingerpost.cli.run_summary import RunSummary, source_notes
 
@@ -57,6 +58,8 @@ class Following:
     settings: tuple[str, ...] = ()
     reference_sigma_px: float | None = None
     operator: str | None = None
+    publish: Sequence[str] = ()
+    speed: float | None = None
     as_json: bool = False
 
     @property
@@ -73,7 +76,7 @@ class Following:
     @property
     def prints_lines(self) -> bool:
         """Whether standard output gets lines of JSON, and nothing between them."""
-        return self.as_json or self.events == STDOUT
+        return self.as_json or self.events == STDOUT or prints_fixes(self.publish)
 
     def pointer(self, rig: Rig) -> Pointer:
         """Return what follows a rig's views with these options."""
@@ -121,6 +124,13 @@ _OPTIONS = (
         "[default: 0.5]",
     ),
     operator_option,
+    publish_option,
+    click.option(
+        "--speed",
+        type=click.FloatRange(1e-3, 1e3),
+        help="Play recorded views at their own pace times this, as receivers of --publish expect.  "
+        "[default: as fast as they are followed]",
+    ),
     click.option(
         "--json",
         "as_json",
@@ -165,7 +175,7 @@ def follow(
     closing_words
         Gives lines that end the summary.
     """
-    from fingerpost.capture import SourceKind, open_views, read_views
+    from fingerpost.capture import SourceKind, at_speed, open_views, read_views
     from fingerpost.pipeline import at_most, steps
 
     if asked.events is not None and not rig.targets:
@@ -175,6 +185,7 @@ def follow(
     summary = RunSummary()
     sources: list[Source] = []
     recorders: list[Recorder] = []
+    published: list[Publishing] = []
     started_s = time.monotonic()
     try:
         with ending_as_interrupted(), ExitStack() as stack:
@@ -188,8 +199,15 @@ def follow(
             takers = _takers(stack, pointer, rig.plane.unit, asked, is_live)
             if asked.events is not None:
                 takers.append(event_taker(stack, rig, asked.events, asked.dwell_s))
+            if asked.publish:
+                published.append(Publishing(stack, asked.publish, rig, is_live=is_live))
+                takers.append(published[0].take)
             frames = read_views(sources, give_up_after_s=asked.give_up_after_s)
             frames = at_most(frames, asked.max_frames)
+            if asked.speed is not None:
+                if is_live:
+                    raise click.UsageError("--speed: live views come at their own pace")
+                frames = at_speed(frames, asked.speed)
             if asked.record is not None:
                 recorder = open_recorder(asked.record, rig, sources, asked.images)
                 recorders.append(stack.enter_context(recorder))
@@ -213,6 +231,7 @@ def follow(
     finally:
         notes = [*source_notes(rig.sources, sources), *pointer.notes()]
         notes += [note for recorder in recorders for note in recorder.notes()]
+        notes += [note for one in published for note in one.notes()]
         if asked.prints_lines:
             lines = [json.dumps({"notes": notes})] if notes else []
         elif summary.frames:

@@ -4,15 +4,24 @@ from __future__ import annotations
 
 import ipaddress
 import webbrowser
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from fingerpost.cli.endings import ending_as_interrupted
 from fingerpost.cli.live_views import hush_streams
 from fingerpost.cli.operators import operator_called, operator_option
+from fingerpost.cli.publishing import Publishing, publish_option
 from fingerpost.installation import need_opencv
 from fingerpost.signals import ending_at_once
+
+if TYPE_CHECKING:
+    from fingerpost.config import Rig
+    from fingerpost.pipeline import Step
 
 _LARGEST_PORT = 65535
 
@@ -48,7 +57,15 @@ def _address(_context: click.Context, _parameter: click.Parameter, given: str) -
 )
 @click.option("--open", "opens", is_flag=True, help="Open the page in a browser.")
 @operator_option
-def live(rig_file: Path | None, port: int, host: str, opens: bool, operator: str | None) -> None:
+@publish_option
+def live(
+    rig_file: Path | None,
+    port: int,
+    host: str,
+    opens: bool,
+    operator: str | None,
+    publish: list[str],
+) -> None:
     """See where a hand points, in a browser, while it points.
 
     RIG.TOML names the views, as for `fingerpost run`: cameras are shown at their rate, recordings
@@ -65,7 +82,7 @@ def live(rig_file: Path | None, port: int, host: str, opens: bool, operator: str
 
     rig = None if rig_file is None else Rig.load(rig_file)
     known = operator_called(operator)
-    with ending_as_interrupted(), Page(host, port) as page:
+    with ending_as_interrupted(), Page(host, port) as page, ExitStack() as stack:
         click.echo(page.address)
         if opens:
             webbrowser.open(page.address)
@@ -73,5 +90,12 @@ def live(rig_file: Path | None, port: int, host: str, opens: bool, operator: str
             rig_file = set_up(page, Path.cwd())
             rig = Rig.load(rig_file)
         hush_streams(rig.sources)
-        operate(page, rig, rig_file.name, known)
+        begin = partial(_publishing, stack, publish, rig)
+        operate(page, rig, rig_file.name, known, begin if publish else None)
         page.wait()
+
+
+def _publishing(
+    stack: ExitStack, urls: Sequence[str], rig: Rig, is_live: bool
+) -> Callable[[Step], None]:
+    return Publishing(stack, urls, rig, is_live=is_live).take

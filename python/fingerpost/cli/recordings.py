@@ -45,16 +45,27 @@ def recover(cut: Path, whole: Path) -> None:
 
 @click.command()
 @click.argument("recording", metavar="X.MCAP", type=_FILE)
-@click.option("--points", metavar="P.CSV", type=_FILE, help="Write the fixes, one row a frame.")
-@click.option("--tracks", metavar="T.CSV", type=_FILE, help="Write the finger lines of every view.")
+@click.option(
+    "--points",
+    metavar="P.CSV",
+    type=_FILE,
+    help="Write the fixes, one row a frame; as Parquet if it ends in .parquet.",
+)
+@click.option(
+    "--tracks",
+    metavar="T.CSV",
+    type=_FILE,
+    help="Write the finger lines of every view, likewise.",
+)
 @click.option("--video", metavar="V.WEBM", type=_FILE, help="Write the views with what was found.")
 def export(recording: Path, points: Path | None, tracks: Path | None, video: Path | None) -> None:
     """Write what stands in a recording as tables and as a video.
 
     Nothing is followed again: `fingerpost replay` does that.
     """
-    from fingerpost.recording import write_points, write_tracks
+    from fingerpost.recording import PointRow, TrackRow
     from fingerpost.recording.session.export import (
+        export_table,
         export_video,
         recorded_points,
         recorded_tracks,
@@ -65,16 +76,10 @@ def export(recording: Path, points: Path | None, tracks: Path | None, video: Pat
         raise click.UsageError(f"nothing to write; name one of {', '.join(outputs)}")
     keep_apart(outputs, [("the recording itself", recording)])
     if points:
-        fixes = list(recorded_points(recording))
-        with write_points(points) as table:
-            for fix in fixes:
-                table.write(fix)
-        click.echo(f"{points}: {len(fixes)} fixes")
+        count = export_table(recording, points, recorded_points(recording), PointRow)
+        click.echo(f"{points}: {count} fixes")
     if tracks:
-        lines = list(recorded_tracks(recording))
-        with write_tracks(tracks) as table_of_lines:
-            for line in lines:
-                table_of_lines.write(line)
-        click.echo(f"{tracks}: {len(lines)} finger lines")
+        count = export_table(recording, tracks, recorded_tracks(recording), TrackRow)
+        click.echo(f"{tracks}: {count} finger lines")
     if video:
         click.echo(f"{video}: {export_video(recording, video)} pictures")

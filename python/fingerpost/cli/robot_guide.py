@@ -28,6 +28,7 @@ from fingerpost.cli.arming import (
 from fingerpost.cli.endings import ending_orderly
 from fingerpost.cli.live_views import give_up_option, hush_streams
 from fingerpost.cli.outputs import keep_apart, rig_files
+from fingerpost.cli.publishing import Publishing, publish_option
 from fingerpost.errors import CaptureError
 
 if TYPE_CHECKING:
@@ -86,6 +87,7 @@ def _guiding_options(command: Command) -> Command:
             ),
             click.option("--max-frames", metavar="N", type=click.IntRange(1, MOST_FRAMES)),
             give_up_option,
+            publish_option,
             click.option("--json", "as_json", is_flag=True, help="Print JSON lines."),
             arming_options,
         ]
@@ -194,6 +196,8 @@ def _guide(given: Mapping[str, Any], carry: PickPlaceOptions | None) -> None:
         stack.enter_context(ending_orderly())
         hush_streams(rig.sources)
         sources = stack.enter_context(open_views(rig.sources, rig.readings))
+        # Recordings are played as if they were live, with times of the machine's clock.
+        published = Publishing(stack, given["publish"], rig, is_live=True)
         give_up_after_s = given["give_up_after_s"]
         frames: Iterator[Sequence[Frame | Loss | None]]
         frames = read_views(sources, give_up_after_s=give_up_after_s)
@@ -224,6 +228,7 @@ def _guide(given: Mapping[str, Any], carry: PickPlaceOptions | None) -> None:
                     session.begin()
                     for step in taken:
                         session.take(step)
+                        published.take(step)
                         if session.done:
                             break
             finally:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from fingerpost.capture import SourceKind, open_views, read_views
@@ -12,10 +12,16 @@ from fingerpost.errors import FingerpostError
 from fingerpost.live.page import Page
 from fingerpost.live.scene import RigScene
 from fingerpost.operators import Operator
-from fingerpost.pipeline import Pointer, steps
+from fingerpost.pipeline import Pointer, Step, steps
 
 
-def operate(page: Page, rig: Rig, title: str, operator: Operator | None = None) -> None:
+def operate(
+    page: Page,
+    rig: Rig,
+    title: str,
+    operator: Operator | None = None,
+    begin: Callable[[bool], Callable[[Step], None]] | None = None,
+) -> None:
     """Show a rig's run on the page, to the end of its sources.
 
     Parameters
@@ -28,6 +34,9 @@ def operate(page: Page, rig: Rig, title: str, operator: Operator | None = None) 
         What the page calls the rig.
     operator
         Whose habit of pointing is subtracted from the points.
+    begin
+        Called before the first step with whether the views are live; what it returns takes every
+        step as well.
 
     Raises
     ------
@@ -41,18 +50,22 @@ def operate(page: Page, rig: Rig, title: str, operator: Operator | None = None) 
             pointer = Pointer(rig, operator=operator)
             with open_views(rig.sources, rig.readings) as sources:
                 counts = [source.frame_count for source in sources if source.frame_count]
+                is_live = sources[0].kind is SourceKind.LIVE
                 scene = RigScene.of(
                     title,
                     rig.plane.unit,
                     pointer.plane_views,
                     rig.sources,
                     targets=rig.things,
-                    is_live=sources[0].kind is SourceKind.LIVE,
+                    is_live=is_live,
                     frames=min(counts, default=None),
                 )
                 page.open_rig(scene)
+                take = None if begin is None else begin(is_live)
                 for step in steps(pointer, page.allowed(iter(read_views(sources)))):
                     page.show(step)
+                    if take is not None:
+                        take(step)
                 for note in [*pointer.notes(), *(s.damage for s in sources if s.damage)]:
                     page.note(note)
         except FingerpostError as error:

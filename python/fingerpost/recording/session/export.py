@@ -28,8 +28,10 @@ from fingerpost.mcap_file import (
     read_about,
     track_topic,
 )
+from fingerpost.recording.parquet import SUFFIX, write_parquet
 from fingerpost.recording.sheet import Colour, Image, Sheet
-from fingerpost.recording.tables import PointRow, TrackRow
+from fingerpost.recording.tables import PointRow, TableWriter, TrackRow
+from fingerpost.recording.tables import Row as AnyRow
 from fingerpost.recording.video import VideoWriter
 
 Row = TypeVar("Row")
@@ -63,6 +65,49 @@ def recorded_tracks(path: Path) -> Iterator[TrackRow]:
     """Give the finger lines of a recording; raises as `recorded_rows`."""
     about, _ = read_about(path)
     return recorded_rows(path, {track_topic(view) for view in about.views}, TrackRow)
+
+
+def export_table(path: Path, table: Path, rows: Iterator[AnyRow], row_type: type[AnyRow]) -> int:
+    """Write rows of a recording as a table: Parquet if its name ends so, else CSV.
+
+    Parameters
+    ----------
+    path
+        The recording.
+    table
+        The table.
+    rows, row_type
+        What stands in it.
+
+    Returns
+    -------
+    int
+        How many rows.
+
+    Raises
+    ------
+    SourceError
+        The file cannot be read, or is no recording of fingerpost's.
+    InvalidInputError, RecordingError
+        The table cannot be written.
+    MissingExtraError
+        The extra `parquet` is needed and not installed.
+    """
+    about, _ = read_about(path)
+    read = list(rows)  # what cannot be read costs no table that was there
+    if table.suffix == SUFFIX:
+        said = {
+            "fingerpost": about.version,
+            "unit": about.unit,
+            "started": about.started,
+            "recording": path.name,
+        }
+        write_parquet(table, read, row_type, unit=about.unit, about=said)
+        return len(read)
+    with TableWriter(table, row_type) as writer:
+        for row in read:
+            writer.write(row)
+    return len(read)
 
 
 def export_video(path: Path, video: Path) -> int:

@@ -1,0 +1,192 @@
+"""`zenoh://`: fixes as JSON, and the views' pictures if asked for, to programs on other machines.
+
+Under `KEY/fix` there is JSON; with `?pictures`, under `KEY/VIEW/image` each frame as JPEG
+with its stamp, and whoever asks for `KEY/clock` gets the time by which they are stamped, so that a
+rig elsewhere can have them as a source (`fingerpost.capture`).
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from typing import TYPE_CHECKING, Any
+
+from fingerpost.errors import CaptureError, InvalidInputError
+from fingerpost.publishing.address import Address
+from fingerpost.publishing.encoding import encoded
+from fingerpost.publishing.fix import Extent, Pictures, PublishedFix
+from fingerpost.zenoh_link import DEFAULT_PORT, clock_key, image_key, open_session, stamp
+
+if TYPE_CHECKING:
+    import zenoh
+
+_KEY = "fingerpost"
+_ROLES = ("connect", "listen")
+_RETRY_S = 1.0
+_MOST_QUESTIONS = 16
+
+
+class Link:
+    """A session that is opened as soon as somebody is there, and asked whether somebody still is.
+
+    Parameters
+    ----------
+    address
+        Its host and port are the end point.
+    listens
+        Whether to wait there for others, rather than to connect.
+
+    Raises
+    ------
+    InvalidInputError
+        Nothing can listen there.
+    MissingExtraError
+        The extra `net` is not installed.
+    """
+
+    def __init__(self, address: Address, *, listens: bool) -> None:
+        self._address, self._listens = address, listens
+        self._session: zenoh.Session | None = None
+        self._one_at_a_time = threading.Lock()  # several cameras share a link
+        self._asked_s = -_RETRY_S
+        self._failure: CaptureError | None = None
+        try:
+            self._open()
+        except CaptureError as error:
+            if listens:
+                raise InvalidInputError(f"{address.url}: {error}") from error
+            self._failure = error
+
+    def _open(self) -> None:
+        self._asked_s = time.monotonic()
+        port = self._address.port_or(DEFAULT_PORT)
+        self._session = open_session(self._address.host, port, listens=self._listens)
+
+    def session(self) -> zenoh.Session:
+        """Return the session.
+
+        Raises
+        ------
+        CaptureError
+            Nobody is there. That is asked once a second.
+        """
+        with self._one_at_a_time:
+            return self._checked()
+
+    def _checked(self) -> zenoh.Session:
+        now_s = time.monotonic()
+        if now_s - self._asked_s >= _RETRY_S:
+            self._failure = None
+            if self._session is None:
+                try:
+                    self._open()
+                except CaptureError as error:
+                    self._failure = error
+            elif not self._listens and not self._has_peer():
+                self._failure = CaptureError("the other end is gone")
+            self._asked_s = now_s
+        if self._failure is not None or self._session is None:
+            raise self._failure or CaptureError("nobody is there")
+        return self._session
+
+    def _has_peer(self) -> bool:
+        assert self._session is not None
+        info = self._session.info
+        return bool(info.routers_zid() or info.peers_zid())
+
+    def close(self) -> None:
+        """Close the session, if there is one."""
+        if self._session is not None:
+            self._session.close()  # type: ignore[no-untyped-call]
+        self._session = None
+        self._asked_s = float("inf")
+
+
+class Zenoh:
+    """Publishes fixes, or pictures alone; parameters as `registry.Opener`."""
+
+    def __init__(self, address: Address, _extent: Extent | None = None) -> None:
+        address.refuse_others(["role", "pictures"], has_path=True)
+        self._key = address.path or _KEY
+        refuse_wild(address, self._key)
+        self.wants_pictures = "pictures" in address.options
+        self._link = Link(address, listens=address.choice("role", _ROLES) == "listen")
+        self._clock: _Clock | None = None
+        self._one_at_a_time = threading.Lock()
+
+    def send(self, fix: PublishedFix, pictures: Pictures) -> None:
+        """Send a fix, and pictures if they were asked for."""
+        import zenoh
+
+        session = self._link.session()
+        drop = zenoh.CongestionControl.DROP
+        session.put(
+            f"{self._key}/fix",
+            fix.as_json(),
+            encoding=zenoh.Encoding.APPLICATION_JSON,
+            congestion_control=drop,
+            express=True,
+        )
+        if self.wants_pictures:
+            self.send_pictures(pictures)
+
+    def send_pictures(self, pictures: Pictures) -> None:
+        """Send pictures, each with its stamp; raises `CaptureError` if nobody is there."""
+        import zenoh
+
+        session = self._link.session()
+        with self._one_at_a_time:
+            if self._clock is None:
+                self._clock = _Clock(session, clock_key(self._key))
+        for view, picture in pictures:
+            session.put(
+                image_key(self._key, view),
+                encoded(picture),
+                encoding=zenoh.Encoding.IMAGE_JPEG,
+                congestion_control=zenoh.CongestionControl.DROP,
+                attachment=stamp(picture.index, round(picture.time_s * 1e9)),
+            )
+
+    def close(self) -> None:
+        """Close the session."""
+        if self._clock is not None:
+            self._clock.close()
+        self._clock = None
+        self._link.close()
+
+
+class _Clock:
+    """Answers with the time of the clock by which pictures are stamped [ns].
+
+    From a thread of Python's own: one of zenoh's that calls Python while the interpreter ends takes
+    the process down.
+    """
+
+    def __init__(self, session: zenoh.Session, key: str) -> None:
+        import zenoh
+
+        channel: Any = zenoh.handlers.FifoChannel(_MOST_QUESTIONS)
+        self._questions = session.declare_queryable(key, channel)
+        self._thread = threading.Thread(target=self._answer, daemon=True)
+        self._thread.start()
+
+    def _answer(self) -> None:
+        for query in self._questions:
+            with query:
+                query.reply(query.key_expr, str(time.monotonic_ns()))
+
+    def close(self) -> None:
+        self._questions.undeclare()  # type: ignore[no-untyped-call]
+        self._thread.join()
+
+
+def refuse_wild(address: Address, key: str) -> None:
+    """Refuse a key that stands for several, or for none.
+
+    Raises
+    ------
+    InvalidInputError
+        It does.
+    """
+    if any(sign in key for sign in "*$?#") or "//" in key:
+        raise InvalidInputError(f"{address.url}: {key!r} is no single key; lab/left is right")

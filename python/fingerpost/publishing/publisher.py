@@ -1,0 +1,140 @@
+"""A thread for each address: what waits for a receiver never waits in the main loop.
+
+Of live views, the oldest fixes that wait are dropped and counted; recorded views wait, so that
+every fix of theirs is published. A receiver that is not there is one line, once, and is tried again
+with every fix.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections import deque
+from types import TracebackType
+from typing import Protocol, Self
+
+from fingerpost.publishing.fix import Pictures, PublishedFix
+from fingerpost.signals import leave_behind
+
+_log = logging.getLogger(__name__)
+
+_WAITING = 64
+"""Fixes that may wait for a receiver: two seconds of them."""
+
+_CLOSING_S = 2.0
+
+
+class Transport(Protocol):
+    """How fixes get to receivers of one kind."""
+
+    wants_pictures: bool
+
+    def send(self, fix: PublishedFix, pictures: Pictures) -> None:
+        """Send a fix; raise an OSError in one line if nobody is there."""
+
+    def close(self) -> None:
+        """Take leave; closing twice does nothing."""
+
+
+class Publisher:
+    """Hands fixes to a transport, in a thread of its own; use it by `with`.
+
+    Parameters
+    ----------
+    name
+        What it is called in messages: its address.
+    transport
+        Where they go; closed in the end.
+    waits
+        Whether to wait for a slow receiver, as for recorded views, or to drop the oldest.
+    """
+
+    def __init__(self, name: str, transport: Transport, *, waits: bool) -> None:
+        self.name = name
+        self._transport, self._waits = transport, waits
+        self._queue: deque[tuple[PublishedFix, Pictures]] = deque()
+        self._changed = threading.Condition()
+        self._closed = False
+        self._dropped = self._put = 0
+        self._is_silent = False
+        self._thread = threading.Thread(target=self._run, name=f"publish {name}", daemon=True)
+        self._thread.start()
+
+    @property
+    def wants_pictures(self) -> bool:
+        """Whether pictures are published as well."""
+        return self._transport.wants_pictures
+
+    def put(self, fix: PublishedFix, pictures: Pictures = ()) -> None:
+        """Publish a fix.
+
+        Parameters
+        ----------
+        fix
+            The fix.
+        pictures
+            What it comes from; not looked at unless `wants_pictures`.
+        """
+        with self._changed:
+            self._put += 1
+            if self._waits:
+                self._changed.wait_for(lambda: len(self._queue) < _WAITING or self._closed)
+            elif len(self._queue) >= _WAITING:
+                self._queue.popleft()
+                self._dropped += 1
+            self._queue.append((fix, pictures))
+            self._changed.notify_all()
+
+    def notes(self) -> list[str]:
+        """Return what is to be said in the end, for people; nothing if all was published."""
+        if not self._dropped:
+            return []
+        return [f"{self.name}: {self._dropped} of {self._put} fixes were dropped: it was too slow"]
+
+    def close(self) -> None:
+        """Publish what waits, for 2 s at most; closing twice does nothing."""
+        with self._changed:
+            self._closed = True
+            self._changed.notify_all()
+        self._thread.join(_CLOSING_S)
+        if self._thread.is_alive():
+            _log.warning("%s: takes nothing; what waits is not published", self.name)
+            leave_behind(self._thread)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    # --- in the publisher's thread ----------------------------------------------------------------
+
+    def _run(self) -> None:
+        try:
+            while (taken := self._next()) is not None:
+                self._send(*taken)
+        finally:
+            self._transport.close()
+
+    def _next(self) -> tuple[PublishedFix, Pictures] | None:
+        with self._changed:
+            self._changed.wait_for(lambda: self._queue or self._closed)
+            taken = self._queue.popleft() if self._queue else None
+            self._changed.notify_all()
+        return taken
+
+    def _send(self, fix: PublishedFix, pictures: Pictures) -> None:
+        try:
+            self._transport.send(fix, pictures)
+        except Exception as error:
+            # A library may raise anything, and tracking goes on whatever it is.
+            if not self._is_silent:
+                self._is_silent = True
+                strerror = getattr(error, "strerror", None)
+                said = strerror or " ".join(str(error).split()) or repr(error)
+                _log.warning("%s: %s; fixes go on, and it is tried again", self.name, said)

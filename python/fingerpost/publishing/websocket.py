@@ -1,0 +1,122 @@
+"""`ws://`: whoever connects gets each fix as one JSON text, as long as it keeps up.
+
+A page in a browser may connect to any server of the machine it runs on, whoever has written it. So
+only pages that this machine serves itself may, and those that are named by `origin`; programs,
+which have no origin, may as well.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import re
+import threading
+from typing import TYPE_CHECKING, Any
+
+from fingerpost.errors import InvalidInputError
+from fingerpost.installation import require
+from fingerpost.publishing.address import Address
+from fingerpost.publishing.fix import Extent, Pictures, PublishedFix
+
+if TYPE_CHECKING:
+    from websockets.asyncio.server import Server, ServerConnection
+
+_log = logging.getLogger(__name__)
+
+_PORT = 8765
+_MOST_WAITING_BYTES = 1 << 16
+"""A receiver for which more waits gets nothing until it has caught up: 200 fixes or so."""
+_LONGEST_MESSAGE_BYTES = 1 << 10
+_CLOSING_S = 1.0
+_OWN_PAGES = re.compile(r"https?://(localhost|127\.0\.0\.1|\[::1\])(:\d+)?")
+
+
+class WebSockets:
+    """Serves fixes; parameters as `registry.Opener`.
+
+    Attributes
+    ----------
+    port
+        Where it listens; what was free if 0 was asked for.
+    """
+
+    wants_pictures = False
+
+    def __init__(self, address: Address, _extent: Extent) -> None:
+        address.refuse_others(["origin"])
+        self._serve = require("websockets.asyncio.server", "net").serve
+        self._address = address
+        self.port = address.port_or(_PORT, is_free=True)
+        self._newest = ""
+        self._loop = asyncio.new_event_loop()
+        try:
+            self._server: Server = self._loop.run_until_complete(self._listen())
+        except OSError as error:
+            self._loop.close()
+            raise InvalidInputError(
+                f"{address.url}: cannot listen there: {error.strerror}; an address of this machine "
+                "and a port that is free are right"
+            ) from error
+        self.port = self._server.sockets[0].getsockname()[1]
+        self._thread = threading.Thread(target=self._loop.run_forever, daemon=True)
+        self._thread.start()
+
+    async def _listen(self) -> Server:
+        named = self._address.options.get("origin")
+        origins: list[Any] = [None, _OWN_PAGES, *([named] if named else [])]
+        server: Server = await self._serve(
+            self._stay,
+            self._address.host,
+            self.port,
+            origins=origins,
+            compression=None,
+            max_size=_LONGEST_MESSAGE_BYTES,
+            logger=_QUIET,
+        )
+        return server
+
+    async def _stay(self, connection: ServerConnection) -> None:
+        """Keep a receiver, whose messages mean nothing, until it leaves."""
+        if self._newest:
+            await connection.send(self._newest)
+        async for _ in connection:
+            pass
+
+    def send(self, fix: PublishedFix, _pictures: Pictures) -> None:
+        """Send a fix to all that are connected; none is an error."""
+        text = fix.as_json().decode()
+        self._loop.call_soon_threadsafe(self._send_all, text)
+
+    def _send_all(self, text: str) -> None:
+        from websockets.asyncio.server import broadcast
+
+        self._newest = text
+        ready = [
+            one
+            for one in self._server.connections
+            if one.transport.get_write_buffer_size() < _MOST_WAITING_BYTES
+        ]
+        broadcast(ready, text)
+
+    def close(self) -> None:
+        """Send what was sent on its way, close all connections, and no longer listen."""
+        if self._loop.is_closed():
+            return
+        ending = asyncio.run_coroutine_threadsafe(self._end(), self._loop)
+        try:
+            ending.result(_CLOSING_S)
+        except TimeoutError:
+            _log.debug("%s: a receiver does not take its leave", self._address.url)
+        self._loop.call_soon_threadsafe(self._loop.stop)
+        self._thread.join(_CLOSING_S)
+        if not self._loop.is_running():
+            self._loop.close()
+
+    async def _end(self) -> None:
+        self._server.close(close_connections=True)
+        await self._server.wait_closed()
+
+
+_QUIET = logging.getLogger(f"{__name__}.connections")
+"""What single connections do is nobody's concern: browsers come and go."""
+_QUIET.setLevel(logging.CRITICAL)
