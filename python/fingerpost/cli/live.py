@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import ipaddress
 import webbrowser
+from contextlib import ExitStack
 from pathlib import Path
+from typing import Any
 
 import click
 
 from fingerpost.cli.endings import ending_as_interrupted
+from fingerpost.cli.live_arm import desk_of, page_arm_options, refuse_without_arm
 from fingerpost.cli.live_views import hush_streams
 from fingerpost.cli.operators import operator_called, operator_option
 from fingerpost.installation import need_opencv
@@ -48,7 +51,15 @@ def _address(_context: click.Context, _parameter: click.Parameter, given: str) -
 )
 @click.option("--open", "opens", is_flag=True, help="Open the page in a browser.")
 @operator_option
-def live(rig_file: Path | None, port: int, host: str, opens: bool, operator: str | None) -> None:
+@page_arm_options
+def live(
+    rig_file: Path | None,
+    port: int,
+    host: str,
+    opens: bool,
+    operator: str | None,
+    **given: Any,
+) -> None:
     """See where a hand points, in a browser, while it points.
 
     RIG.TOML names the views, as for `fingerpost run`: cameras are shown at their rate, recordings
@@ -57,6 +68,10 @@ def live(rig_file: Path | None, port: int, host: str, opens: bool, operator: str
 
     Without RIG.TOML the page begins with setting one up: pick cameras, or recordings of this
     folder, click four corners, and a rig file is written here.
+
+    With --arm the page guides the arm of the rig's [robot] table: arm it there, choose what it is
+    to do, and hold the button or the key M down: it moves only while you do. Space, Escape or STOP
+    stops it at once, and so does a page that goes away.
     """
     with ending_at_once():
         need_opencv()
@@ -65,7 +80,16 @@ def live(rig_file: Path | None, port: int, host: str, opens: bool, operator: str
 
     rig = None if rig_file is None else Rig.load(rig_file)
     known = operator_called(operator)
-    with ending_as_interrupted(), Page(host, port) as page:
+    with ExitStack() as stack:
+        desk = None
+        if not given["arm"]:
+            refuse_without_arm(given)
+        elif rig_file is None or rig is None:
+            raise click.UsageError("--arm needs RIG.TOML: one that `fingerpost robot plane` wrote")
+        else:
+            desk = desk_of(rig_file, rig, given, stack)
+        stack.enter_context(ending_as_interrupted())
+        page = stack.enter_context(Page(host, port))
         click.echo(page.address)
         if opens:
             webbrowser.open(page.address)
@@ -73,5 +97,5 @@ def live(rig_file: Path | None, port: int, host: str, opens: bool, operator: str
             rig_file = set_up(page, Path.cwd())
             rig = Rig.load(rig_file)
         hush_streams(rig.sources)
-        operate(page, rig, rig_file.name, known)
+        operate(page, rig, rig_file.name, known, desk)
         page.wait()

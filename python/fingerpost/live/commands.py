@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from enum import StrEnum
+
 import msgspec
 
 LARGEST_BYTES = 64 * 1024
@@ -86,7 +88,52 @@ class SetUp(_Command, frozen=True, tag="setup"):
     views: tuple[Chosen, ...]
 
 
-Command = Ack | Stop | Play | Step | GoTo | Take | SetUp
+class Wish(StrEnum):
+    """What an operator may ask of an arm."""
+
+    ARM = "arm"
+    """Let it move while the page holds."""
+    DISARM = "disarm"
+    HOME = "home"
+    FOLLOW = "follow"
+    CARRY = "carry"
+    """Pick and place what is selected."""
+    UNDO = "undo"
+    """Undo the last step of picking and placing."""
+    WAY = "way"
+    """Make way for a hand that it hides."""
+    SELECT = "select"
+    HAND = "hand"
+    """The hand that is seen is the operator's."""
+
+
+class Ask(_Command, frozen=True, tag="robot"):
+    """Ask something of the arm.
+
+    Attributes
+    ----------
+    what
+        What.
+    """
+
+    what: Wish
+
+
+class Beat(_Command, frozen=True, tag="beat"):
+    """The operator holds down what lets the arm move; several a second."""
+
+
+class LetGo(_Command, frozen=True, tag="release"):
+    """The operator has let go."""
+
+
+class Gone(msgspec.Struct, frozen=True):
+    """The page that had the control has gone, or another one has it: the server says so itself."""
+
+
+RobotCommand = Stop | Ask | Beat | LetGo | Gone
+
+Command = Ack | Stop | Play | Step | GoTo | Take | SetUp | Ask | Beat | LetGo
 
 decode = msgspec.json.Decoder(Command).decode
 """From JSON to a command; raises `msgspec.MsgspecError`."""

@@ -8,7 +8,20 @@ import time
 from collections.abc import Callable
 from typing import Any, Protocol
 
-from fingerpost.live.commands import Command, GoTo, Play, SetUp, Step, Stop, Take
+from fingerpost.live.commands import (
+    Ask,
+    Beat,
+    Command,
+    Gone,
+    GoTo,
+    LetGo,
+    Play,
+    RobotCommand,
+    SetUp,
+    Step,
+    Stop,
+    Take,
+)
 from fingerpost.live.player import Player
 from fingerpost.live.reel import Message, Strip
 from fingerpost.live.scene import RigScene
@@ -40,6 +53,8 @@ class Hub:
         Called with how many steps the loop may have made in all; infinity lets a live one go on.
     hand
         Called with a rig that was set up.
+    guide
+        Called with what is asked of the arm, where there is one.
     clock
         Gives the time in seconds.
     """
@@ -48,6 +63,7 @@ class Hub:
         self,
         ask: Callable[[float], None],
         hand: Callable[[SetUp], None] = lambda _wanted: None,
+        guide: Callable[[RobotCommand], None] = lambda _command: None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self.watchers: set[Watcher] = set()
@@ -56,7 +72,8 @@ class Hub:
         self.newest: bytes | None = None
         self.strip = Strip()
         self.stills: list[bytes] = []
-        self._ask, self._hand, self._clock = ask, hand, clock
+        self._ask, self._hand, self._guide, self._clock = ask, hand, guide, clock
+        self._arm: dict[str, Any] | None = None
         self._setup: dict[str, Any] | None = None
         self._player: Player | None = None
         self._shown = -1
@@ -73,7 +90,7 @@ class Hub:
         """Take a rig from which moments will come, in place of any before."""
         self.close_rig()
         self.rig, self.newest, self._shown, self._ended = rig, None, -1, ""
-        self._stopped, self._setup = False, None
+        self._stopped, self._setup, self._arm = False, None, None
         self.strip = Strip(_LIVE_STRIP if rig.is_live else None)
         if rig.is_live:
             self._ask(math.inf)
@@ -105,6 +122,11 @@ class Hub:
         for watcher in self.watchers:
             watcher.offer(message.data, message.begun_s)
 
+    def show_arm(self, state: dict[str, Any]) -> None:
+        """Show what an arm does now, which the page may command from here on."""
+        self._arm = state
+        self.send_state()
+
     def note(self, words: str) -> None:
         """Show a line that people should know of."""
         self._notes = [*self._notes, words][-_MOST_NOTES:]
@@ -112,7 +134,7 @@ class Hub:
 
     def end(self, words: str) -> None:
         """Take it that no more moments will come, and why."""
-        self._ended = words
+        self._ended, self._arm = words, None
         if self._player is not None:
             self._player.end()
         self.send_state()
@@ -128,7 +150,7 @@ class Hub:
         """Forget a client."""
         self.watchers.discard(watcher)
         if self.controller is watcher:
-            self.controller = None
+            self._hand_over(None)
         self.send_state()
 
     def obey(self, command: Command, watcher: Watcher) -> str:
@@ -139,13 +161,23 @@ class Hub:
         """
         if isinstance(command, Stop):
             self._stop()
+        elif isinstance(command, Beat | LetGo):
+            if self._arm is not None and self.controller is watcher:
+                self._guide(command)
+            return ""
         elif isinstance(command, Take) or self.controller in (None, watcher):
-            self.controller = watcher
+            self._hand_over(watcher)
             self._do(command)
         else:
             return "another page has the control; take it over first"
         self.send_state()
         return ""
+
+    def _hand_over(self, watcher: Watcher | None) -> None:
+        """Give the control to a client; an arm that another one had moves no further."""
+        if self.controller not in (None, watcher) and self._arm is not None:
+            self._guide(Gone())
+        self.controller = watcher
 
     def _do(self, command: Command) -> None:
         player = self._player
@@ -160,8 +192,13 @@ class Hub:
             case SetUp() if self._setup is not None:
                 self._setup = {**self._setup, "problem": "", "busy": True}
                 self._hand(command)
+            case Ask() if self._arm is not None:
+                self._guide(command)
 
     def _stop(self) -> None:
+        if self._arm is not None:  # it stops, and its operator goes on seeing it
+            self._guide(Stop())
+            return
         self._stopped = True
         self._player.stop() if self._player else self._ask(0.0)
 
@@ -189,6 +226,7 @@ class Hub:
             "notes": self._notes,
             "watchers": len(self.watchers),
             "controls": self.controller in (None, watcher),
+            "arm": self._arm,
         }
         if is_new:
             state["rig"] = None if self.rig is None else self.rig.as_dict()

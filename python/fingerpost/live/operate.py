@@ -3,19 +3,27 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator
+import time
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
-from fingerpost.capture import SourceKind, open_views, read_views
+from fingerpost.capture import Frame, Loss, SourceKind, open_views, read_views
 from fingerpost.config import Rig
 from fingerpost.errors import FingerpostError
+from fingerpost.guidance import guided, paced
+from fingerpost.live.desk import Desk
 from fingerpost.live.page import Page
 from fingerpost.live.scene import RigScene
 from fingerpost.operators import Operator
-from fingerpost.pipeline import Pointer, steps
+from fingerpost.pipeline import Pointer, Step, steps
+from fingerpost.silhouette import Capsule
+
+Frames = Iterator[Sequence[Frame | Loss | None]]
 
 
-def operate(page: Page, rig: Rig, title: str, operator: Operator | None = None) -> None:
+def operate(
+    page: Page, rig: Rig, title: str, operator: Operator | None = None, desk: Desk | None = None
+) -> None:
     """Show a rig's run on the page, to the end of its sources.
 
     Parameters
@@ -28,6 +36,8 @@ def operate(page: Page, rig: Rig, title: str, operator: Operator | None = None) 
         What the page calls the rig.
     operator
         Whose habit of pointing is subtracted from the points.
+    desk
+        Of an arm that the page guides; recordings are then played as if live.
 
     Raises
     ------
@@ -35,10 +45,13 @@ def operate(page: Page, rig: Rig, title: str, operator: Operator | None = None) 
         As `pipeline.track`.
     CaptureError
         As `pipeline.track`.
+    RobotError
+        The arm's; it has been stopped.
     """
+    moving = tuple[Capsule, ...] if desk is None else desk.arm.guard.body
     with _noting(page):
         try:
-            pointer = Pointer(rig, operator=operator)
+            pointer = Pointer(rig, operator=operator, moving=moving)
             with open_views(rig.sources, rig.readings) as sources:
                 counts = [source.frame_count for source in sources if source.frame_count]
                 scene = RigScene.of(
@@ -47,18 +60,32 @@ def operate(page: Page, rig: Rig, title: str, operator: Operator | None = None) 
                     pointer.plane_views,
                     rig.sources,
                     targets=rig.things,
-                    is_live=sources[0].kind is SourceKind.LIVE,
+                    is_live=desk is not None or sources[0].kind is SourceKind.LIVE,
                     frames=min(counts, default=None),
                 )
                 page.open_rig(scene)
-                for step in steps(pointer, page.allowed(iter(read_views(sources)))):
-                    page.show(step)
+                frames: Frames = page.allowed(iter(read_views(sources)))
+                if desk is not None and sources[0].kind is SourceKind.RECORDED:
+                    frames = paced(frames, time.monotonic, time.sleep)
+                with _guided(page, steps(pointer, frames), desk) as taken:
+                    for step in taken:
+                        page.show(step)
                 for note in [*pointer.notes(), *(s.damage for s in sources if s.damage)]:
                     page.note(note)
         except FingerpostError as error:
             page.end(str(error))
             raise
     page.end("the recording has ended")
+
+
+@contextmanager
+def _guided(page: Page, taken: Iterator[Step], desk: Desk | None) -> Iterator[Iterator[Step]]:
+    """Have the steps guide an arm, where there is one, before they are shown."""
+    if desk is None:
+        yield taken
+        return
+    with desk.guiding(page.show_arm) as session, page.guiding(desk.obey):
+        yield guided(session, taken)
 
 
 @contextmanager

@@ -8,24 +8,27 @@ left out, and the loop goes as far as the page asks for.
 
 from __future__ import annotations
 
+import logging
 import os
 import secrets
 import threading
 import time
-from collections.abc import Iterator
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from multiprocessing import get_context
 from types import TracebackType
 from typing import Any, Self, TypeVar
 
 from fingerpost.errors import FingerpostError, InvalidInputError
 from fingerpost.installation import require
-from fingerpost.live.commands import SetUp
+from fingerpost.live.commands import Gone, RobotCommand, SetUp
 from fingerpost.live.moment import Moment
 from fingerpost.live.process import serve
 from fingerpost.live.scene import RigScene
 from fingerpost.pipeline import Step
 from fingerpost.workers import held_back
+
+_log = logging.getLogger(__name__)
 
 Frames = TypeVar("Frames")
 
@@ -75,6 +78,7 @@ class Page:
         self._number = 0
         self._begun_s = 0.0
         self._wanted: SetUp | None = None
+        self._guide: Callable[[RobotCommand], None] = lambda _command: None
         self._unanswered = 0
         self._lost = False
         self._closed = False
@@ -194,6 +198,26 @@ class Page:
             self._changed.notify_all()
         self._refuse_lost()
 
+    def show_arm(self, state: dict[str, Any]) -> None:
+        """Show what an arm does now, from any thread."""
+        self._post("arm", state)
+
+    @contextmanager
+    def guiding(self, guide: Callable[[RobotCommand], None]) -> Iterator[None]:
+        """Hand what the page asks of an arm on, as long as the block lasts.
+
+        Parameters
+        ----------
+        guide
+            Called with each command, at once, from a thread; with `Gone` as well when the page's
+            process has ended. Must not wait.
+        """
+        self._guide = guide
+        try:
+            yield
+        finally:
+            self._guide = lambda _command: None
+
     def note(self, words: str) -> None:
         """Show a line that people should know of."""
         self._post("note", words)
@@ -261,6 +285,9 @@ class Page:
         with suppress(EOFError, OSError):
             while True:
                 kind, content = self._pipe.recv()
+                if kind == "arm":
+                    self._hand_on(content)
+                    continue
                 with self._changed:
                     if kind == "done":
                         self._unanswered -= 1
@@ -269,9 +296,17 @@ class Page:
                     elif kind == "setup":
                         self._wanted = content
                     self._changed.notify_all()
+        self._hand_on(Gone())
         with self._changed:
             self._lost = True
             self._changed.notify_all()
+
+    def _hand_on(self, command: RobotCommand) -> None:
+        """Hand a command on; whatever comes of it, the next one may be a stop."""
+        try:
+            self._guide(command)
+        except Exception:
+            _log.exception("the page's %s failed", type(command).__name__)
 
 
 def _yield_to_others() -> None:

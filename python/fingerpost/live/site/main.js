@@ -2,6 +2,7 @@
 
 import { bindKeys } from "./keys.js";
 import { Link } from "./link.js";
+import { Robot } from "./robot.js";
 import { SetUp } from "./setup.js";
 import { Stage } from "./stage.js";
 import { StatusLine, setText } from "./status.js";
@@ -22,6 +23,7 @@ let isConnected = false;
 let refusal = { words: "", until: 0 };
 
 const setUp = new SetUp((command) => link.send(command));
+const robot = new Robot($("robot"), (command) => link.send(command), onRefused);
 const link = new Link({ onMoment, onState, onRefused, onConnected });
 
 function onMoment(scene, pictures) {
@@ -40,6 +42,7 @@ function onState(told) {
   if (told.setup) return setUp.show(told.setup);
   setUp.hide();
   if (!rig) return;
+  robot.show(told.arm, told.controls);
   timeline.take(told);
   statusLine.isPlaying = told.playing;
   statusLine.stand(rig.live && !told.playing && !told.ended);
@@ -55,6 +58,7 @@ function openRig(told) {
   document.documentElement.classList.toggle("live", rig.live);
   document.title = `${rig.title} – fingerpost`;
   stage.open(rig);
+  robot.attach(stage.plan);
   stage.showEdges($("edges").ariaPressed === "true");
   statusLine.open(rig);
   timeline.open(rig);
@@ -68,7 +72,10 @@ function onRefused(words) {
 function onConnected(connected) {
   isConnected = connected;
   document.documentElement.classList.toggle("cut-off", !connected);
-  if (!connected) statusLine.setStatus("lost", "cut off");
+  if (!connected) {
+    robot.letGo();
+    statusLine.setStatus("lost", "cut off");
+  }
   else if (rig) statusLine.showStatus();
   showMessage();
 }
@@ -113,7 +120,10 @@ function showNotes(notes) {
 // --- what an operator does -------------------------------------------------------------------
 
 let scrubbing = false;
-const stop = () => link.send({ do: "stop" });
+const stop = () => {
+  link.send({ do: "stop" });
+  robot.letGo();
+};
 const toggle = () => (state?.playing ? stop() : link.send({ do: "play" }));
 const step = (by) => rig && !rig.live && link.send({ do: "step", by });
 const seek = (number) => rig && !rig.live && link.send({ do: "seek", number });
