@@ -24,6 +24,9 @@ _log = logging.getLogger(__name__)
 SITE = Path(__file__).with_name("site")
 """The page's files."""
 
+_PAGES = {"/": "index.html", "/plan": "plan.html"}
+"""What is opened by its address, with the token in it where there is no cookie yet."""
+
 _CONTENT = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob: data:; "
     "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
@@ -52,8 +55,8 @@ def application(hub: Hub, host: str, port: int, token: str) -> ASGIApp:
     """
     cookie = f"fingerpost-{port}"  # browsers share cookies among all ports of a host
 
-    async def page(_request: Request) -> Response:
-        response = FileResponse(SITE / "index.html")
+    async def page(request: Request) -> Response:
+        response = FileResponse(SITE / _PAGES[request.url.path])
         response.set_cookie(cookie, token, httponly=True, samesite="strict", path="/")
         return response
 
@@ -72,7 +75,7 @@ def application(hub: Hub, host: str, port: int, token: str) -> ASGIApp:
         return Response(hub.stills[number], media_type="image/jpeg")
 
     routes = [
-        Route("/", page),
+        *(Route(path, page) for path in _PAGES),
         Route("/still/{number:int}.jpg", still),
         WebSocketRoute("/socket", socket),
         Mount("/", StaticFiles(directory=SITE)),
@@ -131,7 +134,7 @@ class Guard:
 
     def _has_token(self, scope: Scope, headers: Headers) -> bool:
         given = [cookie_parser(headers.get("cookie", "")).get(self._cookie, "")]
-        if scope["type"] == "http" and scope["path"] == "/":
+        if scope["type"] == "http" and scope["path"] in _PAGES:
             given.append(QueryParams(scope["query_string"]).get("token", ""))
         known = self._token.encode()
         return any(secrets.compare_digest(one.encode(), known) for one in given)

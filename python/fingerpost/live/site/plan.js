@@ -65,7 +65,7 @@ export class PlanPanel extends Panel {
   resize() {
     const [width, height] = [this.body.clientWidth, this.body.clientHeight];
     if (!width || !height) return;
-    const margin = Object.fromEntries(Object.entries(MARGIN).map(([side, px]) => [side, px * Math.min(this.emphasis, 1.5)]));
+    const margin = this.margin = Object.fromEntries(Object.entries(MARGIN).map(([side, px]) => [side, px * Math.min(this.emphasis, 1.5)]));
     this.inner = [width - margin.left - margin.right, height - margin.top - margin.bottom];
     const extent = this.extent();
     // Room for the numbers of the reference points, and for what lies a little beyond them.

@@ -151,13 +151,15 @@ function button(parent, name, words, key, title) {
 }
 
 // The arm from above, the region that it may not leave, and the ring that fills while a hand stays.
-class ArmOnPlan {
+export class ArmOnPlan {
   attach(plan) {
     this.plan = plan;
     this.region = make("path", { class: "arm-region" }, plan.under);
     this.parts = make("g", { class: "arm-body" }, plan.under);
     this.gripper = make("path", { class: "gripper", d: "M-11 0H-4M4 0H11M0 -11V-4M0 4V11" }, plan.under);
     this.ring = make("circle", { class: "dwell", r: 15, pathLength: 1 }, plan.window);
+    place(this.gripper, null);
+    drawRing(this.ring, plan, 0);
     plan.layers.push(this);
     if (this.arm) this.draw();
   }
