@@ -2,17 +2,23 @@
 
 import numpy as np
 import pytest
-from live_server import served
+from live_server import RIG, served
 from test_live_page import STANDS, Open, browser, playwright, pytestmark  # noqa: F401
 
 from fingerpost.homography import estimate_image_from_plane
+from fingerpost.recording import read_targets
 
 SEED = 20
 
 
 @pytest.fixture(scope="module")
-def server():
-    with served() as running:
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("stage")
+
+
+@pytest.fixture(scope="module")
+def server(folder):
+    with served(RIG, folder=folder) as running:
         yield running
 
 
@@ -79,3 +85,30 @@ def test_the_page_s_homography_is_the_package_s(page):
         )
         is None
     )
+
+
+def test_an_experiment_asks_for_targets_and_tallies_the_errors(page, folder):
+    page.at(50)
+    page.press("x")
+    page.until("document.querySelector('#experiment .doing').textContent.startsWith('Target 1 of')")
+    page.press("k")
+    for number in range(2, 13):
+        page.until(
+            f"document.querySelector('#experiment .doing').textContent.includes(' {number} ')"
+        )
+        page.press("Enter")
+    page.until("!document.querySelector('#experiment .figures').hidden")
+    rows = read_targets(folder / "experiment.csv")
+    assert [row.by for row in rows] == ["skip", *["key"] * 11]
+    assert rows[0].x is None
+    targets = np.array([(row.target_x, row.target_y) for row in rows])
+    assert len(np.unique(targets, axis=0)) == 12
+    errors = np.hypot(*(targets[1:] - [(row.x, row.y) for row in rows[1:]]).T)
+    np.testing.assert_allclose([row.error for row in rows[1:]], errors)
+    figures = page.text("#experiment .figures")
+    assert "11 of 12" in figures
+    assert f"{np.median(errors):.3g}" in figures
+    drawn = page.page.get_attribute(".plan .trial-error", "d")
+    assert drawn.count("M") == 11
+    page.press("x")
+    page.until("document.querySelector('#experiment').hidden")

@@ -127,13 +127,34 @@ class LetGo(_Command, frozen=True, tag="release"):
     """The operator has let go."""
 
 
+class Try(StrEnum):
+    """What an operator does in an experiment."""
+
+    START = "start"
+    SELECT = "select"
+    SKIP = "skip"
+    END = "end"
+
+
+class Experiment(_Command, frozen=True, tag="experiment"):
+    """Point at targets in random order.
+
+    Attributes
+    ----------
+    what
+        What is done.
+    """
+
+    what: Try
+
+
 class Gone(msgspec.Struct, frozen=True):
     """The page that had the control has gone, or another one has it: the server says so itself."""
 
 
 RobotCommand = Stop | Ask | Beat | LetGo | Gone
 
-Command = Ack | Stop | Play | Step | GoTo | Take | SetUp | Ask | Beat | LetGo
+Command = Ack | Stop | Play | Step | GoTo | Take | SetUp | Ask | Beat | LetGo | Experiment
 
 decode = msgspec.json.Decoder(Command).decode
 """From JSON to a command; raises `msgspec.MsgspecError`."""

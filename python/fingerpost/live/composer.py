@@ -7,7 +7,7 @@ from collections import deque
 import msgspec
 
 from fingerpost.live.moment import Moment
-from fingerpost.live.reel import Message
+from fingerpost.live.reel import Indicated, Message
 from fingerpost.live.scene import RigScene, scene_of
 
 _TRAIL = 40  # points that the plan shows behind the newest one
@@ -42,4 +42,5 @@ class Composer:
             begun_s=moment.begun_s,
             codes="".join(_CODES.get(status, "i") for status in statuses),
             data=b"".join([length, scene, *(view.jpeg for view in moment.views)]),
+            indicated=Indicated.of(moment.frame, moment.fix),
         )

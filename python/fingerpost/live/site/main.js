@@ -1,5 +1,6 @@
 // The operator's page: one connection, one stage, one line that is read first.
 
+import { Experiment } from "./experiment.js";
 import { bindKeys } from "./keys.js";
 import { Link } from "./link.js";
 import { Robot } from "./robot.js";
@@ -24,6 +25,7 @@ let refusal = { words: "", until: 0 };
 
 const setUp = new SetUp((command) => link.send(command));
 const robot = new Robot($("robot"), (command) => link.send(command), onRefused);
+const experiment = new Experiment($("experiment"), $("tools"), (command) => link.send(command));
 const link = new Link({ onMoment, onState, onRefused, onConnected });
 
 function onMoment(scene, pictures) {
@@ -43,6 +45,7 @@ function onState(told) {
   setUp.hide();
   if (!rig) return;
   robot.show(told.arm, told.controls);
+  experiment.show(told.experiment, !told.setup);
   timeline.take(told);
   statusLine.isPlaying = told.playing;
   statusLine.stand(rig.live && !told.playing && !told.ended);
@@ -59,6 +62,7 @@ function openRig(told) {
   document.title = `${rig.title} – fingerpost`;
   stage.open(rig);
   robot.attach(stage.plan);
+  experiment.attach(stage.plan, rig.unit);
   stage.showEdges($("edges").ariaPressed === "true");
   statusLine.open(rig);
   timeline.open(rig);

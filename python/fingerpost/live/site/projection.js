@@ -1,6 +1,7 @@
 // The plan alone, for a projector above the table: four corners are dragged onto the plane's own.
 
 import { html } from "./draw.js";
+import { TargetsOnPlan } from "./experiment.js";
 import { Link } from "./link.js";
 import { PlanPanel } from "./plan.js";
 import { ArmOnPlan } from "./robot.js";
@@ -16,6 +17,7 @@ if (location.search) history.replaceState(null, "", location.pathname);
 
 const sheet = document.getElementById("sheet");
 const arm = new ArmOnPlan();
+const targets = new TargetsOnPlan();
 let plan = null;
 let corners = null;
 
@@ -25,6 +27,7 @@ const link = new Link({
   onState: (state) => {
     if (state.rig) open(state.rig);
     if (state.arm) arm.show(state.arm);
+    targets.show(state.experiment);
   },
   onRefused: () => {},
   onConnected: (connected) => document.documentElement.classList.toggle("cut-off", !connected),
@@ -34,6 +37,7 @@ function open(rig) {
   sheet.replaceChildren();
   plan = new PlanPanel(sheet, rig);
   arm.attach(plan);
+  targets.attach(plan);
   document.title = `${rig.title}: plan – fingerpost`;
   layOut();
 }

@@ -185,9 +185,9 @@ export class ArmOnPlan {
   }
 }
 
-// How much of a stay has passed, about the indicated point.
-export function drawRing(ring, plan, share) {
-  const at = share > 0 && plan.last?.point ? plan.map(...plan.last.point) : null;
+// How much of a stay has passed, about the indicated point or another place of the window.
+export function drawRing(ring, plan, share, place = null) {
+  const at = share > 0 && plan.last?.point ? place ?? plan.map(...plan.last.point) : null;
   ring.style.display = at ? "" : "none";
   if (!at) return;
   ring.setAttribute("transform", `translate(${at}) rotate(-90) scale(${plan.emphasis})`);
