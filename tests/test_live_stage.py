@@ -1,14 +1,25 @@
 """The page in a browser: the projected plan, experiments, bookmarks, and in a notebook."""
 
+import cv2
 import numpy as np
 import pytest
 from live_server import RIG, served
 from test_live_page import STANDS, Open, browser, playwright, pytestmark  # noqa: F401
 
 from fingerpost.homography import estimate_image_from_plane
+from fingerpost.live.composer import uncertainty_code
+from fingerpost.pointing import Fix, Status
 from fingerpost.recording import read_targets
 
 SEED = 20
+FRAMES, COVERED = 48, range(30, 42)
+
+
+def fix_of(sigma):
+    """A fix of some uncertainty; None has no point."""
+    if sigma is None:
+        return Fix(0.0, Status.LOST, ())
+    return Fix(0.0, Status.OK, (), np.zeros(2), sigma**2 * np.diag([1.0, 0.25]))
 
 
 @pytest.fixture(scope="module")
@@ -112,3 +123,73 @@ def test_an_experiment_asks_for_targets_and_tallies_the_errors(page, folder):
     assert drawn.count("M") == 11
     page.press("x")
     page.until("document.querySelector('#experiment').hidden")
+
+
+@pytest.fixture(scope="module")
+def lossy(tmp_path_factory):
+    """The clip, as pictures, whose left view shows no hand for a while."""
+    folder = tmp_path_factory.mktemp("lossy")
+    text = RIG.read_text(encoding="utf-8")
+    for name in ("left", "right"):
+        (folder / name).mkdir()
+        text = text.replace(f"{name}.mp4", f"{name}/*.jpg")
+        film = cv2.VideoCapture(str(RIG.with_name(f"{name}.mp4")))
+        for frame in range(FRAMES):
+            _, image = film.read()
+            if name == "left" and frame in COVERED:
+                image[:330, :330] = 90
+            cv2.imwrite(str(folder / name / f"{frame:03d}.jpg"), image)
+        film.release()
+    (folder / "rig.toml").write_text(text, encoding="utf-8")
+    with served(folder / "rig.toml", folder=folder) as running:
+        yield running
+
+
+def test_a_click_says_why_a_frame_was_lost_and_bookmarks_come_back_to_it(browser, lossy):  # noqa: F811
+    page = Open(browser, lossy)
+    page.at(FRAMES - 1)
+    page.until("document.documentElement.dataset.status === 'ok'")
+    strip, lost = page.box("#strip"), COVERED[len(COVERED) // 2]
+    page.page.mouse.click(strip["x"] + (lost + 0.5) / FRAMES * strip["width"], strip["y"] + 25)
+    page.until(f"document.querySelector('#clock').textContent.endsWith('frame {lost}')")
+    page.until("document.querySelector('.why li')")
+    left, right = page.page.locator(".view").all()
+    assert left.locator(".why").is_visible()
+    assert not right.locator(".why").is_visible()
+    words = left.locator(".why").inner_text()
+    assert "refused" in words
+    assert "59 no edge" in words
+    assert left.locator("path.search-lines").get_attribute("d").count("M") == 59
+    assert left.locator("path.chosen").get_attribute("d") == ""
+    assert right.locator("path.search-lines").get_attribute("d") == ""
+
+    # The other view, at a click on its picture: what it has chosen and rejected.
+    right.locator(".body").click(position={"x": 20, "y": 20})
+    assert right.locator(".why").is_visible()
+    assert right.locator("path.chosen").get_attribute("d").count("M") > 30
+    page.press("i")
+    assert not left.locator(".why").is_visible()
+
+    page.press("n")
+    mark = page.page.locator(".bookmark").bounding_box()
+    at = strip["x"] + (lost + 0.5) / FRAMES * strip["width"]
+    assert mark["x"] + mark["width"] / 2 == pytest.approx(at, abs=1.5)
+    page.press("Home")
+    page.until("document.querySelector('#clock').textContent.endsWith('frame 0')")
+    page.page.reload()
+    page.until("document.querySelector('.bookmark')")
+    page.press(".")
+    page.until(f"document.querySelector('#clock').textContent.endsWith('frame {lost}')")
+    page.press("n")
+    page.until("!document.querySelector('.bookmark')")
+    page.close()
+
+
+def test_the_strip_shows_how_uncertain_the_point_is():
+    codes = [uncertainty_code(fix_of(sigma), 400.0) for sigma in (1e-9, 0.5, 5.0, 20.0, 1e4)]
+    assert codes[0] == "0"
+    assert codes[-1] == "9"
+    assert codes == sorted(codes)
+    # The 95 % ellipse's semi-axis is 2.448 sigma: from 0.1 % to 20 % of the plane in ten steps.
+    assert codes[2] == str(round(9 * np.log(2.448 * 5.0 / 0.4) / np.log(200)))
+    assert uncertainty_code(fix_of(None), 400.0) == "-"

@@ -58,7 +58,7 @@ class Message:
     begun_s
         When the work on it began, by the monotonic clock.
     codes
-        A letter for the status of the fix and of each view: see `Strip`.
+        A letter for the status of the fix and of each view, and a digit: see `Strip`.
     data
         What is sent: the length of the scene, the scene as JSON, and the pictures.
     indicated
@@ -116,9 +116,10 @@ class Reel:
 
 @dataclass(slots=True)
 class Strip:
-    """The status of every moment, of the fix and of each view: a letter each.
+    """The status of every moment, of the fix and of each view, and the uncertainty of the point.
 
-    Letters are o (ok or tracking), a (acquiring), l (lost), i (ill-conditioned) and m (moved).
+    Letters are o (ok or tracking), a (acquiring), l (lost), i (ill-conditioned) and m (moved). The
+    last row has digits: the larger semi-axis of the 95 % ellipse on a logarithmic scale, or - .
 
     Attributes
     ----------

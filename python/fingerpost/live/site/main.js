@@ -7,7 +7,7 @@ import { Robot } from "./robot.js";
 import { SetUp } from "./setup.js";
 import { Stage } from "./stage.js";
 import { StatusLine, setText } from "./status.js";
-import { Timeline } from "./timeline.js";
+import { Bookmarks, Timeline } from "./timeline.js";
 
 const $ = (id) => document.getElementById(id);
 const REFUSED_FOR_MS = 5000;
@@ -18,6 +18,7 @@ if (location.search) history.replaceState(null, "", location.pathname);
 const stage = new Stage($("stage"));
 const statusLine = new StatusLine();
 const timeline = new Timeline($("strip"), $("cursor"));
+const bookmarks = new Bookmarks($("line"), (number) => seek(number));
 let state = null;
 let rig = null;
 let isConnected = false;
@@ -47,6 +48,7 @@ function onState(told) {
   robot.show(told.arm, told.controls);
   experiment.show(told.experiment, !told.setup);
   timeline.take(told);
+  bookmarks.setTotal(told.total);
   statusLine.isPlaying = told.playing;
   statusLine.stand(rig.live && !told.playing && !told.ended);
   statusLine.latency(told.latency_ms);
@@ -66,6 +68,7 @@ function openRig(told) {
   stage.showEdges($("edges").ariaPressed === "true");
   statusLine.open(rig);
   timeline.open(rig);
+  bookmarks.open(rig);
 }
 
 function onRefused(words) {
@@ -141,6 +144,10 @@ const large = () => {
   document.documentElement.classList.toggle("large", isLarge);
   stage.enlarge(isLarge);
 };
+const explain = () => {
+  const explains = stage.views.some((view) => !view.explains);
+  for (const view of stage.views) view.explain(explains);
+};
 const edges = () => stage.showEdges(press($("edges")));
 const help = () => ($("help").open ? $("help").close() : $("help").showModal());
 
@@ -171,7 +178,10 @@ $("scrub").addEventListener("pointerdown", () => {
   scrubbing = true;
   stop();
 });
-addEventListener("pointerup", () => (scrubbing = false));
+addEventListener("pointerup", () => {
+  if (scrubbing && rig) for (const k of timeline.lostAt(Number($("scrub").value))) stage.views[k].explain(true);
+  scrubbing = false;
+});
 $("scrub").addEventListener("input", () => seek(Number($("scrub").value)));
 
 bindKeys({
@@ -185,5 +195,8 @@ bindKeys({
   theme,
   help,
   take: () => link.send({ do: "take" }),
+  bookmark: () => bookmarks.toggle(timeline.shown),
+  nextBookmark: (direction) => bookmarks.go(timeline.shown, direction),
+  explain: () => explain(),
   focus: (number) => stage.plan && stage.focus(number),
 });
