@@ -1,11 +1,19 @@
 """The page in a browser: the projected plan, experiments, bookmarks, and in a notebook."""
 
+import http.server
+import socket
+import subprocess
+import sys
+import threading
+
 import cv2
 import numpy as np
 import pytest
 from live_server import RIG, served
+from patience import PATIENCE_S, wait_until
 from test_live_page import STANDS, Open, browser, playwright, pytestmark  # noqa: F401
 
+import fingerpost
 from fingerpost.homography import estimate_image_from_plane
 from fingerpost.live.composer import uncertainty_code
 from fingerpost.pointing import Fix, Status
@@ -193,3 +201,71 @@ def test_the_strip_shows_how_uncertain_the_point_is():
     # The 95 % ellipse's semi-axis is 2.448 sigma: from 0.1 % to 20 % of the plane in ten steps.
     assert codes[2] == str(round(9 * np.log(2.448 * 5.0 / 0.4) / np.log(200)))
     assert uncertainty_code(fix_of(None), 400.0) == "-"
+
+
+class Notebook(http.server.BaseHTTPRequestHandler):
+    """A page of another site that shows what a cell has ended in."""
+
+    cell = ""
+
+    def do_GET(self):
+        self.send_response(200)
+        self.send_header("Content-Type", "text/html")
+        self.end_headers()
+        self.wfile.write(f"<!doctype html><title>notebook</title>{self.cell}".encode())
+
+    def log_message(self, *args):
+        pass
+
+
+def test_a_notebook_shows_the_page_in_a_frame_until_it_is_closed(browser):  # noqa: F811
+    with fingerpost.show(RIG, height_px=640) as view:
+        Notebook.cell = view._repr_html_()
+        server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), Notebook)
+        thread = threading.Thread(target=server.serve_forever, args=[0.02])
+        thread.start()
+        page = Open.__new__(Open)
+        page.context = browser.new_context(viewport={"width": 1100, "height": 700})
+        shown = page.context.new_page()
+        # Another site: no strict cookie is sent to the frame.
+        shown.goto(f"http://localhost:{server.server_port}/")
+        page.page = shown.frames[1]
+        page.page.wait_for_selector(".view canvas")
+        wait_until(
+            lambda: page.page.evaluate("() => document.documentElement.dataset.status") == "ok"
+        )
+        assert page.page.title() == "rig.toml – fingerpost"
+        assert shown.locator("iframe").bounding_box()["height"] == 640
+        view.close()
+        page.until("document.documentElement.classList.contains('cut-off')")
+        page.context.close()
+        server.shutdown()
+        thread.join()
+        server.server_close()
+
+
+def test_a_kernel_that_ends_takes_its_page_along():
+    code = f"import fingerpost; view = fingerpost.show({str(RIG)!r}); print(view.address)"
+    ended = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=PATIENCE_S, check=True
+    )
+    port = int(ended.stdout.split(":")[2].partition("/")[0])
+    assert ended.stderr == ""
+    with pytest.raises(ConnectionRefusedError):
+        socket.create_connection(("127.0.0.1", port), 5.0)
+
+
+def test_a_framed_address_needs_the_token_and_the_page_s_own_host(server):
+    framed = f"/framed/{server.token}"
+    status, text, headers = server.ask("GET", f"{framed}/")
+    assert status == 200
+    assert "main.js" in text
+    policy = headers["content-security-policy"]
+    assert "frame-ancestors" not in policy
+    assert "default-src 'none'" in policy
+    assert server.ask("GET", f"{framed}/main.js")[0] == 200
+    for path in ("/framed/", "/framed/guess/", f"/framed/{server.token[:-1]}/main.js"):
+        assert server.ask("GET", path)[0] == 403
+    assert server.ask("GET", f"{framed}/", Host="evil.example")[0] == 400
+    assert server.ask("POST", f"{framed}/", Origin="http://evil.example")[0] == 403
+    assert server.ask("GET", f"{framed}/../../client.py")[0] == 404

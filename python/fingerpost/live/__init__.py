@@ -11,8 +11,9 @@ too slowly, too much or for nonsense is refused in one line (`patience`, `comman
 """
 
 from fingerpost.live.desk import OPERATOR_TIMEOUT_S, Desk
+from fingerpost.live.inline import InlineView, show
 from fingerpost.live.operate import operate
 from fingerpost.live.page import Page
 from fingerpost.live.setup import set_up
 
-__all__ = ["OPERATOR_TIMEOUT_S", "Desk", "Page", "operate", "set_up"]
+__all__ = ["OPERATOR_TIMEOUT_S", "Desk", "InlineView", "Page", "operate", "set_up", "show"]

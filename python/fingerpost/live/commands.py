@@ -9,6 +9,9 @@ import msgspec
 LARGEST_BYTES = 64 * 1024
 """Longest message that is read at all."""
 
+FRAMED = "/framed/"
+"""Paths that begin with this and the token are those of a page in a frame of another site."""
+
 
 class _Command(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_field="do"):
     """What all commands share: no other keys."""

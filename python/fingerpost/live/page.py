@@ -21,7 +21,7 @@ from typing import Any, Self, TypeVar
 
 from fingerpost.errors import FingerpostError, InvalidInputError
 from fingerpost.installation import require
-from fingerpost.live.commands import Gone, RobotCommand, SetUp
+from fingerpost.live.commands import FRAMED, Gone, RobotCommand, SetUp
 from fingerpost.live.moment import Moment
 from fingerpost.live.process import serve
 from fingerpost.live.scene import RigScene
@@ -64,6 +64,8 @@ class Page:
     ----------
     address
         What a browser opens; it holds the token without which nothing is shown.
+    framed_address
+        The same for a frame in a page of another site, such as a notebook.
     """
 
     def __init__(self, host: str, port: int) -> None:
@@ -92,10 +94,12 @@ class Page:
             self._process.start()
         theirs.close()
         try:
-            self.address = f"http://{host}:{self._listening(host, port)}/?token={token}"
+            base = f"http://{host}:{self._listening(host, port)}"
         except BaseException:
             self.close()
             raise
+        self.address = f"{base}/?token={token}"
+        self.framed_address = f"{base}{FRAMED}{token}/"
         self._threads = [
             threading.Thread(target=self._send_moments, name="page pictures", daemon=True),
             threading.Thread(target=self._listen, name="page commands", daemon=True),
@@ -115,6 +119,11 @@ class Page:
             f"{host}:{port}: the page cannot be served there: {content}; another --port is right, "
             "or none"
         )
+
+    @property
+    def is_closed(self) -> bool:
+        """Whether the program has closed it."""
+        return self._closed
 
     def __enter__(self) -> Self:
         return self
@@ -243,7 +252,9 @@ class Page:
         self._refuse_lost()
 
     def close(self) -> None:
-        """End the page's process; clients are notified."""
+        """End the page's process; clients are notified. Closing twice does nothing."""
+        if self._closed:
+            return
         with self._changed:
             self._closed = self._lost = True
             self._changed.notify_all()

@@ -17,6 +17,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from starlette.websockets import WebSocket
 
 from fingerpost.live.client import Client
+from fingerpost.live.commands import FRAMED
 from fingerpost.live.hub import MOST_CLIENTS, Hub
 
 _log = logging.getLogger(__name__)
@@ -39,6 +40,13 @@ _HEADERS = {
     "cross-origin-resource-policy": "same-origin",
     "cache-control": "no-store",
 }
+
+_FRAMED_HEADERS = {
+    **_HEADERS,
+    "content-security-policy": _CONTENT.replace("; frame-ancestors 'none'", ""),
+    "cross-origin-resource-policy": "cross-origin",
+}
+"""Of a page that may be framed: its address, which has the token, is known to nobody else."""
 
 
 def application(hub: Hub, host: str, port: int, token: str) -> ASGIApp:
@@ -108,15 +116,25 @@ class Guard:
         """Answer a request, or refuse it in one line."""
         if scope["type"] not in ("http", "websocket"):
             return
-        refused = self._refused(scope)
+        framed = self._framed(scope)
+        refused = self._refused(framed or scope, has_token=framed is not None)
         if refused is None:
-            await self._app(scope, receive, _with_headers(send))
+            headers = _FRAMED_HEADERS if framed else _HEADERS
+            await self._app(framed or scope, receive, _with_headers(send, headers))
             return
         status, words = refused
         _log.warning("refused: %s", words)
         await PlainTextResponse(f"{words}\n", status, _HEADERS)(scope, receive, send)
 
-    def _refused(self, scope: Scope) -> tuple[int, str] | None:
+    def _framed(self, scope: Scope) -> Scope | None:
+        """Return a request of a framed page as one of a page; None if it is none."""
+        head, _, path = scope["path"].removeprefix(FRAMED).partition("/")
+        is_framed = scope["path"].startswith(FRAMED)
+        if is_framed and secrets.compare_digest(head.encode(), self._token.encode()):
+            return {**scope, "path": f"/{path}", "raw_path": f"/{path}".encode()}
+        return None
+
+    def _refused(self, scope: Scope, *, has_token: bool) -> tuple[int, str] | None:
         """Say why a request is refused, and with which status; None if it is not."""
         headers = Headers(scope=scope)
         host, origin = headers.get("host", ""), headers.get("origin")
@@ -125,7 +143,7 @@ class Guard:
         is_asked_only = scope["type"] == "http" and scope["method"] in ("GET", "HEAD")
         if not is_asked_only and origin != f"http://{host}":
             return 403, f"Origin is {str(origin)[:80]!r}; only the page itself may do that"
-        if not self._has_token(scope, headers):
+        if not (has_token or self._has_token(scope, headers)):
             return (
                 403,
                 "no valid token; open the address that fingerpost has printed",
@@ -144,10 +162,10 @@ def _is_loopback(host: str) -> bool:
     return ipaddress.ip_address(host).is_loopback
 
 
-def _with_headers(send: Send) -> Send:
+def _with_headers(send: Send, headers: dict[str, str]) -> Send:
     async def sending(message: Message) -> None:
         if message["type"] in ("http.response.start", "websocket.http.response.start"):
-            added = [(name.encode(), value.encode()) for name, value in _HEADERS.items()]
+            added = [(name.encode(), value.encode()) for name, value in headers.items()]
             message = {**message, "headers": [*message.get("headers", []), *added]}
         await send(message)
 

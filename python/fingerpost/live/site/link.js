@@ -16,7 +16,9 @@ export class Link {
   }
 
   connect() {
-    const socket = new WebSocket(`ws://${location.host}/socket`);
+    const address = new URL("socket", location.href);
+    address.protocol = "ws:";
+    const socket = new WebSocket(address);
     socket.binaryType = "arraybuffer";
     socket.onopen = () => {
       this.pauseMs = FIRST_PAUSE_MS;
