@@ -16,7 +16,7 @@ from fingerpost.cli.robot_guide import carrying, carrying_options, following_opt
 
 if TYPE_CHECKING:
     from fingerpost.config import Rig
-    from fingerpost.live import Desk
+    from fingerpost.live import GuidingDesk
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
@@ -49,7 +49,7 @@ def refuse_without_arm(given: Mapping[str, Any]) -> None:
             )
 
 
-def desk_of(rig_file: Path, rig: Rig, given: Mapping[str, Any], stack: ExitStack) -> Desk:
+def desk_of(rig_file: Path, rig: Rig, given: Mapping[str, Any], stack: ExitStack) -> GuidingDesk:
     """Return the place from which the page guides the arm of a rig; nothing moves.
 
     Parameters
@@ -67,13 +67,13 @@ def desk_of(rig_file: Path, rig: Rig, given: Mapping[str, Any], stack: ExitStack
         The rig has no robot, or what is given will not do.
     """
     from fingerpost.guidance import robot_of
-    from fingerpost.live import OPERATOR_TIMEOUT_S, Desk
+    from fingerpost.live import OPERATOR_TIMEOUT_S, GuidingDesk
 
     keep_apart({"--log": given["log"]}, rig_files(rig_file, rig))
     given = {**given, "operator_timeout_s": OPERATOR_TIMEOUT_S}
     carry = None if given["follow_only"] else carrying(given)
     arm = guided_arm(robot_of(rig), given, carry, dwells=carry is not None)
-    return Desk(
+    return GuidingDesk(
         arm,
         lambda: arm.robot.home(timeout_s=given["homing_timeout"]),
         on_record=open_log(stack, given["log"]),

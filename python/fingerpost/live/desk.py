@@ -9,6 +9,8 @@ session on the next step of the views.
 
 from __future__ import annotations
 
+import logging
+import math
 import signal
 import threading
 import time
@@ -20,16 +22,21 @@ import numpy as np
 
 from fingerpost.guidance import Activity, Attendance, GuidedArm, Session
 from fingerpost.live.commands import Ask, Beat, Gone, LetGo, RobotCommand, Stop, Wish
-from fingerpost.robot import RobotState
+from fingerpost.robot import Guard, Robot, RobotState
 from fingerpost.robot.errors import RobotError
 from fingerpost.robot.guard import RecordCallback
 from fingerpost.robot.stopping import WATCH_S
+
+_log = logging.getLogger(__name__)
 
 SILENT_S = 0.4
 """A page that holds and has sent no beat for so long has gone [s]."""
 
 OPERATOR_TIMEOUT_S = 0.45
 """For the guard, should the watch of the beats fail itself [s]."""
+
+MOST_BLOCKS = 2**31 - 1
+"""A session on the page ends by no number of blocks."""
 
 _POST_S = 0.1
 _UNDO, _WAY = Wish.UNDO, Wish.WAY
@@ -42,73 +49,49 @@ class Desk:
 
     Parameters
     ----------
-    arm
-        The arm.
-    home
-        Homes it.
-    on_record
-        Called with every command of the guard.
-    signals
-        That halt the arm; in the main thread only.
+    guard, robot
+        The arm's.
+    carries
+        Whether it can pick and place.
     clock
         Gives the time in seconds.
     """
 
     def __init__(
         self,
-        arm: GuidedArm,
-        home: Callable[[], None],
+        guard: Guard,
+        robot: Robot,
         *,
-        on_record: RecordCallback | None = None,
-        signals: Sequence[signal.Signals] = (),
+        carries: bool,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self.arm = arm
-        self._guard = arm.guard
-        self._home, self._on_record, self._signals, self._clock = home, on_record, signals, clock
+        self._guard, self._robot, self._carries, self._clock = guard, robot, carries, clock
         self._session: Session | None = None
         self._wish = Wish.FOLLOW
         self._is_armed = False
         self._holds = False
-        self._heard_s = -1.0
+        self._heard_s = -math.inf
         self._said = ""
+        self._marks: dict[str, Any] = {}
+        self._posted: dict[str, Any] = {}
+        self._posted_s = -math.inf
+
+    def add_marks(self, marks: dict[str, Any]) -> None:
+        """Show on the plan what else is known to be there: a block, and where it goes."""
+        self._marks = marks
+
+    def keep(self, words: str) -> None:
+        """Keep what the session says, to be shown."""
+        self._said = words.strip()
 
     @contextmanager
-    def guiding(self, post: Callable[[dict[str, Any]], None]) -> Iterator[Session]:
-        """Connect the arm and give the session that takes the steps of the views.
-
-        Parameters
-        ----------
-        post
-            Called with what the page shows of the arm, from a thread.
-
-        Raises
-        ------
-        RobotError
-            The arm's.
-        """
-        with self.arm.connected(on_record=self._on_record, signals=self._signals):
-            self._session = self.arm.session(
-                attendance=Attendance.KEY,
-                blocks=2**31 - 1,
-                keys=True,
-                home=self._home,
-                activity=Activity.STAY,
-                key_help="",
-                say=self._keep,
-            )
-            done = threading.Event()
-            watch = threading.Thread(
-                target=self._watch, args=(done, self._session, post), name="desk", daemon=True
-            )
-            watch.start()
-            try:
-                with self._session as session:
-                    yield session
-            finally:
-                done.set()
-                watch.join()
-                self._session = None
+    def opened(self, session: Session) -> Iterator[Session]:
+        """Guide the arm by a session, which does nothing at first, as long as the block lasts."""
+        self._session = session
+        try:
+            yield session
+        finally:
+            self._session = None
 
     def obey(self, command: RobotCommand) -> None:
         """Take a command of the page, from any thread; what stops does so at once."""
@@ -156,7 +139,7 @@ class Desk:
             self._stop("disarmed")
         elif what in _KEYS:
             session.press(_KEYS[what])
-        else:
+        elif what is not Wish.CARRY or self._carries:
             self._wish = what
             if self._holds:
                 self._begin(session)
@@ -177,43 +160,45 @@ class Desk:
 
     # What is watched and shown.
 
-    def _watch(
-        self, done: threading.Event, session: Session, post: Callable[[dict[str, Any]], None]
-    ) -> None:
-        posted: dict[str, Any] = {}
-        posted_s = -1.0
-        while not done.wait(WATCH_S):
-            if self._holds and self._clock() - self._heard_s > SILENT_S:
-                self._stop("the page is silent")
-            self._stop_homing_unheld(session)
-            now_s = self._clock()
-            if now_s - posted_s >= _POST_S:
-                state = self._state(session)
-                if state != posted:
-                    post(state)
-                posted, posted_s = state, now_s
+    def tick(self, post: Callable[[dict[str, Any]], None]) -> None:
+        """Stop what nobody holds any more, and show how things stand; call it every `WATCH_S`.
+
+        Parameters
+        ----------
+        post
+            Called with what the page shows of the arm.
+        """
+        session, now_s = self._session, self._clock()
+        if session is None:
+            return
+        if self._holds and now_s - self._heard_s > SILENT_S:
+            self._stop("the page is silent")
+        self._stop_homing_unheld(session)
+        if now_s - self._posted_s >= _POST_S:
+            state = self._state(session)
+            if state != self._posted:
+                post(state)
+            self._posted, self._posted_s = state, now_s
 
     def _stop_homing_unheld(self, session: Session) -> None:
         """Homing is no motion of the guard's: a stop just before it has begun does not reach it."""
         if session.is_homing and not self._holds:
             with suppress(RobotError):
-                if self.arm.robot.status().state is RobotState.HOMING:
+                if self._robot.status().state is RobotState.HOMING:
                     self._guard.halt("nobody holds")
-
-    def _keep(self, words: str) -> None:
-        self._said = words.strip()
 
     def _state(self, session: Session) -> dict[str, Any]:
         """Return what the page shows of the arm, fit for JSON."""
-        status = self.arm.robot.status()
+        status = self._robot.status()
         pose = self._guard.pose
         return {
+            **self._marks,
             "homed": status.homed,
             "armed": self._is_armed,
             "holds": self._holds,
             "moves": self._guard.busy or session.is_homing,
             "wish": self._wish.value,
-            "carries": self.arm.options.carry is not None,
+            "carries": self._carries,
             "carrying": session.is_carrying,
             "dwell": round(session.dwell_progress, 2),
             "why": self._why(session, homed=status.homed),
@@ -238,3 +223,78 @@ class Desk:
         if not self._guard.armed:
             return why
         return session.waits_for
+
+
+class GuidingDesk:
+    """A desk with its arm, which is connected, watched and guided for a while.
+
+    Parameters
+    ----------
+    arm
+        The arm.
+    home
+        Homes it.
+    on_record
+        Called with every command of the guard.
+    signals
+        That halt the arm; in the main thread only.
+    """
+
+    def __init__(
+        self,
+        arm: GuidedArm,
+        home: Callable[[], None],
+        *,
+        on_record: RecordCallback | None = None,
+        signals: Sequence[signal.Signals] = (),
+    ) -> None:
+        self.arm = arm
+        self.desk = Desk(arm.guard, arm.robot, carries=arm.options.carry is not None)
+        self._home, self._on_record, self._signals = home, on_record, signals
+
+    @contextmanager
+    def guiding(self, post: Callable[[dict[str, Any]], None]) -> Iterator[Session]:
+        """Connect the arm and give the session that takes the steps of the views.
+
+        Parameters
+        ----------
+        post
+            Called with what the page shows of the arm, from a thread.
+
+        Raises
+        ------
+        RobotError
+            The arm's.
+        """
+        with self.arm.connected(on_record=self._on_record, signals=self._signals):
+            session = self.arm.session(
+                attendance=Attendance.KEY,
+                blocks=MOST_BLOCKS,
+                keys=True,
+                home=self._home,
+                activity=Activity.STAY,
+                key_help="",
+                say=self.desk.keep,
+            )
+            with self.desk.opened(session), self._watching(post), session:
+                yield session
+
+    @contextmanager
+    def _watching(self, post: Callable[[dict[str, Any]], None]) -> Iterator[None]:
+        done = threading.Event()
+
+        def watch() -> None:
+            while not done.wait(WATCH_S):
+                try:
+                    self.desk.tick(post)
+                except Exception as error:  # a watch that ended would watch nothing
+                    _log.exception("the desk's watch failed")
+                    self.arm.guard.halt(f"the desk's watch failed: {error}")
+
+        thread = threading.Thread(target=watch, name="desk", daemon=True)
+        thread.start()
+        try:
+            yield
+        finally:
+            done.set()
+            thread.join()

@@ -11,7 +11,7 @@ from fingerpost.capture import Frame, Loss, SourceKind, open_views, read_views
 from fingerpost.config import Rig
 from fingerpost.errors import FingerpostError
 from fingerpost.guidance import guided, paced
-from fingerpost.live.desk import Desk
+from fingerpost.live.desk import GuidingDesk
 from fingerpost.live.page import Page
 from fingerpost.live.scene import RigScene
 from fingerpost.operators import Operator
@@ -22,7 +22,11 @@ Frames = Iterator[Sequence[Frame | Loss | None]]
 
 
 def operate(
-    page: Page, rig: Rig, title: str, operator: Operator | None = None, desk: Desk | None = None
+    page: Page,
+    rig: Rig,
+    title: str,
+    operator: Operator | None = None,
+    desk: GuidingDesk | None = None,
 ) -> None:
     """Show a rig's run on the page, to the end of its sources.
 
@@ -79,12 +83,14 @@ def operate(
 
 
 @contextmanager
-def _guided(page: Page, taken: Iterator[Step], desk: Desk | None) -> Iterator[Iterator[Step]]:
+def _guided(
+    page: Page, taken: Iterator[Step], desk: GuidingDesk | None
+) -> Iterator[Iterator[Step]]:
     """Have the steps guide an arm, where there is one, before they are shown."""
     if desk is None:
         yield taken
         return
-    with desk.guiding(page.show_arm) as session, page.guiding(desk.obey):
+    with desk.guiding(page.show_arm) as session, page.guiding(desk.desk.obey):
         yield guided(session, taken)
 
 

@@ -189,8 +189,16 @@ class Page:
             self._given += 1
             yield together
 
-    def show(self, step: Step) -> None:
+    def show(self, step: Step, *, begun_s: float | None = None) -> None:
         """Show a step: at once or, of a recording, when the ones before are on their way.
+
+        Parameters
+        ----------
+        step
+            The step.
+        begun_s
+            When the work on it began, by the monotonic clock; by default a camera's begins with
+            the capture.
 
         Raises
         ------
@@ -198,7 +206,8 @@ class Page:
             The page's process has ended.
         """
         told_s = time.monotonic()
-        begun_s = step.fix.time_s if self._is_live else self._begun_s
+        if begun_s is None:
+            begun_s = step.fix.time_s if self._is_live else self._begun_s
         with self._changed:
             if not self._is_live:
                 self._changed.wait_for(lambda: self._lost or self._next is None)

@@ -156,9 +156,12 @@ export class ArmOnPlan {
     this.plan = plan;
     this.region = make("path", { class: "arm-region" }, plan.under);
     this.parts = make("g", { class: "arm-body" }, plan.under);
+    this.place = make("path", { class: "place", d: "M-9 0H9M0 -9V9" }, plan.under);
+    this.block = make("path", { class: "block" }, plan.under);
     this.gripper = make("path", { class: "gripper", d: "M-11 0H-4M4 0H11M0 -11V-4M0 4V11" }, plan.under);
     this.ring = make("circle", { class: "dwell", r: 15, pathLength: 1 }, plan.window);
     place(this.gripper, null);
+    place(this.place, null);
     drawRing(this.ring, plan, 0);
     plan.layers.push(this);
     if (this.arm) this.draw();
@@ -181,6 +184,8 @@ export class ArmOnPlan {
     });
     // A rig with an arm has the arm's own X and Y in metres for its plane.
     place(this.gripper, arm.pose_mm && plan.map(arm.pose_mm[0] / 1000, arm.pose_mm[1] / 1000), plan.emphasis);
+    this.block.setAttribute("d", arm.block ? path([arm.block.flat()], plan.map, true) : "");
+    place(this.place, arm.place && plan.map(...arm.place), plan.emphasis);
     drawRing(this.ring, plan, arm.dwell);
   }
 }
