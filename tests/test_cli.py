@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner, Result
+from live_server import RIG
 from patience import PATIENCE_S, wait_until
 
 from fingerpost.cli import main
@@ -111,7 +112,12 @@ def test_the_experiment_prints_its_table(tmp_path):
         (["experiment", "--taper", "3"], "taper is 3.0; it must be a number from 0 to 0.6"),
         (["experiment", "--recording", "rig.toml"], "--recording and --truth go together"),
         (["demo", "--live", "--output", "x"], "--live and --output do not go together"),
-        (["demo", "--robot", "--live"], "--live and --robot do not go together"),
+        (["demo", "--robot", "--live", "--json"], "--live and --json do not go together"),
+        (["demo", "--live", "--seed", "3"], "--live and --seed do not go together"),
+        (["demo", "--live", "--robot", "--seed", "-1"], "--seed is -1; 0 or more is right"),
+        (["live", "--arm"], "--arm needs RIG.TOML"),
+        (["live", "--speed", "0.1"], "--speed moves nothing by itself"),
+        (["live", RIG, "--arm"], "the rig has no [robot] table"),
         (["walk"], "No such command 'walk'"),
         (["robot", "emulate", "puma"], "'puma' is not emulated"),
         (["robot", "emulate", "acl", "--time-scale", "0"], "time_scale is 0.0; from 0.001 to"),

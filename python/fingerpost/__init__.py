@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from fingerpost.capture import Frame
     from fingerpost.config import Plane, Rig, View
     from fingerpost.errors import FingerpostError
+    from fingerpost.live import show
     from fingerpost.operators import Operator
     from fingerpost.pipeline import Pointer, track
     from fingerpost.pointing import Fix, Status
@@ -37,6 +38,7 @@ __all__ = [
     "Template",
     "View",
     "__version__",
+    "show",
     "track",
 ]
 
@@ -54,6 +56,7 @@ _HOMES = {
     "Status": "pointing",
     "Template": "_core",
     "View": "config",
+    "show": "live",
     "track": "pipeline",
 }
 

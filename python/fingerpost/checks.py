@@ -165,6 +165,21 @@ def opencv_path(path: Path, name: str) -> str:
         ) from error
 
 
+def unused(path: Path) -> Path:
+    """Return a path, or one beside it with a number in its name, that does not exist yet.
+
+    Parameters
+    ----------
+    path
+        In an existing folder: `rig.toml` gives `rig.toml`, `rig-2.toml`, `rig-3.toml`, ...
+    """
+    found, number = path, 1
+    while found.exists():
+        number += 1
+        found = path.with_name(f"{path.stem}-{number}{path.suffix}")
+    return found
+
+
 def make_folder(folder: Path) -> Path:
     """Make a folder and those above it, where they do not exist; return it.
 

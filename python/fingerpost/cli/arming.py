@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import signal
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -52,39 +52,54 @@ def seconds(longest_s: float) -> Seconds:
     return check
 
 
-def arming_options(command: Command) -> Command:
-    """Give a command the options of everything that moves a robot."""
-    for option in reversed(
-        [
-            click.option("--arm", is_flag=True, help="The arm may move: the explicit command."),
-            click.option(
-                "--log",
-                metavar="C.CSV",
-                type=click.Path(path_type=Path),
-                help="Write every command with the fix that caused it.",
-            ),
-            click.option(
-                "--homing-timeout",
-                type=float,
-                callback=seconds(LONGEST_HOMING_S),
-                default=180.0,
-                show_default=True,
-                metavar="S",
-            ),
-            click.option(
-                "--operator-timeout",
-                "operator_timeout_s",
-                type=float,
-                callback=seconds(LONGEST_ABSENCE_S),
-                default=1.0,
-                show_default=True,
-                metavar="S",
-                help="The arm stops so long after the operator was last there.",
-            ),
-        ]
-    ):
-        command = option(command)
-    return command
+def grouped(options: Sequence[Callable[[Any], Any]]) -> Callable[[Command], Command]:
+    """Return what gives a command options, in their order."""
+
+    def given(command: Command) -> Command:
+        for option in reversed(options):
+            command = option(command)
+        return command
+
+    return given
+
+
+moving_options = grouped(
+    [
+        click.option("--arm", is_flag=True, help="The arm may move: the explicit command."),
+        click.option(
+            "--log",
+            metavar="C.CSV",
+            type=click.Path(path_type=Path),
+            help="Write every command with the fix that caused it.",
+        ),
+        click.option(
+            "--homing-timeout",
+            type=float,
+            callback=seconds(LONGEST_HOMING_S),
+            default=180.0,
+            show_default=True,
+            metavar="S",
+        ),
+    ]
+)
+"""Gives a command the options of everything that moves a robot, wherever its operator is."""
+
+arming_options = grouped(
+    [
+        moving_options,
+        click.option(
+            "--operator-timeout",
+            "operator_timeout_s",
+            type=float,
+            callback=seconds(LONGEST_ABSENCE_S),
+            default=1.0,
+            show_default=True,
+            metavar="S",
+            help="The arm stops so long after the operator was last there.",
+        ),
+    ]
+)
+"""Gives a command the options of everything that moves a robot, its operator at a terminal."""
 
 
 def laid_over(kind: Callable[..., Made], given: Mapping[str, Any], **fields: str) -> Made:
@@ -184,11 +199,11 @@ def stopped_by_signals(robot: Robot) -> Iterator[None]:
         with suppress(RobotError):  # the program ends, or homing says why it cannot go on
             robot.stop()
 
-    with stopping_on(stop, *_stopping_signals()):
+    with stopping_on(stop, *stopping_signals()):
         yield
 
 
-def _stopping_signals() -> list[signal.Signals]:
+def stopping_signals() -> list[signal.Signals]:
     """Return every signal that ends or suspends the program."""
     suspending = [signal.SIGTSTP] if hasattr(signal, "SIGTSTP") else []
     return [signal.SIGINT, *ENDING_SIGNALS, *suspending]
@@ -202,5 +217,5 @@ def say(line: str) -> None:
 @contextmanager
 def guarded(guard: Guard) -> Iterator[None]:
     """Halt the arm on every signal that ends or suspends the program, and watch it meanwhile."""
-    with ending_orderly(), guard.signals(*_stopping_signals()), guard.watching():
+    with ending_orderly(), guard.signals(*stopping_signals()), guard.watching():
         yield

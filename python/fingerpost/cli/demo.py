@@ -52,11 +52,13 @@ def demo(
     do, and the robot carries the block there: under physics if fingerpost[mujoco] is installed.
     Exits with 1 if it does not get there.
 
-    With --live, the address that is printed shows the clip on the page of `fingerpost live`.
+    With --live, the address that is printed shows the clip on the page of `fingerpost live`. With
+    --live --robot it shows the simulated robot cell: a hand that points by itself, and an arm that
+    you arm there, and that moves while you hold.
     """
     if live:
         _refuse_others(context)
-        _show_clip()
+        _show_cell(seed) if robot else _show_clip()
         return
     summary: DemoSummary | RobotDemoSummary
     failed = False
@@ -88,10 +90,11 @@ def demo(
 
 def _refuse_others(context: click.Context) -> None:
     """Refuse what is of no effect beside --live."""
+    allowed = {"live", "robot", "seed"} if context.params["robot"] else {"live"}
     for parameter in context.command.get_params(context):
         name = parameter.name or ""
         given = context.get_parameter_source(name) is ParameterSource.COMMANDLINE
-        if given and name != "live":
+        if given and name not in allowed:
             raise click.UsageError(f"--live and {parameter.opts[-1]} do not go together")
 
 
@@ -105,3 +108,17 @@ def _show_clip() -> None:
         click.echo(page.address)
         operate(page, clip_rig(), "the built-in clip")
         page.wait()
+
+
+def _show_cell(seed: int) -> None:
+    if seed < 0:
+        raise click.UsageError(f"--seed is {seed}; 0 or more is right")
+    with ending_at_once():
+        need_opencv()
+        from fingerpost.live import Page
+        from fingerpost.live.cell import operate_cell
+
+    with ending_as_interrupted(), Page("127.0.0.1", 0) as page:
+        click.echo(page.address)
+        with telling() as tell:
+            operate_cell(page, seed=seed, tell=tell)

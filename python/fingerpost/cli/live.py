@@ -8,11 +8,12 @@ from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from fingerpost.cli.endings import ending_as_interrupted
+from fingerpost.cli.live_arm import desk_of, page_arm_options, refuse_without_arm
 from fingerpost.cli.live_views import hush_streams
 from fingerpost.cli.operators import operator_called, operator_option
 from fingerpost.cli.publishing import Publishing, publish_option
@@ -58,6 +59,7 @@ def _address(_context: click.Context, _parameter: click.Parameter, given: str) -
 @click.option("--open", "opens", is_flag=True, help="Open the page in a browser.")
 @operator_option
 @publish_option
+@page_arm_options
 def live(
     rig_file: Path | None,
     port: int,
@@ -65,6 +67,7 @@ def live(
     opens: bool,
     operator: str | None,
     publish: list[str],
+    **given: Any,
 ) -> None:
     """See where a hand points, in a browser, while it points.
 
@@ -74,6 +77,10 @@ def live(
 
     Without RIG.TOML the page begins with setting one up: pick cameras, or recordings of this
     folder, click four corners, and a rig file is written here.
+
+    With --arm the page guides the arm of the rig's [robot] table: arm it there, choose what it is
+    to do, and hold the button or the key M down: it moves only while you do. Space, Escape or STOP
+    stops it at once, and so does a page that goes away.
     """
     with ending_at_once():
         need_opencv()
@@ -82,7 +89,16 @@ def live(
 
     rig = None if rig_file is None else Rig.load(rig_file)
     known = operator_called(operator)
-    with ending_as_interrupted(), Page(host, port) as page, ExitStack() as stack:
+    with ExitStack() as stack:
+        desk = None
+        if not given["arm"]:
+            refuse_without_arm(given)
+        elif rig_file is None or rig is None:
+            raise click.UsageError("--arm needs RIG.TOML: one that `fingerpost robot plane` wrote")
+        else:
+            desk = desk_of(rig_file, rig, given, stack)
+        stack.enter_context(ending_as_interrupted())
+        page = stack.enter_context(Page(host, port))
         click.echo(page.address)
         if opens:
             webbrowser.open(page.address)
@@ -91,7 +107,7 @@ def live(
             rig = Rig.load(rig_file)
         hush_streams(rig.sources)
         begin = partial(_publishing, stack, publish, rig)
-        operate(page, rig, rig_file.name, known, begin if publish else None)
+        operate(page, rig, rig_file.name, known, begin if publish else None, desk)
         page.wait()
 
 

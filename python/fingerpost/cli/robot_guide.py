@@ -15,7 +15,7 @@ import click
 from fingerpost.cli.arming import (
     LONGEST_ABSENCE_S,
     arming_options,
-    guarded,
+    grouped,
     has_terminal,
     home,
     laid_over,
@@ -24,6 +24,7 @@ from fingerpost.cli.arming import (
     say,
     seconds,
     show_homing,
+    stopping_signals,
 )
 from fingerpost.cli.endings import ending_orderly
 from fingerpost.cli.live_views import give_up_option, hush_streams
@@ -33,15 +34,10 @@ from fingerpost.errors import CaptureError
 
 if TYPE_CHECKING:
     from fingerpost.capture import Frame, Loss
-    from fingerpost.guidance import Attendance, Session
+    from fingerpost.config import RobotTable
+    from fingerpost.guidance import Attendance, GuidedArm, Session
     from fingerpost.pointing import Fix
-    from fingerpost.robot import (
-        DwellSelector,
-        FollowOptions,
-        FollowReport,
-        Guard,
-        PickPlaceOptions,
-    )
+    from fingerpost.robot import FollowReport, PickPlaceOptions
 
 MOST_FRAMES = 2**31 - 1
 """Years of them."""
@@ -50,50 +46,67 @@ _IN = click.Path(path_type=Path)
 Command = TypeVar("Command", bound=Callable[..., Any])
 
 
-def _guiding_options(command: Command) -> Command:
-    """Give a command the options of following."""
-    for option in reversed(
-        [
-            click.argument("rig_file", metavar="RIG.TOML", type=_IN),
-            click.option("--url", help="The arm, if another than the rig's [robot] names."),
-            click.option("--above", "above_m", type=float, help="Height over the plane, m."),
-            click.option("--speed", "speed_m_s", type=float, help="Of the arm, m/s."),
-            click.option("--stride", "stride_s", type=float, help="Time of one at that speed, s."),
-            click.option(
-                "--tolerance",
-                "tolerance_m",
-                type=float,
-                default=0.02,
-                show_default=True,
-                help="Largest semi-axis of the 95 % ellipse to move on, m.",
-            ),
-            click.option(
-                "--max-age",
-                "max_fix_age_s",
-                type=float,
-                callback=seconds(LONGEST_ABSENCE_S),
-                help="Of a fix to move on, s.",
-            ),
-            click.option("--min-cutoff", "min_cutoff_hz", type=float, help="Of the smoothing, Hz."),
-            click.option(
-                "--slope", "slope_hz_m", type=float, help="Of its cutoff with speed, Hz per m/s."
-            ),
-            click.option(
-                "--attendance",
-                type=click.Choice(["hand", "key"]),
-                default="key",
-                show_default=True,
-                help="What shows the operator is there: a key held down, or his tracked hand.",
-            ),
-            click.option("--max-frames", metavar="N", type=click.IntRange(1, MOST_FRAMES)),
-            give_up_option,
-            publish_option,
-            click.option("--json", "as_json", is_flag=True, help="Print JSON lines."),
-            arming_options,
-        ]
-    ):
-        command = option(command)
-    return command
+following_options = grouped(
+    [
+        click.option("--url", help="The arm, if another than the rig's [robot] names."),
+        click.option("--above", "above_m", type=float, help="Height over the plane, m."),
+        click.option("--speed", "speed_m_s", type=float, help="Of the arm, m/s."),
+        click.option("--stride", "stride_s", type=float, help="Time of one at that speed, s."),
+        click.option(
+            "--tolerance",
+            "tolerance_m",
+            type=float,
+            default=0.02,
+            show_default=True,
+            help="Largest semi-axis of the 95 % ellipse to move on, m.",
+        ),
+        click.option(
+            "--max-age",
+            "max_fix_age_s",
+            type=float,
+            callback=seconds(LONGEST_ABSENCE_S),
+            help="Of a fix to move on, s.",
+        ),
+        click.option("--min-cutoff", "min_cutoff_hz", type=float, help="Of the smoothing, Hz."),
+        click.option(
+            "--slope", "slope_hz_m", type=float, help="Of its cutoff with speed, Hz per m/s."
+        ),
+    ]
+)
+"""Gives a command the options of following."""
+
+carrying_options = grouped(
+    [
+        click.option("--dwell", "dwell_s", type=float, default=1.0, show_default=True, metavar="S"),
+        click.option(
+            "--radius", "radius_m", type=float, default=0.01, show_default=True, metavar="M"
+        ),
+        click.option("--travel", "travel_m", type=float, help="Height of the way, m."),
+        click.option("--grip-height", "grip_m", type=float, help="Where the block is gripped, m."),
+        click.option("--release-height", "release_m", type=float, help="Where it is let go, m."),
+        click.option("--grip-width", "grip", type=float, help="Grip to a width, m, not closed."),
+    ]
+)
+"""Gives a command the options of picking and placing."""
+
+_guiding_options = grouped(
+    [
+        click.argument("rig_file", metavar="RIG.TOML", type=_IN),
+        following_options,
+        click.option(
+            "--attendance",
+            type=click.Choice(["hand", "key"]),
+            default="key",
+            show_default=True,
+            help="What shows the operator is there: a key held down, or his tracked hand.",
+        ),
+        click.option("--max-frames", metavar="N", type=click.IntRange(1, MOST_FRAMES)),
+        give_up_option,
+        publish_option,
+        click.option("--json", "as_json", is_flag=True, help="Print JSON lines."),
+        arming_options,
+    ]
+)
 
 
 @click.command()
@@ -119,12 +132,7 @@ def follow(**given: Any) -> None:
     show_default=True,
     help="How the hand chooses block and place: by staying there, or by the key s.",
 )
-@click.option("--dwell", "dwell_s", type=float, default=1.0, show_default=True, metavar="S")
-@click.option("--radius", "radius_m", type=float, default=0.01, show_default=True, metavar="M")
-@click.option("--travel", "travel_m", type=float, help="Height of the way over the plane, m.")
-@click.option("--grip-height", "grip_m", type=float, help="Where the block is gripped, m.")
-@click.option("--release-height", "release_m", type=float, help="Where it is let go, m.")
-@click.option("--grip-width", "grip", type=float, help="Grip to a width, m, not closed.")
+@carrying_options
 @click.option("--blocks", type=click.IntRange(min=1), default=1, show_default=True)
 @click.option("--step", "step_by_step", is_flag=True, help="Wait for the key c before each step.")
 def pick(**given: Any) -> None:
@@ -135,13 +143,62 @@ def pick(**given: Any) -> None:
     undoes the last step, w held down has the arm make way for a hand that it hides, q quits. Views
     that end before the last block is placed make the command fail.
     """
-    from fingerpost.robot import PickPlaceOptions
-
-    names = ("travel_m", "grip_m", "release_m", "grip", "speed_m_s")
-    carry = laid_over(PickPlaceOptions, given, **{name: name for name in names})
+    carry = carrying(given)
     if (given["select"] == "key" or given["step_by_step"]) and not has_terminal():
         raise click.UsageError("--select key and --step need a terminal as standard input")
     _guide(given, carry)
+
+
+def carrying(given: Mapping[str, Any]) -> PickPlaceOptions:
+    """Return how blocks are picked and placed, of `carrying_options`."""
+    from fingerpost.robot import PickPlaceOptions
+
+    names = ("travel_m", "grip_m", "release_m", "grip", "speed_m_s")
+    return laid_over(PickPlaceOptions, given, **{name: name for name in names})
+
+
+def guided_arm(
+    table: RobotTable, given: Mapping[str, Any], carry: PickPlaceOptions | None, *, dwells: bool
+) -> GuidedArm:
+    """Return the arm of a rig as a command's options want it guided; nothing moves.
+
+    Parameters
+    ----------
+    table
+        The rig's [robot].
+    given
+        The command's options: `following_options` and `operator_timeout_s`, and where it dwells
+        `carrying_options`.
+    carry
+        How blocks are picked and placed; None only follows.
+    dwells
+        Whether the hand selects by staying.
+    """
+    from fingerpost.guidance import GuidedArm, GuidingOptions
+    from fingerpost.robot import DwellSelector, FollowOptions, GuardOptions, open_robot
+
+    guard_options = laid_over(
+        GuardOptions,
+        given,
+        tolerance_m="tolerance_m",
+        max_fix_age_s="max_fix_age_s",
+        operator_timeout_s="operator_timeout_s",
+        max_speed_m_s="speed_m_s",
+    )
+    names = ("above_m", "speed_m_s", "stride_s", "min_cutoff_hz", "slope_hz_m")
+    options = GuidingOptions(
+        guard=guard_options,
+        follow=laid_over(FollowOptions, given, **{name: name for name in names}),
+        carry=carry,
+        selector=(
+            lambda guard: laid_over(
+                partial(DwellSelector, guard), given, dwell_s="dwell_s", radius_m="radius_m"
+            )
+        )
+        if dwells
+        else None,
+    )
+    return GuidedArm(open_robot(given["url"] or table.url), table, options)
 
 
 def _guide(given: Mapping[str, Any], carry: PickPlaceOptions | None) -> None:
@@ -151,12 +208,11 @@ def _guide(given: Mapping[str, Any], carry: PickPlaceOptions | None) -> None:
         Attendance,
         Keys,
         attended_at_first,
-        guard_of,
+        guided,
         paced,
         robot_of,
     )
     from fingerpost.pipeline import Pointer, at_most, steps
-    from fingerpost.robot import FollowOptions, GuardOptions, check_heights, open_robot
 
     rig = Rig.load(given["rig_file"])
     keep_apart({"--log": given["log"]}, rig_files(given["rig_file"], rig))
@@ -173,23 +229,9 @@ def _guide(given: Mapping[str, Any], carry: PickPlaceOptions | None) -> None:
             "no view has a [view.start] to hold the hand up to, and without a terminal as standard "
             "input no key can confirm it"
         )
-    guard_options = laid_over(
-        GuardOptions,
-        given,
-        tolerance_m="tolerance_m",
-        max_fix_age_s="max_fix_age_s",
-        operator_timeout_s="operator_timeout_s",
-        max_speed_m_s="speed_m_s",
-    )
-    names = ("above_m", "speed_m_s", "stride_s", "min_cutoff_hz", "slope_hz_m")
-    follow_options = laid_over(FollowOptions, given, **{name: name for name in names})
-    robot = open_robot(given["url"] or table.url)
     # A region that is none, and what will not do in this one, is refused before all else.
-    guard = guard_of(robot, table, guard_options)
-    pointer = Pointer(rig, moving=lambda: guard.body())  # the guard of then, which keeps a log
-    _selector(guard, given)
-    if carry is not None:
-        check_heights(guard, carry)
+    arm = guided_arm(table, given, carry, dwells=given.get("select") == "dwell")
+    pointer = Pointer(rig, moving=arm.guard.body)
     need_consent(given["arm"], "robot follow" if carry is None else "robot pick")
     with ExitStack() as stack:
         on_record = open_log(stack, given["log"])
@@ -201,36 +243,26 @@ def _guide(given: Mapping[str, Any], carry: PickPlaceOptions | None) -> None:
         give_up_after_s = given["give_up_after_s"]
         frames: Iterator[Sequence[Frame | Loss | None]]
         frames = read_views(sources, give_up_after_s=give_up_after_s)
-        stack.enter_context(robot)
-        guard.check_limits()
-        if carry is not None:
-            guard.check_gripper(carry.grip)
-        home(robot, given["homing_timeout"])
-        guard = guard_of(robot, table, guard_options, on_record=on_record)
-        with guarded(guard):
-            session = _session(
-                guard,
-                follow_options,
-                carry,
-                attendance,
-                given,
-                home=lambda: robot.home(show_homing, timeout_s=given["homing_timeout"]),
-            )
+        timeout_s = given["homing_timeout"]
+        connected = arm.connected(
+            on_record=on_record,
+            home=lambda robot: home(robot, timeout_s),
+            signals=stopping_signals(),
+        )
+        with connected:
+            session = _session(arm, attendance, given)
             if has_keys:
                 stack.enter_context(Keys(session.press, session.leave))
             if sources[0].kind is SourceKind.RECORDED:
                 frames = paced(frames, time.monotonic, time.sleep)
             taken = steps(pointer, at_most(frames, given["max_frames"]))
             if attendance is Attendance.HAND:
-                taken = attended_at_first(guard, taken)
+                taken = attended_at_first(arm.guard, taken)
             try:
                 with session:
                     session.begin()
-                    for step in taken:
-                        session.take(step)
+                    for step in guided(session, taken):
                         published.take(step)
-                        if session.done:
-                            break
             finally:
                 _report(session, as_json=given["as_json"])
     if carry is not None and not session.done:
@@ -238,40 +270,19 @@ def _guide(given: Mapping[str, Any], carry: PickPlaceOptions | None) -> None:
         raise CaptureError(f"the views ended with {blocks} picked and placed")
 
 
-def _session(
-    guard: Guard,
-    follow_options: FollowOptions,
-    carry: PickPlaceOptions | None,
-    attendance: Attendance,
-    given: Mapping[str, Any],
-    *,
-    home: Callable[[], None],
-) -> Session:
-    from fingerpost.guidance import Session
-    from fingerpost.robot import Follower
+def _session(arm: GuidedArm, attendance: Attendance, given: Mapping[str, Any]) -> Session:
+    def home_again() -> None:
+        arm.robot.home(show_homing, timeout_s=given["homing_timeout"])
 
-    return Session(
-        guard,
-        Follower(guard, follow_options),
+    return arm.session(
         attendance=attendance,
-        selector=_selector(guard, given),
-        carry=carry,
         step_by_step=given.get("step_by_step", False),
         blocks=given.get("blocks", 1),
         keys=has_terminal(),
-        home=home if has_terminal() else None,
+        home=home_again if has_terminal() else None,
         say=say,
         on_report=_print_report if given["as_json"] else lambda _fix, _report: None,
     )
-
-
-def _selector(guard: Guard, given: Mapping[str, Any]) -> DwellSelector | None:
-    """Return what selects by dwelling, if something is to be selected and that is wanted."""
-    from fingerpost.robot import DwellSelector
-
-    if given.get("select") != "dwell":
-        return None
-    return laid_over(partial(DwellSelector, guard), given, dwell_s="dwell_s", radius_m="radius_m")
 
 
 def _print_report(fix: Fix, report: FollowReport) -> None:

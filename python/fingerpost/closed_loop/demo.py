@@ -181,11 +181,32 @@ def run_robot_demo(
     folder = make_folder(Path(output))
     rng = np.random.default_rng(seed)
     block_mm, place_mm = block_and_place_mm(rng)
-    note = _missing()
-    staged = _kinematic if note else _physical
     with ExitStack() as stack:
-        stage = stack.enter_context(staged(rng, block_mm, tell))
+        stage, note = stack.enter_context(staged(rng, block_mm, tell))
         return _play(stack, stage, folder, block_mm, place_mm, rng, max_frames, tell, note)
+
+
+@contextmanager
+def staged(rng: np.random.Generator, block_mm: Array, tell: Tell) -> Iterator[tuple[Stage, str]]:
+    """Give a cell whose robot is ready, with physics where they are installed.
+
+    Parameters
+    ----------
+    rng
+        Of everything random.
+    block_mm
+        (2,) where the block lies.
+    tell
+        Called now and then with what is being done.
+
+    Returns
+    -------
+    tuple
+        The cell, and what is missing for more; empty if nothing.
+    """
+    note = _missing()
+    with (_kinematic if note else _physical)(rng, block_mm, tell) as stage:
+        yield stage, note
 
 
 def _missing() -> str:
@@ -201,8 +222,24 @@ def _missing() -> str:
 
 
 @dataclass(eq=False)
-class _Stage:
-    """A cell whose robot is ready."""
+class Stage:
+    """A cell whose robot is ready.
+
+    Attributes
+    ----------
+    name
+        What is played.
+    cell, world, robot, rig
+        The cell, its time, its robot, homed, and the rig without start poses.
+    plane
+        What the plane by the robot came to, a line each.
+    options
+        How the product is run.
+    in_views
+        Whether the robot has to be drawn into the pictures.
+    line_bytes, table_steps
+        Bytes of the serial line, and steps in which the arm touched the table; None without them.
+    """
 
     name: str
     cell: Cell
@@ -217,7 +254,7 @@ class _Stage:
 
 
 @contextmanager
-def _physical(rng: np.random.Generator, block_mm: Array, tell: Tell) -> Iterator[_Stage]:
+def _physical(rng: np.random.Generator, block_mm: Array, tell: Tell) -> Iterator[Stage]:
     cell = PhysicalCell(CameraPlacement().cameras(), Hand().body, rng=rng, optics=Optics())
     cell.put_block(BESIDE_MM, 0.0)
     world = World(cell, FRAMES_PER_S)
@@ -231,7 +268,7 @@ def _physical(rng: np.random.Generator, block_mm: Array, tell: Tell) -> Iterator
                 progress=lambda visit: tell(f"the gripper visits the plane: {visit.place + 1}"),
             )
             cell.put_block(_pair(block_mm), TURN_RAD)
-            yield _Stage(
+            yield Stage(
                 "MuJoCo: a Scorbot driven through its controller's serial port",
                 cell,
                 world,
@@ -248,7 +285,7 @@ def _physical(rng: np.random.Generator, block_mm: Array, tell: Tell) -> Iterator
 
 
 @contextmanager
-def _kinematic(rng: np.random.Generator, block_mm: Array, _tell: Tell) -> Iterator[_Stage]:
+def _kinematic(rng: np.random.Generator, block_mm: Array, _tell: Tell) -> Iterator[Stage]:
     robot = SimulatedRobot(
         SimulatedOptions(homing_s=0.5),
         clock=lambda: world.time_s,
@@ -259,7 +296,7 @@ def _kinematic(rng: np.random.Generator, block_mm: Array, _tell: Tell) -> Iterat
     world = World(cell, FRAMES_PER_S)
     with robot:
         robot.home()
-        yield _Stage(
+        yield Stage(
             "a simulated robot without physics",
             cell,
             world,
@@ -278,7 +315,7 @@ def _kinematic(rng: np.random.Generator, block_mm: Array, _tell: Tell) -> Iterat
 
 def _play(
     stack: ExitStack,
-    stage: _Stage,
+    stage: Stage,
     folder: Path,
     block_mm: Array,
     place_mm: Array,
@@ -345,7 +382,7 @@ class _Film:
     """Writes every moment down: tables, video, and a picture of when the block was selected."""
 
     def __init__(
-        self, stack: ExitStack, files: list[Path], stage: _Stage, loop: ClosedLoop, place_mm: Array
+        self, stack: ExitStack, files: list[Path], stage: Stage, loop: ClosedLoop, place_mm: Array
     ) -> None:
         self._points = stack.enter_context(write_points(files[1]))
         self._tracks = stack.enter_context(write_tracks(files[2]))

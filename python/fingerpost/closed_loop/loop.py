@@ -21,7 +21,7 @@ from fingerpost.closed_loop.layout import Aim, indicated_mm
 from fingerpost.closed_loop.operator import Operator
 from fingerpost.closed_loop.world import World
 from fingerpost.config import Rig
-from fingerpost.guidance import Attendance, Session, Turns, guard_of, robot_of
+from fingerpost.guidance import Activity, Attendance, Session, Turns, guard_of, robot_of
 from fingerpost.pipeline import Pointer, Step
 from fingerpost.pointing import Fix, PlaneView, Status
 from fingerpost.robot import (
@@ -41,6 +41,8 @@ Array = NDArray[np.float64]
 
 AWAY_MM = 700.0
 """A hand drawn back so far along its finger is out of every view [mm]."""
+
+_ENDLESS = 2**31 - 1
 
 AWAY_SPEED_MM_S = 700.0
 """How fast it goes there, and comes [mm/s]."""
@@ -235,6 +237,8 @@ class ClosedLoop:
         How the hand is held; its point and plane do not count.
     on_moment
         Called with every frame.
+    stands_by
+        The arm does nothing until the session is asked to, and no number of blocks ends it.
 
     Attributes
     ----------
@@ -258,6 +262,7 @@ class ClosedLoop:
         *,
         aim: Aim | None = None,
         on_moment: Callable[[Moment], None] = lambda _: None,
+        stands_by: bool = False,
     ) -> None:
         options = options or LoopOptions()
         table = robot_of(rig)
@@ -270,6 +275,9 @@ class ClosedLoop:
             selector=DwellSelector(self.guard, dwell_s=options.dwell_s, radius_m=options.dwell_m),
             carry=options.pick_place,
             keys=True,
+            blocks=_ENDLESS if stands_by else 1,
+            home=robot.home if stands_by else None,
+            activity=Activity.STAY if stands_by else Activity.CARRY,
             worker=self._turns,
             sleep=world.advance,
             say=self._keep_words,
@@ -284,8 +292,13 @@ class ClosedLoop:
         self.on_moment = on_moment
         self._world = world
         self._operator = operator
-        self._begun = False
+        self._begun = self._stands_by = stands_by
         self._said = ""
+
+    @property
+    def said(self) -> str:
+        """What the session has said last."""
+        return self._said
 
     @property
     def plane_views(self) -> tuple[PlaneView, ...]:
@@ -314,7 +327,8 @@ class ClosedLoop:
         end_s = self._world.time_s + timeout_s
         try:
             with self.session as session:
-                session.begin()
+                if not self._stands_by:
+                    session.begin()
                 self._begun = True
                 while not (session.done or person.done) and self._world.time_s < end_s:
                     if not self._turns.run():

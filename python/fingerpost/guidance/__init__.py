@@ -22,6 +22,7 @@ from fingerpost.guidance.finders import (
     load_outline,
     load_pixels,
 )
+from fingerpost.guidance.guided_arm import GuidedArm, GuidingOptions, guided
 from fingerpost.guidance.keys import Keys
 from fingerpost.guidance.log import CommandLog
 from fingerpost.guidance.plane import (
@@ -32,12 +33,13 @@ from fingerpost.guidance.plane import (
     places_to_visit,
     spread_places,
 )
-from fingerpost.guidance.session import KEY_HELP, Session, SessionReport
+from fingerpost.guidance.session import KEY_HELP, Activity, Session, SessionReport
 from fingerpost.guidance.setup import guard_of, held_down, plane_of, region_of, robot_of
 from fingerpost.guidance.worker import Jobs, Turns, Worker
 
 __all__ = [
     "KEY_HELP",
+    "Activity",
     "Agreement",
     "Attendance",
     "CommandLog",
@@ -45,6 +47,8 @@ __all__ = [
     "GivenFinder",
     "GripperFinder",
     "GripperNotFoundError",
+    "GuidedArm",
+    "GuidingOptions",
     "InconsistentPlaneError",
     "Jobs",
     "Keys",
@@ -66,6 +70,7 @@ __all__ = [
     "attended_at_first",
     "define_plane",
     "guard_of",
+    "guided",
     "held_down",
     "load_outline",
     "load_pixels",

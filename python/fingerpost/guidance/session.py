@@ -13,6 +13,7 @@ from collections import Counter, deque
 from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
+from enum import StrEnum
 from types import TracebackType
 from typing import Self
 
@@ -62,6 +63,19 @@ POLL_S = 0.02
 
 STRANGER = "nothing shows that this hand is the operator's"
 """Why the fix of a hand that nobody has confirmed moves nothing."""
+
+
+class Activity(StrEnum):
+    """What the arm does while the guard is armed."""
+
+    STAY = "stay"
+    """Nothing."""
+    FOLLOW = "follow"
+    """It goes where the hand points."""
+    CARRY = "carry"
+    """It follows too, and what is selected is picked and placed."""
+    HOME = "home"
+    """It homes, and stays."""
 
 
 @dataclass
@@ -148,6 +162,10 @@ class Session:
         Whether there are keys: without them, a guard that has been halted ends the session.
     home
         Homes an arm that has lost its position, at the key that continues; None ends the session.
+    activity
+        What the arm does at first; by default it carries if there is `carry`, and else follows.
+    key_help
+        Said where the operator has to press a key.
     worker
         Does what waits for the arm.
     sleep
@@ -170,6 +188,8 @@ class Session:
         blocks: int = 1,
         keys: bool = False,
         home: Callable[[], None] | None = None,
+        activity: Activity | None = None,
+        key_help: str = KEY_HELP,
         worker: Jobs | None = None,
         sleep: Callable[[float], None] = time.sleep,
         say: Callable[[str], None] = lambda _: None,
@@ -189,8 +209,11 @@ class Session:
         self._on_report = on_report
         self._worker = worker or Worker()
         self._home = home
+        self._activity = activity or (Activity.FOLLOW if carry is None else Activity.CARRY)
+        self._key_help = f"   {key_help}" if key_help else ""
+        self._is_homing = False
         self._sleep = sleep
-        self._pressed: deque[str] = deque()
+        self._pressed: deque[tuple[str | Activity, int]] = deque()
         self._selections: list[Selection] = []
         self._machine: PickPlace | None = None
         self._paused = False
@@ -214,6 +237,33 @@ class Session:
         return self._is_out_of_the_way
 
     @property
+    def activity(self) -> Activity:
+        """What the arm does while the guard is armed."""
+        return self._activity
+
+    @property
+    def is_homing(self) -> bool:
+        """Whether the arm is being homed, or is about to be."""
+        return self._is_homing
+
+    @property
+    def next_step(self) -> str:
+        """The step of picking and placing that comes next, while one is held up; else empty."""
+        step = None if self._machine is None or not self._paused else self._machine.next_step
+        return "" if step is None else str(step)
+
+    @property
+    def waits_for(self) -> str:
+        """Why the arm holds while it follows; empty if it does not."""
+        last = self._last
+        return last.reason if last is not None and last.state is FollowState.HOLDING else ""
+
+    @property
+    def dwell_progress(self) -> float:
+        """How much of the time has passed after which staying selects, 0 to 1."""
+        return 0.0 if self._dwell is None or not self._carries else self._dwell.progress
+
+    @property
     def is_carrying(self) -> bool:
         """Whether a block is being picked and placed."""
         return self._machine is not None
@@ -231,7 +281,7 @@ class Session:
 
     def __enter__(self) -> Self:
         self._worker.__enter__()
-        if self._carry is not None:
+        if self._carries:
             self._say("point at the block")
         return self
 
@@ -264,7 +314,7 @@ class Session:
         """
         holds_key = self._attendance is Attendance.KEY
         if holds_key:
-            self._say(f"hold the space bar down: the arm moves only while you do   {KEY_HELP}")
+            self._say(f"hold the space bar down: the arm moves only while you do{self._key_help}")
             self._wait_for_key()
         while not self._quit:
             try:
@@ -280,10 +330,10 @@ class Session:
         """Wait for one of these keys, for any without a name, or for the one that quits."""
         while not self._quit:
             while self._pressed:
-                key = self._pressed.popleft()
+                key, _ = self._pressed.popleft()
                 if key == QUIT_KEY:
                     self._quit = True
-                elif not wanted or key in wanted:
+                elif not wanted or str(key) in wanted:
                     return
             self._sleep(POLL_S)
 
@@ -294,7 +344,28 @@ class Session:
         if key in STOP_KEYS:
             self._guard.halt("stopped by key")
         else:
-            self._pressed.append(key)
+            self._pressed.append((key, self._guard.disarmings))
+
+    def take_up(self, activity: Activity) -> None:
+        """Have the arm do something else from the next step on, from any thread.
+
+        What has been picked is forgotten if the arm follows next, wherever it is by then.
+
+        Parameters
+        ----------
+        activity
+            What. `Activity.CARRY` needs `carry`, and `Activity.HOME` needs `home`.
+
+        Raises
+        ------
+        InvalidInputError
+            The session has no such activity.
+        """
+        if (activity is Activity.CARRY and self._carry is None) or (
+            activity is Activity.HOME and self._home is None
+        ):
+            raise InvalidInputError(f"the activity is {activity}; this session has none such")
+        self._pressed.append((activity, self._guard.disarmings))
 
     def leave(self) -> None:
         """Take it that the operator's terminal is gone, from any thread."""
@@ -321,12 +392,14 @@ class Session:
         self._obey(step, fix)
         if not self._guard.armed:
             self._wait_for_arming()
-        elif self._machine is not None:
+        elif self._activity in (Activity.STAY, Activity.HOME):
+            self._stay()
+        elif self._machine is not None and self._carries:
             self._go_on_carrying(self._machine)
         elif not self._making_way:
             self._worker.offer(lambda: self._follow(fix))
             self._report_hidden_hand(fix)
-            if self._dwell is not None and self._carry is not None:
+            if self._dwell is not None and self._carries and self._machine is None:
                 self._selected(self._dwell.update(fix, self._last))
 
     # Whose hand it is.
@@ -356,10 +429,16 @@ class Session:
 
     # What the operator wants.
 
+    @property
+    def _carries(self) -> bool:
+        return self._activity is Activity.CARRY
+
     def _obey(self, step: Step, fix: Fix) -> None:
         while self._pressed:
-            key = self._pressed.popleft()
-            if key == QUIT_KEY:
+            key, disarmings = self._pressed.popleft()
+            if isinstance(key, Activity):
+                self._change_activity(key, disarmings)
+            elif key == QUIT_KEY:
                 self._quit = True
             elif key in SELECT_KEYS:
                 self._select_now(fix)
@@ -368,10 +447,40 @@ class Session:
             elif key == AWAY_KEY:
                 self._start_making_way()
             elif key in (CONTINUE_KEY, UNDO_KEY):
-                self._continue(undo=key == UNDO_KEY)
+                self._continue(disarmings, undo=key == UNDO_KEY)
+
+    def _change_activity(self, activity: Activity, disarmings: int) -> None:
+        self._last = None
+        if activity is Activity.HOME:
+            self._start_homing(disarmings)
+        elif (
+            activity is Activity.CARRY
+            and self._activity is not Activity.CARRY
+            and self._machine is None
+        ):
+            self._selections = []
+            self._say("point at the block")
+        elif activity is Activity.FOLLOW and self._machine is not None:
+            self._machine = None
+            self._follower.reset()
+        self._activity = activity
+
+    def _start_homing(self, disarmings: int) -> None:
+        is_void = disarmings != self._guard.disarmings
+        if self._home is None or self._is_homing or is_void:
+            return
+        if self._guard.armed:
+            self._guard.halt("homing")
+        self._is_homing = True
+        home = self._home
+        self._worker.offer(lambda: self._do_home(home, None))
+
+    def _stay(self) -> None:
+        if self._guard.busy and self._worker.idle:
+            self._guard.hold("nothing to do")
 
     def _select_now(self, fix: Fix) -> None:
-        if self._carry is None or self._machine is not None or not self._guard.armed:
+        if not self._carries or self._machine is not None or not self._guard.armed:
             return
         try:
             self._selected(self._select.select(fix))
@@ -398,14 +507,17 @@ class Session:
         self._machine = PickPlace(self._guard, pick, place, self._carry)
         self._paused = self._step_by_step
         if self._paused:
-            self._say(f"next: {self._machine.next_step}   {KEY_HELP}")
+            self._say(f"next: {self._machine.next_step}{self._key_help}")
 
-    def _continue(self, *, undo: bool) -> None:
-        if not self._worker.idle and self._machine is not None:
+    def _continue(self, disarmings: int, *, undo: bool) -> None:
+        if self._is_homing or (not self._worker.idle and self._machine is not None):
             return  # a step is being taken: only a stop may come in between
-        if not (self._guard.armed or self._arm_again()):
-            return
         machine = self._machine
+        if undo and machine is None:
+            self._say("nothing to undo")
+            return
+        if not (self._guard.armed or self._arm_again(disarmings)):
+            return
         if machine is None:
             return
         if undo:
@@ -415,15 +527,18 @@ class Session:
             self._paused = self._step_by_step
             self._worker.offer(lambda: self._advance(machine))
 
-    def _arm_again(self) -> bool:
-        """Arm after a stop; say why if that cannot be yet, and home what has to be homed first."""
+    def _arm_again(self, disarmings: int) -> bool:
+        """Arm after a stop; say why if that cannot be yet, and home what has to be homed first.
+
+        What was asked for before the last stop is void.
+        """
         try:
-            self._guard.arm()
+            self._guard.arm(disarmings)
         except NotHomedError:
             if self._home is None:
                 raise
-            home = self._home
-            self._worker.offer(lambda: self._home_again(home))
+            home, self._is_homing = self._home, True
+            self._worker.offer(lambda: self._do_home(home, disarmings))
             return False
         except (NotReadyError, StoppedError) as error:
             self._say(f"not armed: {error}")
@@ -467,13 +582,17 @@ class Session:
         why = self._guard.why_stopped or "never armed"
         if not self._keys:
             raise NotArmedError(f"stopped: {why}")
-        self._say(f"stopped: {why}   {KEY_HELP}")
+        self._say(f"stopped: {why}{self._key_help}")
 
     # What the worker does.
 
     def _follow(self, fix: Fix) -> None:
         before = self._last
         try:
+            if not self._guard.is_inside():
+                self._say("entering the safe region")
+                self._guard.enter()
+                return
             self._last = report = self._follower.update(fix)
             if report.state is FollowState.HOLDING:
                 self._guard.locate()  # for what it covers of the views
@@ -487,16 +606,20 @@ class Session:
         self._is_out_of_the_way = self._is_out_of_the_way and report.state is not FollowState.MOVING
         self._on_report(report.fix or fix, report)
 
-    def _home_again(self, home: Callable[[], None]) -> None:
+    def _do_home(self, home: Callable[[], None], disarmings: int | None) -> None:
+        """Home the arm; then arm it as asked for after a number of disarmings, unless None."""
         self._say("homing; the arm moves")
         try:
             home()
-            self._guard.arm()
-            self._guard.enter()
+            if disarmings is not None:
+                self._guard.arm(disarmings)
+                self._guard.enter()
         except HALTED:
             return  # the next step says so
+        finally:
+            self._is_homing = False
         self._reported_disarmed = False
-        self._say(f"armed   {CONTINUE_KEY} continues")
+        self._say("homed" if disarmings is None else f"armed   {CONTINUE_KEY} continues")
 
     def _make_way(self) -> None:
         self._say("making way ...")
@@ -540,7 +663,7 @@ class Session:
             return
         self._paused = self._step_by_step
         if self._paused and machine.next_step is not None:
-            self._say(f"next: {machine.next_step}   {KEY_HELP}")
+            self._say(f"next: {machine.next_step}{self._key_help}")
 
     def _undo(self, machine: PickPlace) -> None:
         try:
@@ -550,7 +673,7 @@ class Session:
         except NotReadyError as error:
             self._say(str(error))
             return
-        self._say(f"{step} undone   {KEY_HELP}")
+        self._say(f"{step} undone{self._key_help}")
 
 
 def _counts(counter: Counter[str]) -> str:

@@ -10,8 +10,10 @@ Only pages of this server that were opened with its token are answered (`web.Gua
 too slowly, too much or for nonsense is refused in one line (`patience`, `commands`).
 """
 
+from fingerpost.live.desk import OPERATOR_TIMEOUT_S, GuidingDesk
+from fingerpost.live.inline import InlineView, show
 from fingerpost.live.operate import operate
 from fingerpost.live.page import Page
 from fingerpost.live.setup import set_up
 
-__all__ = ["Page", "operate", "set_up"]
+__all__ = ["OPERATOR_TIMEOUT_S", "GuidingDesk", "InlineView", "Page", "operate", "set_up", "show"]

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from enum import StrEnum
+
 import msgspec
 
 LARGEST_BYTES = 64 * 1024
 """Longest message that is read at all."""
+
+FRAMED = "/framed/"
+"""Paths that begin with this and the token are those of a page in a frame of another site."""
 
 
 class _Command(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_field="do"):
@@ -86,7 +91,73 @@ class SetUp(_Command, frozen=True, tag="setup"):
     views: tuple[Chosen, ...]
 
 
-Command = Ack | Stop | Play | Step | GoTo | Take | SetUp
+class Wish(StrEnum):
+    """What an operator may ask of an arm."""
+
+    ARM = "arm"
+    """Let it move while the page holds."""
+    DISARM = "disarm"
+    HOME = "home"
+    FOLLOW = "follow"
+    CARRY = "carry"
+    """Pick and place what is selected."""
+    UNDO = "undo"
+    """Undo the last step of picking and placing."""
+    WAY = "way"
+    """Make way for a hand that it hides."""
+    SELECT = "select"
+    HAND = "hand"
+    """The hand that is seen is the operator's."""
+
+
+class Ask(_Command, frozen=True, tag="robot"):
+    """Ask something of the arm.
+
+    Attributes
+    ----------
+    what
+        What.
+    """
+
+    what: Wish
+
+
+class Beat(_Command, frozen=True, tag="beat"):
+    """The operator holds down what lets the arm move; several a second."""
+
+
+class LetGo(_Command, frozen=True, tag="release"):
+    """The operator has let go."""
+
+
+class Try(StrEnum):
+    """What an operator does in an experiment."""
+
+    START = "start"
+    SELECT = "select"
+    SKIP = "skip"
+    END = "end"
+
+
+class Experiment(_Command, frozen=True, tag="experiment"):
+    """Point at targets in random order.
+
+    Attributes
+    ----------
+    what
+        What is done.
+    """
+
+    what: Try
+
+
+class Gone(msgspec.Struct, frozen=True):
+    """The page that had the control has gone, or another one has it: the server says so itself."""
+
+
+RobotCommand = Stop | Ask | Beat | LetGo | Gone
+
+Command = Ack | Stop | Play | Step | GoTo | Take | SetUp | Ask | Beat | LetGo | Experiment
 
 decode = msgspec.json.Decoder(Command).decode
 """From JSON to a command; raises `msgspec.MsgspecError`."""

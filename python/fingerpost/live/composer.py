@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 
 import msgspec
 
 from fingerpost.live.moment import Moment
-from fingerpost.live.reel import Message
-from fingerpost.live.scene import RigScene, scene_of
+from fingerpost.live.reel import Indicated, Message
+from fingerpost.live.scene import CONFIDENCE, RigScene, scene_of
+from fingerpost.pointing import Fix
 
 _TRAIL = 40  # points that the plan shows behind the newest one
+
+_LEAST, _LARGEST = 1e-3, 0.2
+"""Shares of the plane between which the strip shows how large the ellipse is, by its logarithm."""
 
 _CODES = {"ok": "o", "tracking": "o", "acquiring": "a", "lost": "l", "moved": "m"}
 
@@ -40,6 +45,26 @@ class Composer:
             number=moment.number,
             time_s=moment.fix.time_s,
             begun_s=moment.begun_s,
-            codes="".join(_CODES.get(status, "i") for status in statuses),
+            codes="".join(_CODES.get(status, "i") for status in statuses)
+            + uncertainty_code(moment.fix, self._rig.plane_size),
             data=b"".join([length, scene, *(view.jpeg for view in moment.views)]),
+            indicated=Indicated.of(moment.frame, moment.fix),
         )
+
+
+def uncertainty_code(fix: Fix, plane_size: float) -> str:
+    """Return how uncertain a fix is as the strip shows it: a digit, or a dash without a point.
+
+    Parameters
+    ----------
+    fix
+        The fix.
+    plane_size
+        Side of the working plane [plane units].
+    """
+    ellipse = fix.ellipse(CONFIDENCE)
+    if ellipse is None:
+        return "-"
+    share = max(float(ellipse.semi_axes.max()) / plane_size, _LEAST)
+    level = 9.0 * math.log(share / _LEAST) / math.log(_LARGEST / _LEAST)
+    return str(min(round(level), 9))

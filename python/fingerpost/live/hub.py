@@ -6,12 +6,34 @@ import asyncio
 import math
 import time
 from collections.abc import Callable
-from typing import Any, Protocol
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
 
-from fingerpost.live.commands import Command, GoTo, Play, SetUp, Step, Stop, Take
+import numpy as np
+
+from fingerpost.errors import InvalidInputError
+from fingerpost.live.commands import (
+    Ask,
+    Beat,
+    Command,
+    Experiment,
+    Gone,
+    GoTo,
+    LetGo,
+    Play,
+    RobotCommand,
+    SetUp,
+    Step,
+    Stop,
+    Take,
+    Try,
+)
 from fingerpost.live.player import Player
-from fingerpost.live.reel import Message, Strip
+from fingerpost.live.reel import Indicated, Message, Strip
 from fingerpost.live.scene import RigScene
+
+if TYPE_CHECKING:
+    from fingerpost.live.trials import OperatorExperiment
 
 MOST_CLIENTS = 12
 """Pages that may be open at once."""
@@ -40,6 +62,8 @@ class Hub:
         Called with how many steps the loop may have made in all; infinity lets a live one go on.
     hand
         Called with a rig that was set up.
+    guide
+        Called with what is asked of the arm, where there is one.
     clock
         Gives the time in seconds.
     """
@@ -48,6 +72,7 @@ class Hub:
         self,
         ask: Callable[[float], None],
         hand: Callable[[SetUp], None] = lambda _wanted: None,
+        guide: Callable[[RobotCommand], None] = lambda _command: None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self.watchers: set[Watcher] = set()
@@ -56,7 +81,9 @@ class Hub:
         self.newest: bytes | None = None
         self.strip = Strip()
         self.stills: list[bytes] = []
-        self._ask, self._hand, self._clock = ask, hand, clock
+        self._ask, self._hand, self._guide, self._clock = ask, hand, guide, clock
+        self._arm: dict[str, Any] | None = None
+        self._experiment: OperatorExperiment | None = None
         self._setup: dict[str, Any] | None = None
         self._player: Player | None = None
         self._shown = -1
@@ -72,8 +99,9 @@ class Hub:
     def open_rig(self, rig: RigScene) -> None:
         """Take a rig from which moments will come, in place of any before."""
         self.close_rig()
+        self._end_experiment()
         self.rig, self.newest, self._shown, self._ended = rig, None, -1, ""
-        self._stopped, self._setup = False, None
+        self._stopped, self._setup, self._arm = False, None, None
         self.strip = Strip(_LIVE_STRIP if rig.is_live else None)
         if rig.is_live:
             self._ask(math.inf)
@@ -104,6 +132,12 @@ class Hub:
         self._shown, self.newest = message.number, message.data
         for watcher in self.watchers:
             watcher.offer(message.data, message.begun_s)
+        self._try_with(message.indicated)
+
+    def show_arm(self, state: dict[str, Any]) -> None:
+        """Show what an arm does now, which the page may command from here on."""
+        self._arm = state
+        self.send_state()
 
     def note(self, words: str) -> None:
         """Show a line that people should know of."""
@@ -112,7 +146,7 @@ class Hub:
 
     def end(self, words: str) -> None:
         """Take it that no more moments will come, and why."""
-        self._ended = words
+        self._ended, self._arm = words, None
         if self._player is not None:
             self._player.end()
         self.send_state()
@@ -128,7 +162,7 @@ class Hub:
         """Forget a client."""
         self.watchers.discard(watcher)
         if self.controller is watcher:
-            self.controller = None
+            self._hand_over(None)
         self.send_state()
 
     def obey(self, command: Command, watcher: Watcher) -> str:
@@ -137,15 +171,29 @@ class Hub:
         Anybody may stop; all else is for one client at a time. Whoever commands while nobody does
         takes the control.
         """
+        refusal = ""
         if isinstance(command, Stop):
             self._stop()
+        elif isinstance(command, Beat | LetGo):
+            if self._arm is not None and self.controller is watcher:
+                self._guide(command)
+            return ""
         elif isinstance(command, Take) or self.controller in (None, watcher):
-            self.controller = watcher
-            self._do(command)
+            self._hand_over(watcher)
+            if isinstance(command, Experiment):
+                refusal = self._experiment_with(command.what)
+            else:
+                self._do(command)
         else:
             return "another page has the control; take it over first"
         self.send_state()
-        return ""
+        return refusal
+
+    def _hand_over(self, watcher: Watcher | None) -> None:
+        """Give the control to a client; an arm that another one had moves no further."""
+        if self.controller not in (None, watcher) and self._arm is not None:
+            self._guide(Gone())
+        self.controller = watcher
 
     def _do(self, command: Command) -> None:
         player = self._player
@@ -160,8 +208,13 @@ class Hub:
             case SetUp() if self._setup is not None:
                 self._setup = {**self._setup, "problem": "", "busy": True}
                 self._hand(command)
+            case Ask() if self._arm is not None:
+                self._guide(command)
 
     def _stop(self) -> None:
+        if self._arm is not None:  # it stops, and its operator goes on seeing it
+            self._guide(Stop())
+            return
         self._stopped = True
         self._player.stop() if self._player else self._ask(0.0)
 
@@ -189,6 +242,8 @@ class Hub:
             "notes": self._notes,
             "watchers": len(self.watchers),
             "controls": self.controller in (None, watcher),
+            "arm": self._arm,
+            "experiment": None if self._experiment is None else self._experiment.as_dict(),
         }
         if is_new:
             state["rig"] = None if self.rig is None else self.rig.as_dict()
@@ -208,3 +263,40 @@ class Hub:
         self._shown, self.newest = number, data
         for watcher in self.watchers:
             watcher.offer(data, None)
+        if self._player is not None:
+            self._try_with(self._player.reel.indicated(number))
+
+    def _try_with(self, indicated: Indicated | None) -> None:
+        if self._experiment is not None and indicated is not None:
+            self._experiment.take(indicated)
+
+    def _experiment_with(self, what: Try) -> str:
+        """Do what an operator does in an experiment; return why not, or nothing."""
+        if what is Try.START and self.rig is not None:
+            from fingerpost.live.trials import OperatorExperiment, new_table  # seldom wanted
+
+            self._end_experiment()
+            try:
+                self._experiment = OperatorExperiment(
+                    self.rig, new_table(Path.cwd()), np.random.default_rng()
+                )
+            except InvalidInputError as error:
+                return str(error)
+            if self._player is not None and self._shown >= 0:  # one that stands shows no more
+                self._try_with(self._player.reel.indicated(self._shown))
+        elif self._experiment is None:
+            return "no experiment has been started"
+        elif what is Try.SELECT:
+            return self._experiment.select()
+        elif what is Try.SKIP:
+            self._experiment.skip()
+        elif what is Try.END and not self._experiment.is_over:
+            self._experiment.end()
+        elif what is Try.END:
+            self._experiment = None
+        return ""
+
+    def _end_experiment(self) -> None:
+        if self._experiment is not None:
+            self._experiment.end()
+            self._experiment = None

@@ -3,16 +3,22 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterator
+import time
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 
-from fingerpost.capture import SourceKind, open_views, read_views
+from fingerpost.capture import Frame, Loss, SourceKind, open_views, read_views
 from fingerpost.config import Rig
 from fingerpost.errors import FingerpostError
+from fingerpost.guidance import guided, paced
+from fingerpost.live.desk import GuidingDesk
 from fingerpost.live.page import Page
 from fingerpost.live.scene import RigScene
 from fingerpost.operators import Operator
 from fingerpost.pipeline import Pointer, Step, steps
+from fingerpost.silhouette import Capsule
+
+Frames = Iterator[Sequence[Frame | Loss | None]]
 
 
 def operate(
@@ -21,6 +27,7 @@ def operate(
     title: str,
     operator: Operator | None = None,
     begin: Callable[[bool], Callable[[Step], None]] | None = None,
+    desk: GuidingDesk | None = None,
 ) -> None:
     """Show a rig's run on the page, to the end of its sources.
 
@@ -37,6 +44,8 @@ def operate(
     begin
         Called before the first step with whether the views are live; what it returns takes every
         step as well.
+    desk
+        Of an arm that the page guides; recordings are then played as if live.
 
     Raises
     ------
@@ -44,10 +53,13 @@ def operate(
         As `pipeline.track`.
     CaptureError
         As `pipeline.track`.
+    RobotError
+        The arm's; it has been stopped.
     """
+    moving = tuple[Capsule, ...] if desk is None else desk.arm.guard.body
     with _noting(page):
         try:
-            pointer = Pointer(rig, operator=operator)
+            pointer = Pointer(rig, operator=operator, moving=moving)
             with open_views(rig.sources, rig.readings) as sources:
                 counts = [source.frame_count for source in sources if source.frame_count]
                 is_live = sources[0].kind is SourceKind.LIVE
@@ -57,21 +69,37 @@ def operate(
                     pointer.plane_views,
                     rig.sources,
                     targets=rig.things,
-                    is_live=is_live,
+                    is_live=desk is not None or is_live,
                     frames=min(counts, default=None),
                 )
                 page.open_rig(scene)
                 take = None if begin is None else begin(is_live)
-                for step in steps(pointer, page.allowed(iter(read_views(sources)))):
-                    page.show(step)
-                    if take is not None:
-                        take(step)
+                frames: Frames = page.allowed(iter(read_views(sources)))
+                if desk is not None and not is_live:
+                    frames = paced(frames, time.monotonic, time.sleep)
+                with _guided(page, steps(pointer, frames), desk) as taken:
+                    for step in taken:
+                        page.show(step)
+                        if take is not None:
+                            take(step)
                 for note in [*pointer.notes(), *(s.damage for s in sources if s.damage)]:
                     page.note(note)
         except FingerpostError as error:
             page.end(str(error))
             raise
     page.end("the recording has ended")
+
+
+@contextmanager
+def _guided(
+    page: Page, taken: Iterator[Step], desk: GuidingDesk | None
+) -> Iterator[Iterator[Step]]:
+    """Have the steps guide an arm, where there is one, before they are shown."""
+    if desk is None:
+        yield taken
+        return
+    with desk.guiding(page.show_arm) as session, page.guiding(desk.desk.obey):
+        yield guided(session, taken)
 
 
 @contextmanager

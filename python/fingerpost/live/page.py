@@ -8,24 +8,27 @@ left out, and the loop goes as far as the page asks for.
 
 from __future__ import annotations
 
+import logging
 import os
 import secrets
 import threading
 import time
-from collections.abc import Iterator
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from multiprocessing import get_context
 from types import TracebackType
 from typing import Any, Self, TypeVar
 
 from fingerpost.errors import FingerpostError, InvalidInputError
 from fingerpost.installation import require
-from fingerpost.live.commands import SetUp
+from fingerpost.live.commands import FRAMED, Gone, RobotCommand, SetUp
 from fingerpost.live.moment import Moment
 from fingerpost.live.process import serve
 from fingerpost.live.scene import RigScene
 from fingerpost.pipeline import Step
 from fingerpost.workers import held_back
+
+_log = logging.getLogger(__name__)
 
 Frames = TypeVar("Frames")
 
@@ -61,6 +64,8 @@ class Page:
     ----------
     address
         What a browser opens; it holds the token without which nothing is shown.
+    framed_address
+        The same for a frame in a page of another site, such as a notebook.
     """
 
     def __init__(self, host: str, port: int) -> None:
@@ -75,6 +80,7 @@ class Page:
         self._number = 0
         self._begun_s = 0.0
         self._wanted: SetUp | None = None
+        self._guide: Callable[[RobotCommand], None] = lambda _command: None
         self._unanswered = 0
         self._lost = False
         self._closed = False
@@ -88,10 +94,12 @@ class Page:
             self._process.start()
         theirs.close()
         try:
-            self.address = f"http://{host}:{self._listening(host, port)}/?token={token}"
+            base = f"http://{host}:{self._listening(host, port)}"
         except BaseException:
             self.close()
             raise
+        self.address = f"{base}/?token={token}"
+        self.framed_address = f"{base}{FRAMED}{token}/"
         self._threads = [
             threading.Thread(target=self._send_moments, name="page pictures", daemon=True),
             threading.Thread(target=self._listen, name="page commands", daemon=True),
@@ -111,6 +119,11 @@ class Page:
             f"{host}:{port}: the page cannot be served there: {content}; another --port is right, "
             "or none"
         )
+
+    @property
+    def is_closed(self) -> bool:
+        """Whether the program has closed it."""
+        return self._closed
 
     def __enter__(self) -> Self:
         return self
@@ -176,8 +189,16 @@ class Page:
             self._given += 1
             yield together
 
-    def show(self, step: Step) -> None:
+    def show(self, step: Step, *, begun_s: float | None = None) -> None:
         """Show a step: at once or, of a recording, when the ones before are on their way.
+
+        Parameters
+        ----------
+        step
+            The step.
+        begun_s
+            When the work on it began, by the monotonic clock; by default a camera's begins with
+            the capture.
 
         Raises
         ------
@@ -185,7 +206,8 @@ class Page:
             The page's process has ended.
         """
         told_s = time.monotonic()
-        begun_s = step.fix.time_s if self._is_live else self._begun_s
+        if begun_s is None:
+            begun_s = step.fix.time_s if self._is_live else self._begun_s
         with self._changed:
             if not self._is_live:
                 self._changed.wait_for(lambda: self._lost or self._next is None)
@@ -193,6 +215,26 @@ class Page:
             self._number += 1
             self._changed.notify_all()
         self._refuse_lost()
+
+    def show_arm(self, state: dict[str, Any]) -> None:
+        """Show what an arm does now, from any thread."""
+        self._post("arm", state)
+
+    @contextmanager
+    def guiding(self, guide: Callable[[RobotCommand], None]) -> Iterator[None]:
+        """Hand what the page asks of an arm on, as long as the block lasts.
+
+        Parameters
+        ----------
+        guide
+            Called with each command, at once, from a thread; with `Gone` as well when the page's
+            process has ended. Must not wait.
+        """
+        self._guide = guide
+        try:
+            yield
+        finally:
+            self._guide = lambda _command: None
 
     def note(self, words: str) -> None:
         """Show a line that people should know of."""
@@ -219,7 +261,9 @@ class Page:
         self._refuse_lost()
 
     def close(self) -> None:
-        """End the page's process; clients are notified."""
+        """End the page's process; clients are notified. Closing twice does nothing."""
+        if self._closed:
+            return
         with self._changed:
             self._closed = self._lost = True
             self._changed.notify_all()
@@ -261,6 +305,9 @@ class Page:
         with suppress(EOFError, OSError):
             while True:
                 kind, content = self._pipe.recv()
+                if kind == "arm":
+                    self._hand_on(content)
+                    continue
                 with self._changed:
                     if kind == "done":
                         self._unanswered -= 1
@@ -269,9 +316,17 @@ class Page:
                     elif kind == "setup":
                         self._wanted = content
                     self._changed.notify_all()
+        self._hand_on(Gone())
         with self._changed:
             self._lost = True
             self._changed.notify_all()
+
+    def _hand_on(self, command: RobotCommand) -> None:
+        """Hand a command on; whatever comes of it, the next one may be a stop."""
+        try:
+            self._guide(command)
+        except Exception:
+            _log.exception("the page's %s failed", type(command).__name__)
 
 
 def _yield_to_others() -> None:

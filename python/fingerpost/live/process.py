@@ -24,8 +24,8 @@ def serve(pipe: Connection, host: str, port: int, token: str) -> None:
     Parameters
     ----------
     pipe
-        Pairs of a kind and its content: "setup", "rig", "moment", "note", "ended" and "close"
-        come in; "listening" or "refused", "done", "allow" and "setup" go out.
+        Pairs of a kind and its content: "setup", "rig", "moment", "arm", "note", "ended" and
+        "close" come in; "listening" or "refused", "done", "allow", "setup" and "arm" go out.
     host, port
         Where; port 0 takes any that is free.
     token
@@ -52,7 +52,9 @@ async def _serve(pipe: Connection, listening: socket.socket, host: str, token: s
 
     port = listening.getsockname()[1]
     hub = Hub(
-        lambda steps: _send(pipe, "allow", steps), lambda wanted: _send(pipe, "setup", wanted)
+        lambda steps: _send(pipe, "allow", steps),
+        lambda wanted: _send(pipe, "setup", wanted),
+        lambda command: _send(pipe, "arm", command),
     )
     hub.start()
     config = uvicorn.Config(
@@ -93,6 +95,8 @@ def _read(pipe: Connection, hub: Any, loop: asyncio.AbstractEventLoop, server: A
                 loop.call_soon_threadsafe(hub.open_rig, content)
             elif kind == "setup":
                 loop.call_soon_threadsafe(hub.open_setup, *content)
+            elif kind == "arm":
+                loop.call_soon_threadsafe(hub.show_arm, content)
             elif kind == "note":
                 loop.call_soon_threadsafe(hub.note, content)
             elif kind == "ended":

@@ -11,6 +11,39 @@ import tempfile
 from dataclasses import dataclass, field
 from typing import IO
 
+from fingerpost.pointing import Fix, Status
+
+
+@dataclass(frozen=True, slots=True)
+class Indicated:
+    """Where the hand points, in few bytes: a long recording has many.
+
+    Attributes
+    ----------
+    frame
+        Index of the first view's frame.
+    time_s, status
+        Of the fix.
+    point
+        The point (x, y) [plane units]; None without one.
+    covariance
+        Its entries xx, xy and yy [plane units²]; None without a point.
+    """
+
+    frame: int
+    time_s: float
+    status: Status
+    point: tuple[float, float] | None = None
+    covariance: tuple[float, float, float] | None = None
+
+    @classmethod
+    def of(cls, frame: int, fix: Fix) -> Indicated:
+        """Return where a fix points."""
+        if fix.point is None or fix.covariance is None:
+            return cls(frame, fix.time_s, fix.status)
+        (x, y), ((xx, xy), (_, yy)) = fix.point.tolist(), fix.covariance.tolist()
+        return cls(frame, fix.time_s, fix.status, (x, y), (xx, xy, yy))
+
 
 @dataclass(frozen=True, slots=True)
 class Message:
@@ -25,9 +58,11 @@ class Message:
     begun_s
         When the work on it began, by the monotonic clock.
     codes
-        A letter for the status of the fix and of each view: see `Strip`.
+        A letter for the status of the fix and of each view, and a digit: see `Strip`.
     data
         What is sent: the length of the scene, the scene as JSON, and the pictures.
+    indicated
+        Where the hand points.
     """
 
     number: int
@@ -35,6 +70,7 @@ class Message:
     begun_s: float
     codes: str
     data: bytes
+    indicated: Indicated | None = None
 
 
 class Reel:
@@ -44,6 +80,7 @@ class Reel:
         self._file: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 - lives as long as the reel
         self._places: list[tuple[int, int]] = []
         self._times_s: list[float] = []
+        self._indicated: list[Indicated | None] = []
         self._end = 0
 
     def __len__(self) -> int:
@@ -55,11 +92,16 @@ class Reel:
         self._file.write(message.data)
         self._places.append((self._end, len(message.data)))
         self._times_s.append(message.time_s)
+        self._indicated.append(message.indicated)
         self._end += len(message.data)
 
     def time_s(self, number: int) -> float:
         """Give the time of a message's fix."""
         return self._times_s[number]
+
+    def indicated(self, number: int) -> Indicated | None:
+        """Give where the hand points in a message."""
+        return self._indicated[number]
 
     def data(self, number: int) -> bytes:
         """Give what is sent of a message."""
@@ -74,9 +116,10 @@ class Reel:
 
 @dataclass(slots=True)
 class Strip:
-    """The status of every moment, of the fix and of each view: a letter each.
+    """The status of every moment, of the fix and of each view, and the uncertainty of the point.
 
-    Letters are o (ok or tracking), a (acquiring), l (lost), i (ill-conditioned) and m (moved).
+    Letters are o (ok or tracking), a (acquiring), l (lost), i (ill-conditioned) and m (moved). The
+    last row has digits: the larger semi-axis of the 95 % ellipse on a logarithmic scale, or - .
 
     Attributes
     ----------

@@ -61,6 +61,8 @@ class RigScene:
         Indices of those around all others, in order.
     plan_from_plane : (2, 2)
         Turns and mirrors the plane as the views see it: entries −1, 0 or 1, y down.
+    plane_size
+        Side of the working plane, as `PlaneView.plane_size`.
     digits
         Decimals of the numbers that are shown.
     targets
@@ -78,6 +80,7 @@ class RigScene:
     plane_points: Points
     hull: Sequence[int]
     plan_from_plane: Points
+    plane_size: float
     digits: int
     targets: tuple[Target, ...]
     views: tuple[str, ...]
@@ -105,6 +108,7 @@ class RigScene:
             plane_points=first.plane_points,
             hull=hull(first.plane_points).tolist(),
             plan_from_plane=np.sign(turn),
+            plane_size=first.plane_size,
             digits=digits_of(first.plane_size),
             targets=tuple(targets),
             views=tuple(names),

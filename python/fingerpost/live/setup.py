@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fingerpost.capture import Frame, list_cameras, open_source
+from fingerpost.checks import unused
 from fingerpost.config import Plane, Rig, View
 from fingerpost.consistency import Scenery
 from fingerpost.errors import FingerpostError, InvalidInputError
@@ -141,10 +142,7 @@ def _refuse_belied(rig: Rig, offers: list[Offer]) -> None:
 
 def saved(rig: Rig, folder: Path) -> Path:
     """Write a rig file into a folder, under a name that nothing has there yet; return it."""
-    path, number = folder / RIG_FILE, 1
-    while path.exists():
-        number += 1
-        path = folder / RIG_FILE.replace(".", f"-{number}.")
+    path = unused(folder / RIG_FILE)
     rig.save(path)
     return path
 

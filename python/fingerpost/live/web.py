@@ -17,12 +17,16 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from starlette.websockets import WebSocket
 
 from fingerpost.live.client import Client
+from fingerpost.live.commands import FRAMED
 from fingerpost.live.hub import MOST_CLIENTS, Hub
 
 _log = logging.getLogger(__name__)
 
 SITE = Path(__file__).with_name("site")
 """The page's files."""
+
+_PAGES = {"/": "index.html", "/plan": "plan.html"}
+"""What is opened by its address, with the token in it where there is no cookie yet."""
 
 _CONTENT = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob: data:; "
@@ -36,6 +40,13 @@ _HEADERS = {
     "cross-origin-resource-policy": "same-origin",
     "cache-control": "no-store",
 }
+
+_FRAMED_HEADERS = {
+    **_HEADERS,
+    "content-security-policy": _CONTENT.replace("; frame-ancestors 'none'", ""),
+    "cross-origin-resource-policy": "cross-origin",
+}
+"""Of a page that may be framed: its address, which has the token, is known to nobody else."""
 
 
 def application(hub: Hub, host: str, port: int, token: str) -> ASGIApp:
@@ -52,8 +63,8 @@ def application(hub: Hub, host: str, port: int, token: str) -> ASGIApp:
     """
     cookie = f"fingerpost-{port}"  # browsers share cookies among all ports of a host
 
-    async def page(_request: Request) -> Response:
-        response = FileResponse(SITE / "index.html")
+    async def page(request: Request) -> Response:
+        response = FileResponse(SITE / _PAGES[request.url.path])
         response.set_cookie(cookie, token, httponly=True, samesite="strict", path="/")
         return response
 
@@ -72,7 +83,7 @@ def application(hub: Hub, host: str, port: int, token: str) -> ASGIApp:
         return Response(hub.stills[number], media_type="image/jpeg")
 
     routes = [
-        Route("/", page),
+        *(Route(path, page) for path in _PAGES),
         Route("/still/{number:int}.jpg", still),
         WebSocketRoute("/socket", socket),
         Mount("/", StaticFiles(directory=SITE)),
@@ -105,15 +116,25 @@ class Guard:
         """Answer a request, or refuse it in one line."""
         if scope["type"] not in ("http", "websocket"):
             return
-        refused = self._refused(scope)
+        framed = self._framed(scope)
+        refused = self._refused(framed or scope, has_token=framed is not None)
         if refused is None:
-            await self._app(scope, receive, _with_headers(send))
+            headers = _FRAMED_HEADERS if framed else _HEADERS
+            await self._app(framed or scope, receive, _with_headers(send, headers))
             return
         status, words = refused
         _log.warning("refused: %s", words)
         await PlainTextResponse(f"{words}\n", status, _HEADERS)(scope, receive, send)
 
-    def _refused(self, scope: Scope) -> tuple[int, str] | None:
+    def _framed(self, scope: Scope) -> Scope | None:
+        """Return a request of a framed page as one of a page; None if it is none."""
+        head, _, path = scope["path"].removeprefix(FRAMED).partition("/")
+        is_framed = scope["path"].startswith(FRAMED)
+        if is_framed and secrets.compare_digest(head.encode(), self._token.encode()):
+            return {**scope, "path": f"/{path}", "raw_path": f"/{path}".encode()}
+        return None
+
+    def _refused(self, scope: Scope, *, has_token: bool) -> tuple[int, str] | None:
         """Say why a request is refused, and with which status; None if it is not."""
         headers = Headers(scope=scope)
         host, origin = headers.get("host", ""), headers.get("origin")
@@ -122,7 +143,7 @@ class Guard:
         is_asked_only = scope["type"] == "http" and scope["method"] in ("GET", "HEAD")
         if not is_asked_only and origin != f"http://{host}":
             return 403, f"Origin is {str(origin)[:80]!r}; only the page itself may do that"
-        if not self._has_token(scope, headers):
+        if not (has_token or self._has_token(scope, headers)):
             return (
                 403,
                 "no valid token; open the address that fingerpost has printed",
@@ -131,7 +152,7 @@ class Guard:
 
     def _has_token(self, scope: Scope, headers: Headers) -> bool:
         given = [cookie_parser(headers.get("cookie", "")).get(self._cookie, "")]
-        if scope["type"] == "http" and scope["path"] == "/":
+        if scope["type"] == "http" and scope["path"] in _PAGES:
             given.append(QueryParams(scope["query_string"]).get("token", ""))
         known = self._token.encode()
         return any(secrets.compare_digest(one.encode(), known) for one in given)
@@ -141,10 +162,10 @@ def _is_loopback(host: str) -> bool:
     return ipaddress.ip_address(host).is_loopback
 
 
-def _with_headers(send: Send) -> Send:
+def _with_headers(send: Send, headers: dict[str, str]) -> Send:
     async def sending(message: Message) -> None:
         if message["type"] in ("http.response.start", "websocket.http.response.start"):
-            added = [(name.encode(), value.encode()) for name, value in _HEADERS.items()]
+            added = [(name.encode(), value.encode()) for name, value in headers.items()]
             message = {**message, "headers": [*message.get("headers", []), *added]}
         await send(message)
 

@@ -169,8 +169,54 @@ class BesideRow:
         _together(self, "recorded_x", "recorded_y")
 
 
-_AnyRow: TypeAlias = PointRow | TrackRow | BesideRow
-Row = TypeVar("Row", PointRow, TrackRow, BesideRow)
+@dataclasses.dataclass(frozen=True, slots=True, kw_only=True)
+class TargetRow:
+    """One target of an experiment with an operator.
+
+    Attributes
+    ----------
+    frame
+        Index in the source of the first view.
+    time_s
+        Time of the fix, in seconds.
+    status
+        Of the fix: `ok`, `acquiring`, `lost` or `ill_conditioned`.
+    target_x, target_y
+        Where the target is, in plane units.
+    x, y
+        The indicated point in plane units; None unless a point exists.
+    cov_xx, cov_xy, cov_yy
+        Its covariance in plane units squared; None unless a point exists.
+    error
+        From the target to the point, in plane units; None unless a point exists.
+    by
+        What has selected it: `dwell`, `key`, or `skip` where the operator has given up.
+    """
+
+    STATUSES: ClassVar = PointRow.STATUSES
+    ADDED: ClassVar[tuple[str, ...]] = ()
+    """Columns that tables of earlier versions lack."""
+
+    frame: int
+    time_s: float
+    status: str
+    target_x: float
+    target_y: float
+    x: float | None = None
+    y: float | None = None
+    cov_xx: float | None = None
+    cov_xy: float | None = None
+    cov_yy: float | None = None
+    error: float | None = None
+    by: str = ""
+
+    def __post_init__(self) -> None:
+        _check_cells(self)
+        _together(self, "x", "y", "cov_xx", "cov_xy", "cov_yy", "error")
+
+
+_AnyRow: TypeAlias = PointRow | TrackRow | BesideRow | TargetRow
+Row = TypeVar("Row", PointRow, TrackRow, BesideRow, TargetRow)
 
 
 class TableWriter(Generic[Row]):
@@ -272,6 +318,17 @@ def write_tracks(path: str | Path) -> TableWriter[TrackRow]:
     return TableWriter(path, TrackRow)
 
 
+def write_targets(path: str | Path) -> TableWriter[TargetRow]:
+    """Open a table of an experiment's targets, as `write_points`.
+
+    Raises
+    ------
+    InvalidInputError
+        The file cannot be created.
+    """
+    return TableWriter(path, TargetRow)
+
+
 def read_points(path: str | Path) -> list[PointRow]:
     """Read a `points.csv`.
 
@@ -293,6 +350,17 @@ def read_tracks(path: str | Path) -> list[TrackRow]:
         As for `read_points`.
     """
     return _read(Path(path), TrackRow)
+
+
+def read_targets(path: str | Path) -> list[TargetRow]:
+    """Read a table of an experiment's targets.
+
+    Raises
+    ------
+    InvalidInputError
+        As for `read_points`.
+    """
+    return _read(Path(path), TargetRow)
 
 
 def _read(path: Path, row_type: type[Row]) -> list[Row]:

@@ -187,8 +187,19 @@ class Guard:
         """
         self._limits().opening(target)
 
-    def arm(self) -> None:
+    @property
+    def disarmings(self) -> int:
+        """Changes whenever the guard is disarmed."""
+        return self._interlock.last_disarming
+
+    def arm(self, disarmings: int | None = None) -> None:
         """Let commands pass from now on: an operator's explicit command.
+
+        Parameters
+        ----------
+        disarmings : int, optional
+            `disarmings` of when the operator asked for it, so that a stop since then makes it
+            void; of now by default.
 
         Raises
         ------
@@ -203,7 +214,7 @@ class Guard:
             The log's own: this record, or that of a stop before it, could not be written.
         """
         self._interlock.need_log()
-        last_disarming = self._interlock.last_disarming
+        last_disarming = self.disarmings if disarmings is None else disarmings
         try:
             self._need_ready()
             self._interlock.need_stops()
@@ -286,6 +297,16 @@ class Guard:
             self._whereabouts.read(pose, moving=self.busy)
             return self.plane.point(pose.position_m[:2]), self.plane.above_m(pose)
 
+    def is_inside(self) -> bool:
+        """Whether the gripper is in the safe region; read once after each arming.
+
+        Raises
+        ------
+        RobotError
+            As for `where`.
+        """
+        return self._outside() is None
+
     def locate(self) -> None:
         """Read where an arm has come to rest that was stopped on its way; else do nothing.
 
@@ -303,6 +324,11 @@ class Guard:
         As `fingerpost.robot.whereabouts.Whereabouts.body`.
         """
         return self._whereabouts.body()
+
+    @property
+    def pose(self) -> Pose | None:
+        """Where the gripper was read last, or has arrived since; None before; never waits."""
+        return self._whereabouts.pose
 
     @property
     def time_s(self) -> float:
@@ -679,22 +705,30 @@ class Guard:
 
     def _need_inside(self, fix: Fix | None) -> None:
         """See once that the gripper is in the region: from there no straight way leads out."""
+        place = self._outside()
+        if place is None:
+            return
+        point, above_m = place
+        problem = (
+            f"the gripper is outside the safe region, at ({point[0]:g}, {point[1]:g}), "
+            f"{above_m:.4f} m above the plane: call enter()"
+        )
+        self._interlock.record("move", "", fix=fix, outcome=problem)
+        raise RefusedError(problem)
+
+    def _outside(self) -> tuple[NDArray[np.float64], float] | None:
+        """Return where the gripper is outside of the region; None if it is inside."""
         last_disarming = self._interlock.last_disarming
         if self._entered_after == last_disarming:
-            return
+            return None
         point, above_m = self.where()
         inside = self.region.contains(
             point, above_m, within=self._clearance(), within_m=self.options.clearance_m
         )
-        if inside:
-            self._entered_after = last_disarming
-        else:
-            problem = (
-                f"the gripper is outside the safe region, at ({point[0]:g}, {point[1]:g}), "
-                f"{above_m:.4f} m above the plane: call enter()"
-            )
-            self._interlock.record("move", "", fix=fix, outcome=problem)
-            raise RefusedError(problem)
+        if not inside:
+            return point, above_m
+        self._entered_after = last_disarming
+        return None
 
     def _operator_present(self) -> bool:
         if self._vouchers:

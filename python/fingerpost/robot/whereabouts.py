@@ -31,6 +31,11 @@ class Whereabouts:
         self._goals: deque[Pose] = deque(maxlen=GOALS_KEPT)
 
     @property
+    def pose(self) -> Pose | None:
+        """The last reading, or the goal at which the arm has arrived since; None before."""
+        return self._read
+
+    @property
     def is_doubtful(self) -> bool:
         """Whether the arm may be anywhere on its way to a goal."""
         return bool(self._goals)

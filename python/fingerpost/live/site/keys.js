@@ -10,6 +10,10 @@ export function bindKeys(does) {
     t: does.theme,
     c: does.take,
     "?": does.help,
+    i: does.explain,
+    n: does.bookmark,
+    ",": () => does.nextBookmark(-1),
+    ".": () => does.nextBookmark(1),
     Home: () => does.seek(0),
     End: does.last,
   };

@@ -4,7 +4,8 @@ const FIRST_PAUSE_MS = 300;
 const LONGEST_PAUSE_MS = 4000;
 
 export class Link {
-  // onMoment(scene, pictures), onState(state), onRefused(words), onConnected(isConnected)
+  // onMoment(scene, pictures), onState(state), onRefused(words), onConnected(isConnected);
+  // withoutPictures leaves these undecoded.
   constructor(handlers) {
     this.handlers = handlers;
     this.pauseMs = FIRST_PAUSE_MS;
@@ -15,7 +16,9 @@ export class Link {
   }
 
   connect() {
-    const socket = new WebSocket(`ws://${location.host}/socket`);
+    const address = new URL("socket", location.href);
+    address.protocol = "ws:";
+    const socket = new WebSocket(address);
     socket.binaryType = "arraybuffer";
     socket.onopen = () => {
       this.pauseMs = FIRST_PAUSE_MS;
@@ -49,7 +52,7 @@ export class Link {
     const scene = JSON.parse(new TextDecoder().decode(new Uint8Array(data, 4, length)));
     let begin = 4 + length;
     const blobs = scene.pictures.map((size) => {
-      const blob = size ? new Blob([new Uint8Array(data, begin, size)], { type: "image/jpeg" }) : null;
+      const blob = size && !this.handlers.withoutPictures ? new Blob([new Uint8Array(data, begin, size)], { type: "image/jpeg" }) : null;
       begin += size;
       return blob;
     });

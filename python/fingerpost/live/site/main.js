@@ -1,11 +1,13 @@
 // The operator's page: one connection, one stage, one line that is read first.
 
+import { Experiment } from "./experiment.js";
 import { bindKeys } from "./keys.js";
 import { Link } from "./link.js";
+import { Robot } from "./robot.js";
 import { SetUp } from "./setup.js";
 import { Stage } from "./stage.js";
 import { StatusLine, setText } from "./status.js";
-import { Timeline } from "./timeline.js";
+import { Bookmarks, Timeline } from "./timeline.js";
 
 const $ = (id) => document.getElementById(id);
 const REFUSED_FOR_MS = 5000;
@@ -16,12 +18,15 @@ if (location.search) history.replaceState(null, "", location.pathname);
 const stage = new Stage($("stage"));
 const statusLine = new StatusLine();
 const timeline = new Timeline($("strip"), $("cursor"));
+const bookmarks = new Bookmarks($("line"), (number) => seek(number));
 let state = null;
 let rig = null;
 let isConnected = false;
 let refusal = { words: "", until: 0 };
 
 const setUp = new SetUp((command) => link.send(command));
+const robot = new Robot($("robot"), (command) => link.send(command), onRefused);
+const experiment = new Experiment($("experiment"), $("tools"), (command) => link.send(command));
 const link = new Link({ onMoment, onState, onRefused, onConnected });
 
 function onMoment(scene, pictures) {
@@ -40,7 +45,10 @@ function onState(told) {
   if (told.setup) return setUp.show(told.setup);
   setUp.hide();
   if (!rig) return;
+  robot.show(told.arm, told.controls);
+  experiment.show(told.experiment, !told.setup);
   timeline.take(told);
+  bookmarks.setTotal(told.total);
   statusLine.isPlaying = told.playing;
   statusLine.stand(rig.live && !told.playing && !told.ended);
   statusLine.latency(told.latency_ms);
@@ -55,9 +63,12 @@ function openRig(told) {
   document.documentElement.classList.toggle("live", rig.live);
   document.title = `${rig.title} – fingerpost`;
   stage.open(rig);
+  robot.attach(stage.plan);
+  experiment.attach(stage.plan, rig.unit);
   stage.showEdges($("edges").ariaPressed === "true");
   statusLine.open(rig);
   timeline.open(rig);
+  bookmarks.open(rig);
 }
 
 function onRefused(words) {
@@ -68,7 +79,10 @@ function onRefused(words) {
 function onConnected(connected) {
   isConnected = connected;
   document.documentElement.classList.toggle("cut-off", !connected);
-  if (!connected) statusLine.setStatus("lost", "cut off");
+  if (!connected) {
+    robot.letGo();
+    statusLine.setStatus("lost", "cut off");
+  }
   else if (rig) statusLine.showStatus();
   showMessage();
 }
@@ -113,7 +127,10 @@ function showNotes(notes) {
 // --- what an operator does -------------------------------------------------------------------
 
 let scrubbing = false;
-const stop = () => link.send({ do: "stop" });
+const stop = () => {
+  link.send({ do: "stop" });
+  robot.letGo();
+};
 const toggle = () => (state?.playing ? stop() : link.send({ do: "play" }));
 const step = (by) => rig && !rig.live && link.send({ do: "step", by });
 const seek = (number) => rig && !rig.live && link.send({ do: "seek", number });
@@ -126,6 +143,10 @@ const large = () => {
   const isLarge = press($("large"));
   document.documentElement.classList.toggle("large", isLarge);
   stage.enlarge(isLarge);
+};
+const explain = () => {
+  const explains = stage.views.some((view) => !view.explains);
+  for (const view of stage.views) view.explain(explains);
 };
 const edges = () => stage.showEdges(press($("edges")));
 const help = () => ($("help").open ? $("help").close() : $("help").showModal());
@@ -157,7 +178,10 @@ $("scrub").addEventListener("pointerdown", () => {
   scrubbing = true;
   stop();
 });
-addEventListener("pointerup", () => (scrubbing = false));
+addEventListener("pointerup", () => {
+  if (scrubbing && rig) for (const k of timeline.lostAt(Number($("scrub").value))) stage.views[k].explain(true);
+  scrubbing = false;
+});
 $("scrub").addEventListener("input", () => seek(Number($("scrub").value)));
 
 bindKeys({
@@ -171,5 +195,8 @@ bindKeys({
   theme,
   help,
   take: () => link.send({ do: "take" }),
+  bookmark: () => bookmarks.toggle(timeline.shown),
+  nextBookmark: (direction) => bookmarks.go(timeline.shown, direction),
+  explain: () => explain(),
   focus: (number) => stage.plan && stage.focus(number),
 });

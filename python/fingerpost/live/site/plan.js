@@ -24,6 +24,7 @@ export class PlanPanel extends Panel {
     this.outline = make("path", { class: "plan-outline" }, this.window);
     this.targets = rig.targets.map(() => make("path", { class: "target" }, this.window));
     this.numbers = rig.points.map((_, k) => numbered(this.window, k + 1));
+    this.under = make("g", {}, this.window);
     this.bands = this.perView("band", "fill");
     this.lines = this.perView("constraint", "stroke");
     this.trail = Array.from({ length: AGES }, (_, k) => make("path", { class: `trail age-${k}` }, this.window));
@@ -31,6 +32,8 @@ export class PlanPanel extends Panel {
     this.ellipse = make("path", { class: "ellipse" }, this.window);
     this.point = pointMark(this.window);
     this.arrow = make("path", { class: "arrow" }, this.window);
+    // What else is drawn on the plan: each has draw(), called when the plan or its moment changes.
+    this.layers = [];
   }
 
   perView(className, property) {
@@ -62,7 +65,7 @@ export class PlanPanel extends Panel {
   resize() {
     const [width, height] = [this.body.clientWidth, this.body.clientHeight];
     if (!width || !height) return;
-    const margin = Object.fromEntries(Object.entries(MARGIN).map(([side, px]) => [side, px * Math.min(this.emphasis, 1.5)]));
+    const margin = this.margin = Object.fromEntries(Object.entries(MARGIN).map(([side, px]) => [side, px * Math.min(this.emphasis, 1.5)]));
     this.inner = [width - margin.left - margin.right, height - margin.top - margin.bottom];
     const extent = this.extent();
     // Room for the numbers of the reference points, and for what lies a little beyond them.
@@ -81,6 +84,11 @@ export class PlanPanel extends Panel {
     }
     this.drawPlane(margin);
     if (this.last) this.draw(this.last);
+    else this.drawLayers();
+  }
+
+  drawLayers() {
+    for (const layer of this.layers) layer.draw();
   }
 
   drawPlane(margin) {
@@ -177,6 +185,7 @@ export class PlanPanel extends Panel {
     const at = plan.point ? this.map(...plan.point) : null;
     place(this.point, at, this.emphasis);
     this.arrow.setAttribute("d", at ? this.pointer(at) : "");
+    this.drawLayers();
   }
 
   // An arrow at the border, where the point lies outside of what is shown.

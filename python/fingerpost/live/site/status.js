@@ -3,6 +3,7 @@
 const SHOWN_EVERY_MS = 100;
 const RATE_OVER_MS = 2000;
 const SPOKEN_EVERY_MS = 2500;
+const LONG_NUMBER = 6;
 const WORDS = { ok: "ok", acquiring: "acquiring", lost: "lost", ill_conditioned: "in doubt" };
 
 const $ = (id) => document.getElementById(id);
@@ -25,6 +26,7 @@ export class StatusLine {
     const widest = Math.max(...beyond.map((value) => value.toFixed(rig.digits).length));
     document.documentElement.style.setProperty("--number", `${widest}ch`);
     document.documentElement.style.setProperty("--sigma", `${widest - 1}ch`);
+    document.documentElement.classList.toggle("long-numbers", widest > LONG_NUMBER);
     this.numbers = [];
   }
 

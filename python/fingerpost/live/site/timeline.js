@@ -1,4 +1,7 @@
-// Status over time, a row for each view and one for the point, and the place in it.
+// Status over time, a row for each view and one for the point, its uncertainty, the place in it,
+// and the bookmarks of a recording.
+
+import { html } from "./draw.js";
 
 const HEIGHTS = { o: 1, a: 0.62, i: 0.62, m: 0.62, l: 0.3 };
 const SEVERITY = "oaiml";
@@ -18,7 +21,7 @@ export class Timeline {
 
   open(rig) {
     this.isLive = rig.live;
-    this.rows = Array.from({ length: rig.views.length + 1 }, () => "");
+    this.rows = Array.from({ length: rig.views.length + 2 }, () => "");
     this.first = 0;
     this.shown = -1;
   }
@@ -65,14 +68,23 @@ export class Timeline {
     const colours = Object.fromEntries([...SEVERITY].map((code) => [code, style.getPropertyValue(`--code-${code}`)]));
     const each = (height - ROW_GAP_PX * scale * (this.rows.length - 1)) / this.rows.length;
     // The point's row is the first one of the strip, and stands below the views'.
-    [...this.rows.slice(1), this.rows[0] ?? ""].forEach((row, k) => {
-      this.drawRow(context, row, width, k * (each + ROW_GAP_PX * scale), each, colours);
+    const uncertainty = this.rows.at(-1) ?? "";
+    [...this.rows.slice(1, -1), this.rows[0] ?? ""].forEach((row, k) => {
+      this.drawRow(context, row, width, k * (each + ROW_GAP_PX * scale), (codes) => {
+        const code = SEVERITY[Math.max(...codes.map((code) => SEVERITY.indexOf(code)))];
+        return [colours[code], HEIGHTS[code] * each, each];
+      });
+    });
+    const colour = style.getPropertyValue("--point");
+    this.drawRow(context, uncertainty, width, (this.rows.length - 1) * (each + ROW_GAP_PX * scale), (codes) => {
+      const most = Math.max(...codes.map((code) => (code === "-" ? -1 : Number(code))));
+      return [colour, ((most + 1) / 10) * each, each];
     });
     this.putCursor();
   }
 
-  // A column shows the worst of its moments; the lower a bar the worse, beside its colour.
-  drawRow(context, row, width, top, height, colours) {
+  // A column shows the worst of its moments; `look` gives colour, height and the row's height.
+  drawRow(context, row, width, top, look) {
     const offset = this.isLive ? this.span - row.length : 0;
     const perColumn = this.span / width;
     let column = Math.floor(offset / perColumn);
@@ -80,12 +92,63 @@ export class Timeline {
       const from = Math.max(Math.floor(column * perColumn) - offset, 0);
       const to = Math.max(Math.ceil((column + 1) * perColumn) - offset, from + 1);
       if (from >= row.length) break;
-      const worst = Math.max(...[...row.slice(from, to)].map((code) => SEVERITY.indexOf(code)));
-      const code = SEVERITY[worst];
-      context.fillStyle = colours[code];
-      const tall = HEIGHTS[code] * height;
+      const [colour, tall, height] = look([...row.slice(from, to)]);
+      context.fillStyle = colour;
       context.fillRect(column, top + height - tall, 1, tall);
       column += 1;
     }
+  }
+
+  // Which views had lost the finger at a moment, by their places.
+  lostAt(number) {
+    return this.rows.slice(1, -1).flatMap((row, k) => (row[number - this.first] === "l" ? [k] : []));
+  }
+}
+
+// Frames of a recording to come back to; kept in the browser by the recording's title.
+export class Bookmarks {
+  constructor(line, seek) {
+    this.line = line;
+    this.seek = seek;
+    this.numbers = [];
+    this.marks = [];
+  }
+
+  open(rig) {
+    this.key = rig.live ? null : `bookmarks ${rig.title}`;
+    this.numbers = this.key ? JSON.parse(localStorage.getItem(this.key) ?? "[]") : [];
+    this.draw();
+  }
+
+  toggle(number) {
+    if (!this.key || number < 0) return;
+    this.numbers = this.numbers.includes(number) ? this.numbers.filter((each) => each !== number) : [...this.numbers, number].sort((a, b) => a - b);
+    localStorage.setItem(this.key, JSON.stringify(this.numbers));
+    this.draw();
+  }
+
+  // The next one in a direction from a frame.
+  go(from, direction) {
+    const ahead = this.numbers.filter((number) => (number - from) * direction > 0);
+    if (ahead.length) this.seek(direction > 0 ? ahead[0] : ahead.at(-1));
+  }
+
+  setTotal(total) {
+    if (this.total === total) return;
+    this.total = total;
+    this.draw();
+  }
+
+  draw() {
+    for (const mark of this.marks) mark.remove();
+    this.marks = this.numbers.map((number) => {
+      const mark = html("button", "bookmark", this.line);
+      mark.type = "button";
+      mark.setAttribute("aria-label", `Bookmark: frame ${number}`);
+      mark.title = `frame ${number}`;
+      mark.style.left = `${(100 * (number + 0.5)) / Math.max(this.total ?? 1, 1)}%`;
+      mark.addEventListener("click", () => this.seek(number));
+      return mark;
+    });
   }
 }

@@ -17,7 +17,42 @@ export class ViewPanel extends Panel {
     this.svg = make("svg", { "aria-hidden": "true", class: "overlay" });
     this.body.append(this.svg);
     this.empty = html("p", "empty", this.body, "no picture yet");
+    this.addWhy(name);
     this.shapes(count);
+  }
+
+  // At a click: why the frame went the way it did, with what was searched drawn over it.
+  addWhy(name) {
+    this.whyOpen = html("button", "why-open", null, "why");
+    this.whyOpen.type = "button";
+    this.whyOpen.setAttribute("aria-label", `Why ${name} sees what it sees`);
+    this.whyOpen.setAttribute("aria-pressed", false);
+    this.state.before(this.whyOpen);
+    this.why = html("div", "why", this.body);
+    this.why.hidden = true;
+    this.whyWords = html("ul", "", this.why);
+    html("p", "legend", this.why);
+    for (const [className, words] of [["line", "searched"], ["edge", "chosen"], ["cross", "rejected"]]) {
+      const each = html("span", `key-${className}`, this.why.lastChild, words);
+      each.prepend(html("i", "", null));
+    }
+    this.whyOpen.addEventListener("click", () => this.explain(!this.explains));
+    this.body.addEventListener("click", () => this.explain(!this.explains));
+  }
+
+  explain(explains) {
+    this.explains = explains;
+    this.why.hidden = !explains;
+    this.whyOpen.setAttribute("aria-pressed", explains);
+    if (this.last) this.draw(this.last);
+  }
+
+  drawWhy(seen) {
+    const skew = seen.skew === undefined ? [] : [`${Math.abs(seen.skew).toFixed(1)} ms ${seen.skew < 0 ? "before" : "after"} the point`];
+    const words = [...seen.reasons.flatMap((reason) => reason.split("   ")), ...skew].join("\n");
+    if (this.whyWords.dataset.words === words) return;
+    this.whyWords.dataset.words = words;
+    this.whyWords.replaceChildren(...words.split("\n").map((line) => Object.assign(document.createElement("li"), { textContent: line })));
   }
 
   shapes(count) {
@@ -91,7 +126,8 @@ export class ViewPanel extends Panel {
     this.finger.setAttribute("d", finger);
     this.ellipse.setAttribute("d", path(seen.ellipse, null, true));
     place(this.point, seen.point, this.scale * this.emphasis);
-    const search = this.showsEdges ? seen.search : { lines: [], chosen: [], rejected: [] };
+    if (this.explains) this.drawWhy(seen);
+    const search = this.showsEdges || this.explains ? seen.search : { lines: [], chosen: [], rejected: [] };
     this.searchLines.setAttribute("d", segments(search.lines));
     this.chosen.setAttribute("d", dots(search.chosen));
     this.rejected.setAttribute("d", crosses(search.rejected, 3 * this.scale));

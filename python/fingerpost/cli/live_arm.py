@@ -1,0 +1,81 @@
+"""`fingerpost live --arm`: the arm that the operator's page guides."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import click
+from click.core import ParameterSource
+
+from fingerpost.cli.arming import grouped, moving_options, open_log, stopping_signals
+from fingerpost.cli.outputs import keep_apart, rig_files
+from fingerpost.cli.robot_guide import carrying, carrying_options, following_options, guided_arm
+
+if TYPE_CHECKING:
+    from fingerpost.config import Rig
+    from fingerpost.live import GuidingDesk
+
+Command = TypeVar("Command", bound=Callable[..., Any])
+
+_OPTIONS = (
+    moving_options,
+    following_options,
+    carrying_options,
+    click.option("--follow-only", is_flag=True, help="No picking and placing."),
+)
+
+page_arm_options = grouped(_OPTIONS)
+"""Gives a command the options of an arm that its page guides."""
+
+
+def refuse_without_arm(given: Mapping[str, Any]) -> None:
+    """Refuse options of an arm where none may move.
+
+    Raises
+    ------
+    click.UsageError
+        One is given without --arm.
+    """
+    context = click.get_current_context()
+    for parameter in context.command.get_params(context):
+        name = parameter.name or ""
+        if name in given and context.get_parameter_source(name) is ParameterSource.COMMANDLINE:
+            raise click.UsageError(
+                f"{parameter.opts[-1]} moves nothing by itself: see that the arm's way is clear "
+                "and give --arm as well"
+            )
+
+
+def desk_of(rig_file: Path, rig: Rig, given: Mapping[str, Any], stack: ExitStack) -> GuidingDesk:
+    """Return the place from which the page guides the arm of a rig; nothing moves.
+
+    Parameters
+    ----------
+    rig_file, rig
+        The rig, with a [robot] table.
+    given
+        The values of `page_arm_options`.
+    stack
+        Closes the log.
+
+    Raises
+    ------
+    FingerpostError
+        The rig has no robot, or what is given will not do.
+    """
+    from fingerpost.guidance import robot_of
+    from fingerpost.live import OPERATOR_TIMEOUT_S, GuidingDesk
+
+    keep_apart({"--log": given["log"]}, rig_files(rig_file, rig))
+    given = {**given, "operator_timeout_s": OPERATOR_TIMEOUT_S}
+    carry = None if given["follow_only"] else carrying(given)
+    arm = guided_arm(robot_of(rig), given, carry, dwells=carry is not None)
+    return GuidingDesk(
+        arm,
+        lambda: arm.robot.home(timeout_s=given["homing_timeout"]),
+        on_record=open_log(stack, given["log"]),
+        signals=stopping_signals(),
+    )
