@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ipaddress
 import webbrowser
+from collections.abc import Sequence
 from pathlib import Path
 
 import click
@@ -31,7 +32,7 @@ def _address(_context: click.Context, _parameter: click.Parameter, given: str) -
 
 
 @click.command()
-@click.argument("rig_file", metavar="[RIG.TOML]", required=False, type=click.Path(path_type=Path))
+@click.argument("given", metavar="[RIG.TOML | SOURCE ...]", nargs=-1)
 @click.option(
     "--port",
     type=click.IntRange(0, _LARGEST_PORT),
@@ -48,30 +49,49 @@ def _address(_context: click.Context, _parameter: click.Parameter, given: str) -
 )
 @click.option("--open", "opens", is_flag=True, help="Open the page in a browser.")
 @operator_option
-def live(rig_file: Path | None, port: int, host: str, opens: bool, operator: str | None) -> None:
+def live(given: tuple[str, ...], port: int, host: str, opens: bool, operator: str | None) -> None:
     """See where a hand points, in a browser, while it points.
 
     RIG.TOML names the views, as for `fingerpost run`: cameras are shown at their rate, recordings
     at their own pace, with pause, step and a timeline. The address that is printed holds a token;
     whoever has it may watch. Ctrl-C ends it.
 
-    Without RIG.TOML the page begins with setting one up: pick cameras, or recordings of this
-    folder, click four corners, and a rig file is written here.
+    Without RIG.TOML the page begins with setting one up, and nothing is typed there: the table is
+    found, the hand is found, and a rig file is written to this folder. SOURCE is a recording, a
+    camera's number or a URL, two or more; if none is named, the page offers the cameras of the
+    machine and the recordings of this folder, and takes recordings that are dropped onto it.
     """
     with ending_at_once():
         need_opencv()
         from fingerpost.config import Rig
         from fingerpost.live import Page, operate, set_up
 
+    rig_file = Path(given[0]) if len(given) == 1 and not _is_source(given[0]) else None
     rig = None if rig_file is None else Rig.load(rig_file)
+    sources = () if rig_file is not None else _sources(given)
     known = operator_called(operator)
     with ending_as_interrupted(), Page(host, port) as page:
         click.echo(page.address)
         if opens:
             webbrowser.open(page.address)
         if rig_file is None or rig is None:
-            rig_file = set_up(page, Path.cwd())
-            rig = Rig.load(rig_file)
+            rig_file, learned = set_up(page, Path.cwd(), sources)
+            rig, known = Rig.load(rig_file), known or learned
         hush_streams(rig.sources)
         operate(page, rig, rig_file.name, known)
         page.wait()
+
+
+def _is_source(name: str) -> bool:
+    """Tell whether a name is a source's rather than a rig file's."""
+    from fingerpost.capture import is_url
+    from fingerpost.live.setup.offers import FILMS
+
+    return name.isdecimal() or is_url(name) or Path(name).suffix.lower() in FILMS
+
+
+def _sources(names: Sequence[str]) -> list[str | int]:
+    """Return sources as a rig file has them, relative files to the current directory."""
+    from fingerpost.capture import resolve_source
+
+    return [int(name) if name.isdecimal() else resolve_source(name, Path.cwd()) for name in names]

@@ -12,6 +12,6 @@ too slowly, too much or for nonsense is refused in one line (`patience`, `comman
 
 from fingerpost.live.operate import operate
 from fingerpost.live.page import Page
-from fingerpost.live.setup import set_up
+from fingerpost.live.setup.dialogue import set_up
 
 __all__ = ["Page", "operate", "set_up"]

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import msgspec
 
+from fingerpost.live.setup.asked import SetUpCommand
+
 LARGEST_BYTES = 64 * 1024
 """Longest message that is read at all."""
 
@@ -52,41 +54,7 @@ class Take(_Command, frozen=True, tag="take"):
     """Take the control over from another page."""
 
 
-class Chosen(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A view as it was set up.
-
-    Attributes
-    ----------
-    offer
-        Which of the offered sources, from 0.
-    points_px
-        Its reference points (u, v), in the order of the plane's.
-    """
-
-    offer: int
-    points_px: tuple[tuple[float, float], ...]
-
-
-class SetUp(_Command, frozen=True, tag="setup"):
-    """Write a rig file, and begin.
-
-    Attributes
-    ----------
-    width, height
-        Sides of the rectangle whose corners are the reference points, from corner 1 on.
-    unit
-        Of these.
-    views
-        In the rig's order.
-    """
-
-    width: float
-    height: float
-    unit: str
-    views: tuple[Chosen, ...]
-
-
-Command = Ack | Stop | Play | Step | GoTo | Take | SetUp
+Command = Ack | Stop | Play | Step | GoTo | Take | SetUpCommand
 
 decode = msgspec.json.Decoder(Command).decode
 """From JSON to a command; raises `msgspec.MsgspecError`."""

@@ -24,8 +24,8 @@ def serve(pipe: Connection, host: str, port: int, token: str) -> None:
     Parameters
     ----------
     pipe
-        Pairs of a kind and its content: "setup", "rig", "moment", "note", "ended" and "close"
-        come in; "listening" or "refused", "done", "allow" and "setup" go out.
+        Pairs of a kind and its content: "setup", "still", "rig", "moment", "note", "ended" and
+        "close" come in; "listening" or "refused", "done", "allow" and "setup" go out.
     host, port
         Where; port 0 takes any that is free.
     token
@@ -92,7 +92,9 @@ def _read(pipe: Connection, hub: Any, loop: asyncio.AbstractEventLoop, server: A
                 composer = Composer(content)
                 loop.call_soon_threadsafe(hub.open_rig, content)
             elif kind == "setup":
-                loop.call_soon_threadsafe(hub.open_setup, *content)
+                loop.call_soon_threadsafe(hub.open_setup, content)
+            elif kind == "still":
+                loop.call_soon_threadsafe(hub.show_still, *content)
             elif kind == "note":
                 loop.call_soon_threadsafe(hub.note, content)
             elif kind == "ended":

@@ -62,6 +62,7 @@ function openRig(told) {
 
 function onRefused(words) {
   refusal = { words, until: performance.now() + REFUSED_FOR_MS };
+  setUp.refuse(words);
   showMessage();
 }
 
@@ -161,6 +162,11 @@ addEventListener("pointerup", () => (scrubbing = false));
 $("scrub").addEventListener("input", () => seek(Number($("scrub").value)));
 
 bindKeys({
+  setUp: (event) => {
+    if (event.key === "?") help();
+    else if (event.key === "t") theme();
+    else setUp.key(event);
+  },
   stop,
   toggle,
   step,
