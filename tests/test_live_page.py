@@ -5,7 +5,7 @@ import shutil
 import time
 
 import pytest
-from live_server import RIG, served
+from live_server import RIG, served, unclean
 from patience import PATIENCE_S
 
 playwright = pytest.importorskip("playwright.sync_api")
@@ -355,3 +355,12 @@ def test_the_demo_plays_the_clip_to_its_end_and_again(browser):
         page.press("p")
         page.until("/frame [0-9]$/.test(document.querySelector('#clock').textContent)")
         page.close()
+
+
+@pytest.mark.parametrize("scheme", ["dark", "light"])
+def test_every_mode_is_clean_by_axe(opened, scheme):
+    page = opened(color_scheme=scheme)
+    page.at(50)
+    for keys in ([], ["e"], ["e", "1"], ["3"], ["0", "l"], ["l", "?"]):
+        page.press(*keys)
+        assert unclean(page.page) == [], keys

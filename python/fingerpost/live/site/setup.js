@@ -9,7 +9,7 @@ const STEPS = [
   ["views", "Views"],
   ["table", "Table"],
   ["hand", "Hand"],
-  ["aim", "Your aim"],
+  ["aim", "Aim"],
   ["save", "Save"],
 ];
 const PLANES = {
@@ -310,6 +310,7 @@ export class SetUp {
   enter(step) {
     this.step = step;
     $("setup").dataset.step = step;
+    $("step").scrollTop = 0;
     for (const view of this.picked) view.enter(step);
     this.asksForHand = step === "hand" && !this.state?.hand?.found;
     if (this.isLooking && step !== "hand" && step !== "aim") this.send({ do: "leave" });
@@ -388,6 +389,7 @@ export class SetUp {
     if (this.step === "table") return done("the table is known", advice ? `95 % of the errors will be below ${advice.most} ${advice.unit}` : "drag a corner to move it, or use the arrow keys on it");
     if (this.step === "hand") {
       if (this.isLooking) return ["point at the table", "index finger out, thumb up, in sight of every view", "acquiring", "looking"];
+      if (!hand && this.picked.some((view) => view.held)) return waiting("hold your hand up to the template", "drag it, or its knuckle to turn and scale it; then look for the hand");
       return hand?.found ? done("the hand is found", "in every view; it will be found wherever it comes in") : waiting("no hand is found", hand ? "see below each picture what would help" : "look for it, or go on: it will be found when it comes");
     }
     if (this.step === "aim") return this.aimLine(aim, waiting, done);
