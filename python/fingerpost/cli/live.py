@@ -32,7 +32,7 @@ def _address(_context: click.Context, _parameter: click.Parameter, given: str) -
 
 
 @click.command()
-@click.argument("given", metavar="[RIG.TOML | SOURCE ...]", nargs=-1)
+@click.argument("named", metavar="[RIG.TOML | SOURCE ...]", nargs=-1)
 @click.option(
     "--port",
     type=click.IntRange(0, _LARGEST_PORT),
@@ -49,7 +49,7 @@ def _address(_context: click.Context, _parameter: click.Parameter, given: str) -
 )
 @click.option("--open", "opens", is_flag=True, help="Open the page in a browser.")
 @operator_option
-def live(given: tuple[str, ...], port: int, host: str, opens: bool, operator: str | None) -> None:
+def live(named: tuple[str, ...], port: int, host: str, opens: bool, operator: str | None) -> None:
     """See where a hand points, in a browser, while it points.
 
     RIG.TOML names the views, as for `fingerpost run`: cameras are shown at their rate, recordings
@@ -66,9 +66,9 @@ def live(given: tuple[str, ...], port: int, host: str, opens: bool, operator: st
         from fingerpost.config import Rig
         from fingerpost.live import Page, operate, set_up
 
-    rig_file = Path(given[0]) if len(given) == 1 and not _is_source(given[0]) else None
+    rig_file = Path(named[0]) if len(named) == 1 and not _is_source(named[0]) else None
     rig = None if rig_file is None else Rig.load(rig_file)
-    sources = () if rig_file is not None else _sources(given)
+    sources = () if rig_file is not None else _sources(named)
     known = operator_called(operator)
     with ending_as_interrupted(), Page(host, port) as page:
         click.echo(page.address)
