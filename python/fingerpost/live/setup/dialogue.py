@@ -22,7 +22,7 @@ from fingerpost.live.page import Page
 from fingerpost.live.setup.aim import OPERATOR, learn
 from fingerpost.live.setup.asked import Aim, Arrange, Begin, Chosen, Dropped, Leave, LookForHand
 from fingerpost.live.setup.hand import look_for_hand, templates
-from fingerpost.live.setup.offers import Offers, sources_in
+from fingerpost.live.setup.offers import MOST_OFFERS, Offers, sources_in
 from fingerpost.live.setup.table import Table, judged, planes, scene_of_plane
 from fingerpost.operators import Operator
 from fingerpost.pipeline import Step
@@ -129,8 +129,8 @@ class Dialogue:
                     self._operator = None
                     self._publish(aim=None)
                 case Dropped(path=path):
-                    self._offers.add([str(path)])
-                    self._publish()
+                    if not self._offers.add([str(path)]):
+                        raise InvalidInputError(f"{MOST_OFFERS} views are offered already")
                 case Begin():
                     return self._saved()
                 case Leave():
