@@ -80,3 +80,15 @@ def pictures_in(message: bytes) -> list[bytes]:
         begin += size
     assert begin == len(message)
     return pictures
+
+
+def unclean(page) -> list[tuple[str, list[str], str]]:
+    """What axe-core finds wrong with a browser's page as it is now: rule, place and why."""
+    from axe_playwright_python.base import AXE_SCRIPT
+
+    page.evaluate(AXE_SCRIPT)
+    return [
+        (wrong["id"], node["target"], node["failureSummary"])
+        for wrong in page.evaluate("() => axe.run()")["violations"]
+        for node in wrong["nodes"]
+    ]

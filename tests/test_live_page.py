@@ -4,12 +4,9 @@ import re
 import shutil
 import time
 
-import numpy as np
 import pytest
-from live_server import RIG, served
+from live_server import RIG, served, unclean
 from patience import PATIENCE_S
-
-from fingerpost.config import Rig
 
 playwright = pytest.importorskip("playwright.sync_api")
 CHROMIUM = shutil.which("chromium")
@@ -360,75 +357,10 @@ def test_the_demo_plays_the_clip_to_its_end_and_again(browser):
         page.close()
 
 
-# --- set-up ----------------------------------------------------------------------------------
-
-
-@pytest.fixture
-def folder(tmp_path):
-    for name in ("left.mp4", "right.mp4"):
-        shutil.copy(RIG.with_name(name), tmp_path)
-    (tmp_path / "broken.mp4").write_bytes(b"no film at all")
-    return tmp_path
-
-
-def click_corners(page, k, points_px):
-    for u, v in points_px:
-        x, y = page.page.evaluate(
-            """([k, u, v]) => {
-              const svg = document.querySelectorAll('.click svg')[k];
-              const point = new DOMPoint(u, v).matrixTransform(svg.getScreenCTM());
-              return [point.x, point.y];
-            }""",
-            [k, u, v],
-        )
-        page.page.mouse.click(x, y)
-
-
-def test_a_rig_is_set_up_by_clicks_alone_and_tells_a_point(browser, folder):
-    truth = Rig.load(RIG)
-    with served(folder=folder) as running:
-        page = Open(browser, running)
-        assert page.page.locator(".offer:disabled").count() == 1
-        assert "decode" in page.page.get_attribute(".offer:disabled", "title")
-        assert page.text("#words") == "pick two views, or more"
-        for name in ("left", "right"):
-            page.page.click(f".offer:has-text('{name}')")
-        assert page.text("#words") == "click corner 1 in left"
-        click_corners(page, 0, truth.views[0].reference_points_px)
-        assert page.text("#words") == "click corner 1 in right"
-        # A corner in another view's order is named before anything is written.
-        wrong = list(truth.views[1].reference_points_px)
-        click_corners(page, 1, [wrong[0], wrong[3], wrong[2], wrong[1]])
-        page.page.click("#begin")
-        page.until("document.querySelector('#words').textContent === 'that cannot be'")
-        assert len(page.text("#detail")) > 20
-        assert not (folder / "rig.toml").exists()
-        for _ in range(2):  # taken out and in again, a view is clicked anew
-            page.page.click(".offer:has-text('right')")
-        click_corners(page, 1, truth.views[1].reference_points_px)
-        handle = page.page.locator(".click:nth-of-type(2) .handle").first
-        handle.focus()
-        page.press("ArrowLeft", "ArrowRight")
-        page.page.click("#begin")
-        page.until("document.querySelector('#point').offsetParent")
-        page.context.close()
-        assert page.complaints == []
-    saved = Rig.load(folder / "rig.toml")
-    assert [view.name for view in saved.views] == ["left", "right"]
-    for view, true in zip(saved.views, truth.views, strict=True):
-        assert view.size_px == (640, 480)
-        off_px = np.subtract(view.reference_points_px, true.reference_points_px)
-        assert np.abs(off_px).max() < 1.0
-
-
-@pytest.mark.parametrize("size", [PHONE, DESK], ids=["phone", "desk"])
-def test_a_folder_without_views_says_what_to_do(browser, tmp_path, size):
-    with served(folder=tmp_path) as running:
-        page = Open.__new__(Open)
-        page.context = browser.new_context(viewport={"width": size[0], "height": size[1]})
-        page.page = page.context.new_page()
-        page.page.goto(running.address)
-        page.until("document.querySelector('#words').textContent.startsWith('no camera')")
-        assert "recordings" in page.text("#detail")
-        assert page.page.is_disabled("#begin")
-        page.context.close()
+@pytest.mark.parametrize("scheme", ["dark", "light"])
+def test_every_mode_is_clean_by_axe(opened, scheme):
+    page = opened(color_scheme=scheme)
+    page.at(50)
+    for keys in ([], ["e"], ["e", "1"], ["3"], ["0", "l"], ["l", "?"]):
+        page.press(*keys)
+        assert unclean(page.page) == [], keys

@@ -122,6 +122,21 @@ class Calibration:
         """The place to point at now; None when all have been."""
         return self._places[len(self.visits)] if len(self.visits) < len(self._places) else None
 
+    @property
+    def stayed(self) -> float:
+        """The part of the dwell for which the hand has stayed at the next place, 0 to 1."""
+        if not self._latest or self.next is None:
+            return 0.0
+        now_s, here = self._latest[-1]
+        if not self._is_elsewhere(here[None]):
+            return 0.0
+        since_s = now_s
+        for time_s, point in reversed(self._latest):
+            if math.dist(point, here) > 2.0 * self._still:
+                break
+            since_s = time_s
+        return min((now_s - since_s) / self._dwell_s, 1.0)
+
     def take(self, time_s: float, point: NDArray[np.float64] | None) -> Visit | None:
         """Take the next fix's time and point; return the visit that it completes."""
         if point is None:

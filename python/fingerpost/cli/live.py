@@ -41,7 +41,7 @@ def _address(_context: click.Context, _parameter: click.Parameter, given: str) -
 
 
 @click.command()
-@click.argument("rig_file", metavar="[RIG.TOML]", required=False, type=click.Path(path_type=Path))
+@click.argument("named", metavar="[RIG.TOML | SOURCE ...]", nargs=-1)
 @click.option(
     "--port",
     type=click.IntRange(0, _LARGEST_PORT),
@@ -61,7 +61,7 @@ def _address(_context: click.Context, _parameter: click.Parameter, given: str) -
 @publish_option
 @page_arm_options
 def live(
-    rig_file: Path | None,
+    named: tuple[str, ...],
     port: int,
     host: str,
     opens: bool,
@@ -75,8 +75,10 @@ def live(
     at their own pace, with pause, step and a timeline. The address that is printed holds a token;
     whoever has it may watch. Ctrl-C ends it.
 
-    Without RIG.TOML the page begins with setting one up: pick cameras, or recordings of this
-    folder, click four corners, and a rig file is written here.
+    Without RIG.TOML the page begins with setting one up, and nothing is typed there: the table is
+    found, the hand is found, and a rig file is written to this folder. SOURCE is a recording, a
+    camera's number or a URL, two or more; if none is named, the page offers the cameras of the
+    machine and the recordings of this folder, and takes recordings that are dropped onto it.
 
     With --arm the page guides the arm of the rig's [robot] table: arm it there, choose what it is
     to do, and hold the button or the key M down: it moves only while you do. Space, Escape or STOP
@@ -87,7 +89,9 @@ def live(
         from fingerpost.config import Rig
         from fingerpost.live import Page, operate, set_up
 
+    rig_file = Path(named[0]) if len(named) == 1 and not _is_source(named[0]) else None
     rig = None if rig_file is None else Rig.load(rig_file)
+    sources = () if rig_file is not None else _sources(named)
     known = operator_called(operator)
     with ExitStack() as stack:
         desk = None
@@ -103,8 +107,8 @@ def live(
         if opens:
             webbrowser.open(page.address)
         if rig_file is None or rig is None:
-            rig_file = set_up(page, Path.cwd())
-            rig = Rig.load(rig_file)
+            rig_file, learned = set_up(page, Path.cwd(), sources)
+            rig, known = Rig.load(rig_file), known or learned
         hush_streams(rig.sources)
         begin = partial(_publishing, stack, publish, rig)
         operate(page, rig, rig_file.name, known, begin if publish else None, desk)
@@ -115,3 +119,18 @@ def _publishing(
     stack: ExitStack, urls: Sequence[str], rig: Rig, is_live: bool
 ) -> Callable[[Step], None]:
     return Publishing(stack, urls, rig, is_live=is_live).take
+
+
+def _is_source(name: str) -> bool:
+    """Tell whether a name is a source's rather than a rig file's."""
+    from fingerpost.capture import is_url
+    from fingerpost.live.setup.offers import FILMS
+
+    return name.isdecimal() or is_url(name) or Path(name).suffix.lower() in FILMS
+
+
+def _sources(names: Sequence[str]) -> list[str | int]:
+    """Return sources as a rig file has them, relative files to the current directory."""
+    from fingerpost.capture import resolve_source
+
+    return [int(name) if name.isdecimal() else resolve_source(name, Path.cwd()) for name in names]

@@ -12,12 +12,17 @@ from fingerpost.doctor.findings import Check, Finding, Severity
 from fingerpost.errors import FingerpostError
 from fingerpost.pipeline import Pointer
 
+FEWEST_FRAMES = 3
+"""With fewer nothing is seen to move, and no picture to be given out again and again."""
+
 
 def judge_times_by_motion(rig: Rig, frames: Sequence[Sequence[Frame]]) -> Iterator[Finding]:
     """Say which views lag behind others, or hand out old pictures, by how the hand moves.
 
     Nothing is said of a rig that cannot point, nor where no hand is seen to move in both views.
     """
+    if min(map(len, frames)) < FEWEST_FRAMES:
+        return
     with unannounced():
         try:
             pointer = Pointer(rig)

@@ -14,6 +14,6 @@ from fingerpost.live.desk import OPERATOR_TIMEOUT_S, GuidingDesk
 from fingerpost.live.inline import InlineView, show
 from fingerpost.live.operate import operate
 from fingerpost.live.page import Page
-from fingerpost.live.setup import set_up
+from fingerpost.live.setup.dialogue import set_up
 
 __all__ = ["OPERATOR_TIMEOUT_S", "GuidingDesk", "InlineView", "Page", "operate", "set_up", "show"]

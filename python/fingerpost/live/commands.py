@@ -6,6 +6,8 @@ from enum import StrEnum
 
 import msgspec
 
+from fingerpost.live.setup.asked import SetUpCommand
+
 LARGEST_BYTES = 64 * 1024
 """Longest message that is read at all."""
 
@@ -55,40 +57,6 @@ class GoTo(_Command, frozen=True, tag="seek"):
 
 class Take(_Command, frozen=True, tag="take"):
     """Take the control over from another page."""
-
-
-class Chosen(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A view as it was set up.
-
-    Attributes
-    ----------
-    offer
-        Which of the offered sources, from 0.
-    points_px
-        Its reference points (u, v), in the order of the plane's.
-    """
-
-    offer: int
-    points_px: tuple[tuple[float, float], ...]
-
-
-class SetUp(_Command, frozen=True, tag="setup"):
-    """Write a rig file, and begin.
-
-    Attributes
-    ----------
-    width, height
-        Sides of the rectangle whose corners are the reference points, from corner 1 on.
-    unit
-        Of these.
-    views
-        In the rig's order.
-    """
-
-    width: float
-    height: float
-    unit: str
-    views: tuple[Chosen, ...]
 
 
 class Wish(StrEnum):
@@ -157,7 +125,7 @@ class Gone(msgspec.Struct, frozen=True):
 
 RobotCommand = Stop | Ask | Beat | LetGo | Gone
 
-Command = Ack | Stop | Play | Step | GoTo | Take | SetUp | Ask | Beat | LetGo | Experiment
+Command = Ack | Stop | Play | Step | GoTo | Take | SetUpCommand | Ask | Beat | LetGo | Experiment
 
 decode = msgspec.json.Decoder(Command).decode
 """From JSON to a command; raises `msgspec.MsgspecError`."""

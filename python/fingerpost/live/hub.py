@@ -22,7 +22,6 @@ from fingerpost.live.commands import (
     LetGo,
     Play,
     RobotCommand,
-    SetUp,
     Step,
     Stop,
     Take,
@@ -31,6 +30,7 @@ from fingerpost.live.commands import (
 from fingerpost.live.player import Player
 from fingerpost.live.reel import Indicated, Message, Strip
 from fingerpost.live.scene import RigScene
+from fingerpost.live.setup.asked import Dropped, SetUpCommand
 
 if TYPE_CHECKING:
     from fingerpost.live.trials import OperatorExperiment
@@ -61,7 +61,7 @@ class Hub:
     ask
         Called with how many steps the loop may have made in all; infinity lets a live one go on.
     hand
-        Called with a rig that was set up.
+        Called with what is asked for while a rig is set up.
     guide
         Called with what is asked of the arm, where there is one.
     clock
@@ -71,7 +71,7 @@ class Hub:
     def __init__(
         self,
         ask: Callable[[float], None],
-        hand: Callable[[SetUp], None] = lambda _wanted: None,
+        hand: Callable[[SetUpCommand | Dropped], None] = lambda _wanted: None,
         guide: Callable[[RobotCommand], None] = lambda _command: None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
@@ -81,6 +81,7 @@ class Hub:
         self.newest: bytes | None = None
         self.strip = Strip()
         self.stills: list[bytes] = []
+        self._stills_shown: list[int] = []
         self._ask, self._hand, self._guide, self._clock = ask, hand, guide, clock
         self._arm: dict[str, Any] | None = None
         self._experiment: OperatorExperiment | None = None
@@ -110,11 +111,27 @@ class Hub:
             self._tasks.append(asyncio.create_task(self._player.run()))
         self.send_state()
 
-    def open_setup(self, offers: list[dict[str, Any]], stills: list[bytes], problem: str) -> None:
-        """Offer sources to set a rig up from; say what was wrong with the last one."""
-        self.stills = stills
-        self._setup = {"offers": offers, "problem": problem}
+    def open_setup(self, state: dict[str, Any]) -> None:
+        """Show how far a rig is set up."""
+        self._setup = state
         self.send_state()
+
+    def show_still(self, place: int, jpeg: bytes) -> None:
+        """Take the newest picture of an offered source, by its place."""
+        while len(self.stills) <= place:
+            self.stills.append(b"")
+            self._stills_shown.append(0)
+        self.stills[place] = jpeg
+        self._stills_shown[place] += 1
+
+    @property
+    def drop_folder(self) -> Path | None:
+        """Where recordings that are dropped onto the page go; None while nothing is set up."""
+        return None if self._setup is None else Path(self._setup["folder"])
+
+    def dropped(self, path: Path) -> None:
+        """Take it that a recording has been dropped onto the page."""
+        self._hand(Dropped(path))
 
     def close_rig(self) -> None:
         """Forget the rig's recording."""
@@ -205,8 +222,7 @@ class Hub:
                 player.step(by)
             case GoTo(number=number) if player:
                 player.go_to(number)
-            case SetUp() if self._setup is not None:
-                self._setup = {**self._setup, "problem": "", "busy": True}
+            case _ if isinstance(command, SetUpCommand) and self._setup is not None:
                 self._hand(command)
             case Ask() if self._arm is not None:
                 self._guide(command)
@@ -234,7 +250,7 @@ class Hub:
         playing = not self._stopped and not self._ended if player is None else player.is_playing
         state: dict[str, Any] = {
             "playing": playing,
-            "setup": self._setup,
+            "setup": self._setup and {**self._setup, "pictures": self._stills_shown},
             "ended": self._ended,
             "shown": self._shown,
             "total": self.strip.end if player is None else player.total,

@@ -13,6 +13,7 @@ import os
 import secrets
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from multiprocessing import get_context
@@ -21,10 +22,11 @@ from typing import Any, Self, TypeVar
 
 from fingerpost.errors import FingerpostError, InvalidInputError
 from fingerpost.installation import require
-from fingerpost.live.commands import FRAMED, Gone, RobotCommand, SetUp
+from fingerpost.live.commands import FRAMED, Gone, RobotCommand
 from fingerpost.live.moment import Moment
 from fingerpost.live.process import serve
 from fingerpost.live.scene import RigScene
+from fingerpost.live.setup.asked import Arrange, Dropped, SetUpCommand
 from fingerpost.pipeline import Step
 from fingerpost.workers import held_back
 
@@ -79,7 +81,7 @@ class Page:
         self._next: tuple[Step, int, float, float] | None = None
         self._number = 0
         self._begun_s = 0.0
-        self._wanted: SetUp | None = None
+        self._asked: deque[SetUpCommand | Dropped] = deque()
         self._guide: Callable[[RobotCommand], None] = lambda _command: None
         self._unanswered = 0
         self._lost = False
@@ -136,17 +138,18 @@ class Page:
     ) -> None:
         self.close()
 
-    def set_up(self, offers: list[dict[str, Any]], stills: list[bytes], problem: str) -> SetUp:
-        """Offer sources to set a rig up from, and wait for what is made of them.
+    def show_setup(self, state: dict[str, Any]) -> None:
+        """Show how far a rig is set up; what the page makes of it is up to the page."""
+        self._post("setup", state)
 
-        Parameters
-        ----------
-        offers
-            What the page shows of each.
-        stills
-            A JPEG of each; empty where there is none.
-        problem
-            What was wrong with the last rig that was set up; empty at first.
+    def show_still(self, place: int, jpeg: bytes) -> None:
+        """Show a picture of an offered source, by its place."""
+        self._post("still", (place, jpeg))
+
+    def asked(self) -> SetUpCommand | Dropped:
+        """Wait for what the page asks for while a rig is set up.
+
+        Of several arrangements in a row the last one counts, if it asks for as much.
 
         Raises
         ------
@@ -154,13 +157,21 @@ class Page:
             The page's process has ended.
         """
         with self._changed:
-            self._wanted = None
-        self._post("setup", (offers, stills, problem))
-        with self._changed:
-            self._changed.wait_for(lambda: self._lost or self._wanted is not None)
-        self._refuse_lost()
-        assert self._wanted is not None
-        return self._wanted
+            self._changed.wait_for(lambda: self._lost or self._asked)
+            self._refuse_lost()
+            asked = self._asked.popleft()
+            while (
+                isinstance(asked, Arrange)
+                and self._asked
+                and isinstance(newer := self._asked[0], Arrange)
+                and newer.finds >= asked.finds
+            ):
+                asked = self._asked.popleft()
+            return asked
+
+    def is_asked(self) -> bool:
+        """Tell whether the page has asked for something; true once its process has ended."""
+        return self._lost or bool(self._asked)
 
     def open_rig(self, scene: RigScene) -> None:
         """Show a rig, from whose views steps will come."""
@@ -314,7 +325,7 @@ class Page:
                     elif kind == "allow":
                         self._allowed = content
                     elif kind == "setup":
-                        self._wanted = content
+                        self._asked.append(content)
                     self._changed.notify_all()
         self._hand_on(Gone())
         with self._changed:

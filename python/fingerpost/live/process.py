@@ -24,8 +24,8 @@ def serve(pipe: Connection, host: str, port: int, token: str) -> None:
     Parameters
     ----------
     pipe
-        Pairs of a kind and its content: "setup", "rig", "moment", "arm", "note", "ended" and
-        "close" come in; "listening" or "refused", "done", "allow", "setup" and "arm" go out.
+        Pairs of a kind and its content: "setup", "still", "rig", "moment", "arm", "note", "ended"
+        and "close" come in; "listening" or "refused", "done", "allow", "setup" and "arm" go out.
     host, port
         Where; port 0 takes any that is free.
     token
@@ -94,7 +94,9 @@ def _read(pipe: Connection, hub: Any, loop: asyncio.AbstractEventLoop, server: A
                 composer = Composer(content)
                 loop.call_soon_threadsafe(hub.open_rig, content)
             elif kind == "setup":
-                loop.call_soon_threadsafe(hub.open_setup, *content)
+                loop.call_soon_threadsafe(hub.open_setup, content)
+            elif kind == "still":
+                loop.call_soon_threadsafe(hub.show_still, *content)
             elif kind == "arm":
                 loop.call_soon_threadsafe(hub.show_arm, content)
             elif kind == "note":

@@ -18,6 +18,7 @@ from starlette.websockets import WebSocket
 
 from fingerpost.live.client import Client
 from fingerpost.live.commands import FRAMED
+from fingerpost.live.drop import take
 from fingerpost.live.hub import MOST_CLIENTS, Hub
 
 _log = logging.getLogger(__name__)
@@ -82,8 +83,12 @@ def application(hub: Hub, host: str, port: int, token: str) -> ASGIApp:
             return PlainTextResponse("there is no such picture\n", 404)
         return Response(hub.stills[number], media_type="image/jpeg")
 
+    async def drop(request: Request) -> Response:
+        return await take(request, hub)
+
     routes = [
         *(Route(path, page) for path in _PAGES),
+        Route("/drop/{name}", drop, methods=["PUT"]),
         Route("/still/{number:int}.jpg", still),
         WebSocketRoute("/socket", socket),
         Mount("/", StaticFiles(directory=SITE)),

@@ -8,7 +8,13 @@ from fingerpost.references.following import Measured, ReferenceFollower
 from fingerpost.references.markers import MarkersMeter, marker_cells, sheet_markers
 from fingerpost.references.meters import Meter, RectangleMeter
 from fingerpost.references.polygons import signed_area
-from fingerpost.references.rectangles import Candidate, find_rectangles, likeness, turned
+from fingerpost.references.rectangles import (
+    Candidate,
+    find_rectangles,
+    likeness,
+    size_scores,
+    turned,
+)
 from fingerpost.references.reduction import Reduction
 from fingerpost.references.registration import PlaneMotion, PlaneRegistration, Segment
 from fingerpost.references.sides import Sides, fit_sides
@@ -36,5 +42,6 @@ __all__ = [
     "marker_cells",
     "sheet_markers",
     "signed_area",
+    "size_scores",
     "turned",
 ]

@@ -8,6 +8,7 @@ printed on, what covers a part of it and which corners are in the picture does n
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -110,6 +111,37 @@ def find_rectangles(
     scores = scores * [_likeness(quad, size, small.shape) for quad in quads]
     order = np.argsort(-scores, kind="stable")
     return _fitted(picture, reduction.whole(quads[order]), scores[order], size, lens, near_px)
+
+
+def size_scores(picture: Picture, sizes: Sequence[tuple[float, float]]) -> list[float]:
+    """Return how well the picture shows a rectangle of each of several sizes, by its sides alone.
+
+    Edges are searched once for all of them. Sizes of one aspect ratio score the same.
+
+    Parameters
+    ----------
+    picture
+        (H, W) or (H, W, 3), 8 bits.
+    sizes
+        Two sides each, in any unit.
+
+    Returns
+    -------
+    list of float
+        The score of the best quadrilateral, one for each size; 0 where there is none.
+    """
+    small = Reduction.of(picture.shape, LARGEST_PX).picture(picture)
+    quads, scores = _quadrilaterals(find_lines(small), small.shape, None)
+    return [
+        max(
+            (
+                float(score) * _likeness(quad, size, small.shape)
+                for quad, score in zip(quads, scores, strict=True)
+            ),
+            default=0.0,
+        )
+        for size in sizes
+    ]
 
 
 def _fitted(

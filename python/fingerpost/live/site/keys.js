@@ -19,7 +19,7 @@ export function bindKeys(does) {
   };
   const sets = () => document.documentElement.classList.contains("setting-up");
   addEventListener("keydown", (event) => {
-    if (sets()) return;
+    if (sets()) return void does.setUp(event);
     if (event.key === " " || event.key === "Escape") {
       does.stop();
       // A focused button is not pressed by it; Escape still closes what is open.

@@ -73,6 +73,7 @@ function openRig(told) {
 
 function onRefused(words) {
   refusal = { words, until: performance.now() + REFUSED_FOR_MS };
+  setUp.refuse(words);
   showMessage();
 }
 
@@ -185,6 +186,11 @@ addEventListener("pointerup", () => {
 $("scrub").addEventListener("input", () => seek(Number($("scrub").value)));
 
 bindKeys({
+  setUp: (event) => {
+    if (event.key === "?") help();
+    else if (event.key === "t") theme();
+    else setUp.key(event);
+  },
   stop,
   toggle,
   step,

@@ -1,12 +1,29 @@
-// Set-up without typing: pick views, click the same four corners in each, save, begin.
+// Set-up without typing, in five steps; each can be left and come back to.
 
-import { awayFrom, html, make, middleOf, path, place } from "./draw.js";
+import { html } from "./draw.js";
+import { legend, SetUpPlan } from "./setup_plan.js";
+import { CORNERS, SetUpView } from "./setup_view.js";
 import { setText } from "./status.js";
 
-const CORNERS = 4;
-const ZOOM = 4;
-const LOUPE_GAP_PX = 26;
-const GRIP_PX = 22;
+const STEPS = [
+  ["views", "Views"],
+  ["table", "Table"],
+  ["hand", "Hand"],
+  ["aim", "Aim"],
+  ["save", "Save"],
+];
+const PLANES = {
+  A4: "A4 sheet",
+  A3: "A3 sheet",
+  letter: "letter sheet",
+  "credit-card": "bank card",
+  markers: "marker sheet, A4",
+  "markers:letter": "marker sheet, letter",
+};
+const OTHER = "other";
+const SLIDER = { min: 20, max: 1500, step: 1 };
+const REFUSED_FOR_MS = 6000;
+const SLIDES_PAUSE_MS = 250;
 
 const $ = (id) => document.getElementById(id);
 
@@ -16,220 +33,445 @@ export class SetUp {
     this.send = send;
     this.offers = [];
     this.picked = [];
-    $("sheet").addEventListener("change", () => ($("sides").hidden = $("sheet").value !== ""));
-    $("plane").addEventListener("submit", (event) => {
+    this.awaited = new Set(); // dropped recordings, not offered yet
+    this.step = "views";
+    this.refused = { words: "", until: 0 };
+    this.plan = new SetUpPlan($("setup-plan"));
+    this.steps = new Map(STEPS.map(([step, title], k) => [step, this.stepButton(step, title, k)]));
+    this.buildAsks();
+    $("setup").dataset.step = this.step;
+    $("previous").addEventListener("click", () => this.go(-1));
+    $("next").addEventListener("click", () => this.go(1));
+    $("begin").addEventListener("click", () => this.send({ do: "begin" }));
+    $("films").addEventListener("change", () => this.drop($("films").files));
+    addEventListener("dragover", (event) => this.isOpen && event.preventDefault());
+    addEventListener("drop", (event) => {
+      if (!this.isOpen) return;
       event.preventDefault();
-      this.begin();
+      this.drop(event.dataTransfer.files);
     });
   }
 
-  show(setup) {
-    const isNew = JSON.stringify(setup.offers) !== this.known;
-    this.known = JSON.stringify(setup.offers);
-    this.problem = setup.problem;
-    this.isBusy = Boolean(setup.busy);
-    $("setup").hidden = false;
-    if (isNew) this.offer(setup.offers);
-    this.say();
+  get isOpen() {
+    return !$("setup").hidden;
   }
 
-  offer(offers) {
-    this.offers = offers;
-    this.picked = [];
-    $("clicked").replaceChildren();
-    $("offers").replaceChildren(...offers.map((offer, k) => this.button(offer, k)));
-  }
-
-  button(offer, k) {
-    const button = html("button", "offer");
+  stepButton(step, title, k) {
+    const button = html("button", "step", $("steps"));
     button.type = "button";
-    button.disabled = Boolean(offer.problem);
-    button.ariaPressed = "false";
-    const image = html("img", "", button);
-    image.alt = "";
-    if (!offer.problem) image.src = `still/${k}.jpg`;
-    html("b", "", button, offer.name);
-    html("small", "", button, offer.problem || `${offer.size[0]} × ${offer.size[1]}`);
-    button.title = offer.problem || offer.source;
-    button.addEventListener("click", () => this.toggle(k, button));
-    offer.button = button;
-    return button;
+    button.setAttribute("aria-keyshortcuts", k + 1);
+    html("i", "", button, k + 1);
+    html("b", "", button, title);
+    const found = html("small", "", button);
+    button.addEventListener("click", () => this.choose(step));
+    return { button, found };
   }
 
-  toggle(k, button) {
-    const at = this.picked.findIndex((view) => view.offer === k);
-    if (at >= 0) this.picked.splice(at, 1)[0].element.remove();
-    else this.picked.push(new Clicked($("clicked"), this.offers[k], k, () => this.changed()));
-    button.ariaPressed = String(at < 0);
+  // --- what a step asks for -------------------------------------------------------------------
+
+  buildAsks() {
+    const asks = $("asks");
+    const button = (words, step, click) => {
+      const made = html("button", "ask", asks, words);
+      Object.assign(made, { type: "button", hidden: true });
+      made.dataset.step = step;
+      made.addEventListener("click", click);
+      return made;
+    };
+    this.buildPlane(asks);
+    this.again = button("Look again", "table", () => this.findAgain());
+    this.byHand = button("Click corners myself", "table", () => this.clickMyself());
+    this.look = button("Look for the hand", "hand", () => this.send({ do: this.isLooking ? "leave" : "hand" }));
+    this.hold = button("Hold it up to a template", "hand", () => this.toggleTemplate());
+    this.thumb = button("Thumb on the right", "hand", () => this.turnTemplates());
+    this.learn = button("Begin", "aim", () => this.send({ do: this.isLooking ? "leave" : "aim" }));
+    this.forget = button("Forget it", "aim", () => this.send({ do: "aim", learns: false }));
+  }
+
+  buildPlane(asks) {
+    this.planeAsk = html("div", "ask-plane", asks);
+    const label = html("label", "", this.planeAsk, "On the table lies ");
+    this.select = html("select", "", label);
+    for (const [value, words] of [...Object.entries(PLANES), [OTHER, "another rectangle"]]) html("option", "", this.select, words).value = value;
+    this.select.addEventListener("change", () => this.changePlane());
+    this.sliders = ["Side 1–2", "Side 2–3"].map((words) => {
+      const row = html("label", "slide", this.planeAsk, words);
+      const slider = Object.assign(html("input", "", row), { type: "range", ...SLIDER });
+      const value = html("output", "", row);
+      slider.addEventListener("input", () => this.slide());
+      return { row, slider, value };
+    });
+  }
+
+  changePlane() {
+    if (this.select.value === OTHER) return this.slide();
+    this.plane = this.select.value;
+    this.findAgain();
+  }
+
+  slide() {
+    this.plane = this.sliders.map(({ slider }) => slider.value).join("x");
+    this.showPlane(this.sliders.map(({ slider }) => Number(slider.value)));
+    clearTimeout(this.slides);
+    this.slides = setTimeout(() => this.arrange(this.open.length > 0), SLIDES_PAUSE_MS);
+  }
+
+  findAgain() {
+    for (const view of this.picked) view.clear(false);
+    this.arrange(true);
+  }
+
+  clickMyself() {
+    for (const view of this.picked) view.clear(true);
     this.changed();
   }
 
-  changed() {
-    this.problem = "";
+  toggleTemplate() {
+    const isHeld = this.picked.some((view) => view.held);
+    for (const view of this.picked) isHeld ? view.letGo() : view.hold(this.side ?? "left");
+    this.arrange(false);
+    this.say();
+  }
+
+  turnTemplates() {
+    this.side = this.picked[0]?.held?.thumb === "left" ? "right" : "left";
+    for (const view of this.picked) view.hold(this.side);
+    this.arrange(false);
+    this.say();
+  }
+
+  // --- what is known --------------------------------------------------------------------------
+
+  show(setup) {
+    const isOtherPlane = this.state?.table.plane !== setup.table.plane;
+    this.state = setup;
+    $("setup").hidden = false;
+    this.showOffers(setup);
+    if (!this.picked.length && setup.table.views.length) this.restore(setup);
+    this.plane ??= setup.table.plane || undefined;
+    for (const known of setup.table.views) {
+      this.picked.find((view) => view.number === known.offer)?.take(known);
+    }
+    if (isOtherPlane && setup.table.sides) {
+      this.plane = setup.table.plane;
+      this.showPlane(setup.table.sides);
+    }
+    this.picked.forEach((view, k) => {
+      view.show(setup.pictures[view.number]);
+      view.showHand(setup.hand?.views[k]);
+    });
+    this.plan.show(setup.scene, setup.advice, this.step === "aim" ? (setup.aim ?? null) : null);
+    if (this.step === "hand" && this.asksForHand && !setup.busy) {
+      this.asksForHand = false;
+      if (!setup.hand && !setup.problem) this.send({ do: "hand" });
+    }
+    this.say();
+  }
+
+  // A page that comes later, or again, finds the views that were picked.
+  restore(setup) {
+    for (const { offer } of setup.table.views) this.pick(offer);
+    if (setup.table.views.length >= 2 && !this.hasChosen) this.enter("table");
+  }
+
+  showOffers({ offers, pictures }) {
+    for (let k = this.offers.length; k < offers.length; k++) this.offers.push({ ...offers[k], ...this.offerButton(k) });
+    offers.forEach((offer, k) => {
+      const card = this.offers[k];
+      Object.assign(card, offer);
+      card.button.disabled = Boolean(offer.problem);
+      card.button.title = offer.problem || offer.source;
+      setText(card.title, offer.name);
+      setText(card.note, offer.problem || `${offer.live ? "live, " : ""}${offer.size[0]} × ${offer.size[1]}`);
+      if (!offer.problem && pictures[k] && card.version !== pictures[k]) {
+        card.version = pictures[k];
+        card.image.src = `still/${k}.jpg?${pictures[k]}`;
+      }
+      if (!offer.problem && this.awaited.delete(offer.source) && !this.pickOf(k)) {
+        this.pick(k);
+        this.arrange(true);
+      }
+    });
+    this.dropCard ??= this.buildDropCard();
+    $("offers").append(this.dropCard);
+  }
+
+  offerButton(k) {
+    const button = html("button", "offer", $("offers"));
+    button.type = "button";
+    button.ariaPressed = "false";
+    const image = html("img", "", button);
+    image.alt = "";
+    const [title, note] = [html("b", "", button), html("small", "", button)];
+    button.addEventListener("click", () => {
+      this.pickOf(k) ? this.unpick(k) : this.pick(k);
+      this.arrange(this.picked.length >= 2);
+    });
+    return { button, image, title, note };
+  }
+
+  buildDropCard() {
+    const card = html("button", "offer drop", null);
+    card.type = "button";
+    html("b", "", card, "Drop recordings here");
+    html("small", "", card, "or press to choose files; they are copied beside the rig file");
+    card.addEventListener("click", () => $("films").click());
+    return card;
+  }
+
+  async drop(files) {
+    for (const file of [...files]) {
+      this.dropping = `taking ${file.name}`;
+      this.say();
+      try {
+        const answer = await fetch(`drop/${encodeURIComponent(file.name)}`, { method: "PUT", body: file, headers: { "content-type": "application/octet-stream" } });
+        const words = (await answer.text()).trim();
+        if (answer.ok) this.awaited.add(words);
+        else this.refuse(words);
+      } catch {
+        this.refuse(`${file.name} has not come whole`);
+      }
+      this.dropping = "";
+    }
+    $("films").value = "";
+    if (this.state) this.show(this.state);
+  }
+
+  pickOf(k) {
+    return this.picked.find((view) => view.number === k);
+  }
+
+  pick(k) {
+    const view = new SetUpView($("panes"), this.offers[k], k, this.state.templates, () => this.changed());
+    this.picked.push(view);
+    view.show(this.state.pictures[k]);
+    view.enter(this.step);
+    this.colour();
+  }
+
+  unpick(k) {
+    const [view] = this.picked.splice(this.picked.indexOf(this.pickOf(k)), 1);
+    view.element.remove();
+    this.colour();
+  }
+
+  colour() {
+    for (const { button } of this.offers) button.ariaPressed = "false";
     this.picked.forEach((view, index) => {
       view.colour(index);
-      this.offers[view.offer].button.style.setProperty("--tint", `var(--view-${index % 4})`);
+      this.offers[view.number].button.ariaPressed = "true";
+      this.offers[view.number].button.style.setProperty("--tint", `var(--view-${index % 4})`);
     });
-    this.say();
-    this.picked.find((view) => view.points.length < CORNERS)?.element.scrollIntoView({ block: "nearest" });
   }
 
-  // What is to be done next, in the line that is read first.
+  showPlane(sides) {
+    this.select.value = this.plane in PLANES ? this.plane : OTHER;
+    this.sliders.forEach(({ row, slider, value }, k) => {
+      row.hidden = this.select.value !== OTHER;
+      slider.value = sides[k];
+      setText(value, `${slider.value} mm`);
+    });
+  }
+
+  // --- what is sent ---------------------------------------------------------------------------
+
+  get open() {
+    return this.picked.filter((view) => view.points.length < CORNERS);
+  }
+
+  changed() {
+    if (this.open.length === 0 || this.open.every((view) => !view.points.length)) this.arrange(false);
+    this.say();
+    this.open[0]?.element.scrollIntoView({ block: "nearest" });
+  }
+
+  arrange(finds) {
+    const views = this.picked.map(({ number, points, held }) => ({
+      offer: number,
+      points_px: points.length === CORNERS ? points : [],
+      ...(held && { held }),
+    }));
+    this.send({ do: "arrange", views, plane: this.plane ?? "", finds });
+    this.say();
+  }
+
+  // --- where one is ---------------------------------------------------------------------------
+
+  go(by) {
+    const k = STEPS.findIndex(([step]) => step === this.step) + by;
+    if (STEPS[k]) this.choose(STEPS[k][0]);
+  }
+
+  choose(step) {
+    this.hasChosen = true;
+    this.enter(step);
+  }
+
+  enter(step) {
+    this.step = step;
+    $("setup").dataset.step = step;
+    $("step").scrollTop = 0;
+    for (const view of this.picked) view.enter(step);
+    this.asksForHand = step === "hand" && !this.state?.hand?.found;
+    if (this.isLooking && step !== "hand" && step !== "aim") this.send({ do: "leave" });
+    if (this.state) this.show(this.state);
+  }
+
+  get isLooking() {
+    return /hand|learning/.test(this.state?.busy ?? "");
+  }
+
+  get isReady() {
+    const views = this.state?.table.views ?? [];
+    return views.length >= 2 && this.open.length === 0 && views.every(({ points }) => points.length === CORNERS) && Boolean(this.state.scene);
+  }
+
+  refuse(words) {
+    this.refused = { words, until: performance.now() + REFUSED_FOR_MS };
+    this.say();
+  }
+
+  key(event) {
+    const isTyped = /SELECT|INPUT/.test(event.target.tagName);
+    if (event.ctrlKey || event.metaKey || event.altKey || isTyped || $("help").open) return;
+    const does = { n: () => this.go(1), b: () => this.go(-1), c: () => this.send({ do: "take" }) };
+    const digit = Number(event.key);
+    if (digit >= 1 && digit <= STEPS.length) this.choose(STEPS[digit - 1][0]);
+    else if (event.key === "Escape" && this.isLooking) this.send({ do: "leave" });
+    else if (does[event.key.toLowerCase()]) does[event.key.toLowerCase()]();
+    else return;
+    event.preventDefault();
+  }
+
+  // --- what is said ---------------------------------------------------------------------------
+
   say() {
-    const open = this.picked.find((view) => view.points.length < CORNERS);
-    const isReady = this.picked.length >= 2 && !open && !this.isBusy;
-    let words = "ready: save and begin";
-    let detail = "drag a corner to move it, or use the arrow keys on it";
-    if (!this.offers.some((offer) => !offer.problem)) {
-      words = "no camera and no recording here";
-      detail = "plug cameras in, or start fingerpost live in the folder of the recordings";
-    } else if (this.isBusy) words = "beginning";
-    else if (open) {
-      words = `click corner ${open.points.length + 1} in ${open.name}`;
-      detail = "the four corners of a sheet or a mat on the table, around it, the same corner first in every view";
-    } else if (this.picked.length < 2) {
-      words = this.picked.length ? "pick one more view" : "pick two views, or more";
-      detail = "they see the same table and the pointing hand from different sides";
-    }
-    $("begin").disabled = !isReady;
+    if (!this.state) return;
+    const { busy, problem, words, advice } = this.state;
+    const [title, detail, status, badge] = this.headline();
     $("point").hidden = true;
     $("words").hidden = false;
-    setText($("words"), this.problem ? "that cannot be" : words);
-    setText($("detail"), this.problem || detail);
-    $("detail").title = this.problem || detail;
-    const status = this.problem ? "lost" : isReady ? "ok" : "waiting";
+    setText($("words"), title);
+    setText($("detail"), detail || "\u00a0");
+    $("detail").title = detail;
     document.documentElement.dataset.status = status;
     $("badge-mark").setAttribute("href", `#mark-${status}`);
-    setText($("badge-word"), this.problem ? "no" : isReady ? "ready" : "set-up");
+    setText($("badge-word"), badge);
+    const refused = performance.now() < this.refused.until ? this.refused.words : "";
+    setText($("doing"), refused || this.dropping || problem || (busy ? `${busy} …` : `rig.toml goes to ${this.state.folder}`));
+    $("doing").classList.toggle("bad", Boolean(refused || problem));
+    $("begin").disabled = !this.isReady || busy === "beginning";
+    $("previous").disabled = this.step === "views";
+    $("next").disabled = this.step === "save" || (this.step === "views" && this.picked.length < 2) || (this.step === "table" && !this.isReady);
+    legend($("legend"), this.step === "aim" ? null : advice);
+    this.sayAsks();
+    this.sayWrong(words);
+    this.saySteps();
+    this.saySummary();
   }
 
-  begin() {
-    const [width, height, unit] = $("sheet").value
-      ? $("sheet").value.split(",").map((part, k) => (k < 2 ? Number(part) : part))
-      : [Number($("width").value), Number($("height").value), $("plane-unit").value];
-    const views = this.picked.map((view) => ({ offer: view.offer, points_px: view.points }));
-    this.send({ do: "setup", width, height, unit, views });
+  headline() {
+    const { busy, problem, hand, aim, advice, table } = this.state;
+    if (problem) return ["that cannot be", problem, "lost", "no"];
+    if (busy && !this.isLooking && this.step !== "views") return [busy, "this takes some seconds", "acquiring", "set-up"];
+    const waiting = (title, detail) => [title, detail, "waiting", "set-up"];
+    const done = (title, detail) => [title, detail, "ok", "ready"];
+    const open = this.open[0];
+    if (!this.offers.some((offer) => !offer.problem) && !busy) {
+      return waiting("no camera and no recording here", "plug cameras in, drop recordings onto this page, or start fingerpost live in their folder");
+    }
+    if (this.picked.length < 2) return waiting(this.picked.length ? "pick one more view" : "pick two views, or more", "they see the same table and the pointing hand from different sides");
+    if (this.step === "views") return done(`${this.picked.length} views`, "next: the table");
+    if (open) {
+      const missing = table.views.find(({ offer, missing }) => missing && offer === open.number)?.missing;
+      return waiting(`click corner ${open.points.length + 1} in ${open.offer.name}`, missing || "around a sheet or a mat on the table, the same corner first in every view");
+    }
+    if (this.step === "table") return done("the table is known", advice ? `95 % of the errors will be below ${advice.most} ${advice.unit}` : "drag a corner to move it, or use the arrow keys on it");
+    if (this.step === "hand") {
+      if (this.isLooking) return ["point at the table", "index finger out, thumb up, in sight of every view", "acquiring", "looking"];
+      if (!hand && this.picked.some((view) => view.held)) return waiting("hold your hand up to the template", "drag it, or its knuckle to turn and scale it; then look for the hand");
+      return hand?.found ? done("the hand is found", "in every view; it will be found wherever it comes in") : waiting("no hand is found", hand ? "see below each picture what would help" : "look for it, or go on: it will be found when it comes");
+    }
+    if (this.step === "aim") return this.aimLine(aim, waiting, done);
+    return done("ready: save and begin", `writes rig.toml to ${this.state.folder}`);
+  }
+
+  aimLine(aim, waiting, done) {
+    if (aim?.running) {
+      const next = aim.visits.length + 1;
+      return [`point at ${Math.min(next, aim.places.length)} and stay there`, aim.words || `${aim.visits.length} of ${aim.places.length}`, aim.point ? "ok" : "acquiring", "learning"];
+    }
+    if (aim?.off !== undefined) return done(`you point ${aim.off} ${aim.unit} beside; that is taken off`, `what is left: ${aim.left} ${aim.unit}, of a place that was not learned from`);
+    const detail = aim ? `${aim.visits.length} of ${aim.places.length} places were pointed at` : "five places light up; point at each for a second. It may be left out";
+    return waiting("learn how you point", detail);
+  }
+
+  sayAsks() {
+    const { aim } = this.state;
+    for (const ask of $("asks").children) if (ask.dataset.step) ask.hidden = ask.dataset.step !== this.step;
+    this.planeAsk.hidden = this.step !== "table";
+    setText(this.look, this.isLooking ? "Leave off" : this.state.hand ? "Look again" : "Look for the hand");
+    const held = this.picked.find((view) => view.held)?.held;
+    this.hold.ariaPressed = String(Boolean(held));
+    this.thumb.hidden ||= !held;
+    setText(this.thumb, held?.thumb === "right" ? "Thumb to the left" : "Thumb to the right");
+    setText(this.learn, this.isLooking ? "Leave off" : aim ? "Again" : "Begin");
+    this.forget.hidden ||= aim?.off === undefined;
+  }
+
+  sayWrong(words) {
+    const shown = this.step === "table" || this.step === "save" ? words : [];
+    const known = JSON.stringify(shown);
+    if (known === this.wrong) return;
+    this.wrong = known;
+    $("wrong").replaceChildren(
+      ...shown.map(({ severity, view, text }) => {
+        const item = html("li", severity, null);
+        html("b", "", item, { error: "wrong", warning: "could be better", advice: "advice" }[severity] + (view ? `: ${view}` : ""));
+        html("span", "", item, text);
+        return item;
+      }),
+    );
+    $("wrong").hidden = !shown.length;
+  }
+
+  saySteps() {
+    const { hand, aim, table } = this.state;
+    const sigmas = table.views.map(({ sigma }) => sigma).filter((sigma) => sigma !== null);
+    const found = {
+      views: this.picked.length >= 2 && this.picked.map((view) => view.offer.name).join(", "),
+      table: this.isReady && `± ${Math.max(...sigmas).toFixed(2)} px`,
+      hand: hand?.found && "found",
+      aim: aim?.off !== undefined && `± ${aim.left} ${aim.unit}`,
+      save: false,
+    };
+    for (const [step, { button, found: words }] of this.steps) {
+      button.setAttribute("aria-current", this.step === step ? "step" : "false");
+      button.classList.toggle("done", Boolean(found[step]));
+      setText(words, found[step] || { hand: "may wait", aim: "may be left out" }[step] || "");
+    }
+  }
+
+  saySummary() {
+    $("summary").hidden = this.step !== "save";
+    if (this.step !== "save") return;
+    const { table, advice, hand, aim } = this.state;
+    const [a, b] = table.sides ?? [0, 0];
+    const rows = [
+      ["views", this.picked.map((view) => view.offer.name).join(", ")],
+      ["plane", `${PLANES[table.plane] ?? "rectangle"}, ${a} × ${b} mm`],
+      ["corners", table.views.map(({ sigma, found }) => `± ${sigma} px ${found ? "found" : "by hand"}`).join("; ")],
+      ["expected errors", advice ? `half below ${advice.median} ${advice.unit}, 95 % below ${advice.most} ${advice.unit}` : "unknown"],
+      ["hand", hand?.found ? "found in every view" : "to be found when it comes"],
+      ["your aim", aim?.off === undefined ? "not learned" : `${aim.off} ${aim.unit} beside, ${aim.left} ${aim.unit} after it is taken off`],
+    ];
+    const known = JSON.stringify(rows);
+    if (known === this.summed) return;
+    this.summed = known;
+    $("summary").replaceChildren(...rows.flatMap(([name, words]) => [html("dt", "", null, name), html("dd", "", null, words)]));
   }
 
   hide() {
     $("setup").hidden = true;
-  }
-}
-
-// A picked view: its picture, its corners, and a magnifier while one of them is placed.
-class Clicked {
-  constructor(parent, offer, k, changed) {
-    this.offer = k;
-    this.name = offer.name;
-    this.size = offer.size;
-    this.points = [];
-    this.changed = changed;
-    this.element = html("section", "click", parent);
-    const head = html("header", "", this.element);
-    this.swatch = html("i", "swatch", head);
-    html("h2", "", head, offer.name);
-    this.left = html("span", "left", head);
-    const body = html("div", "body", this.element);
-    this.svg = make("svg", { viewBox: `-0.5 -0.5 ${this.size[0]} ${this.size[1]}`, role: "group", "aria-label": `Corners in ${offer.name}` });
-    body.append(this.svg);
-    make("image", { href: `still/${k}.jpg`, x: -0.5, y: -0.5, width: this.size[0], height: this.size[1], preserveAspectRatio: "none" }, this.svg);
-    this.image = new Image();
-    this.image.src = `still/${k}.jpg`;
-    this.quad = make("path", { class: "quad" }, this.svg);
-    this.handles = [];
-    this.listen();
-    new ResizeObserver(() => this.draw()).observe(this.svg);
-    this.draw();
-  }
-
-  colour(index) {
-    this.swatch.style.background = `var(--view-${index % 4})`;
-  }
-
-  listen() {
-    this.svg.addEventListener("pointerdown", (event) => {
-      const grabbed = this.handles.findIndex((handle) => handle.group.contains(event.target));
-      if (grabbed < 0 && this.points.length >= CORNERS) return;
-      this.dragged = grabbed >= 0 ? grabbed : this.points.push(this.at(event)) - 1;
-      this.svg.setPointerCapture(event.pointerId);
-      this.move(event, grabbed >= 0);
-      event.preventDefault();
-    });
-    this.svg.addEventListener("pointermove", (event) => this.dragged !== undefined && this.move(event));
-    for (const end of ["pointerup", "pointercancel"]) {
-      this.svg.addEventListener(end, () => {
-        if (this.dragged === undefined) return;
-        this.handles[this.dragged].group.focus({ preventScroll: true });
-        this.dragged = undefined;
-        $("loupe").hidden = true;
-        this.changed();
-      });
-    }
-  }
-
-  // Pixels of the view under the pointer.
-  at(event) {
-    const point = new DOMPoint(event.clientX, event.clientY).matrixTransform(this.svg.getScreenCTM().inverse());
-    return [point.x, point.y].map((value, axis) => Math.min(Math.max(Math.round(10 * value) / 10, -0.5), this.size[axis] - 0.5));
-  }
-
-  move(event, isGrab = false) {
-    if (!isGrab) this.points[this.dragged] = this.at(event);
-    this.draw();
-    this.magnify(event);
-  }
-
-  magnify(event) {
-    const loupe = $("loupe");
-    const [u, v] = this.points[this.dragged];
-    const scale = this.image.naturalWidth / this.size[0];
-    const context = loupe.getContext("2d");
-    const side = loupe.width / ZOOM;
-    const from = [(u + 0.5) * scale - side / 2, (v + 0.5) * scale - side / 2];
-    context.fillStyle = "#11161c";
-    context.fillRect(0, 0, loupe.width, loupe.height);
-    context.drawImage(this.image, from[0], from[1], side, side, 0, 0, loupe.width, loupe.height);
-    const middle = loupe.width / 2;
-    for (const [width, colour] of [[4, "#11161c"], [1.5, "#ecf0f3"]]) {
-      context.lineWidth = width;
-      context.strokeStyle = colour;
-      context.stroke(new Path2D(`M${middle} 10V${middle - 8}M${middle} ${middle + 8}V${2 * middle - 10}M10 ${middle}H${middle - 8}M${middle + 8} ${middle}H${2 * middle - 10}`));
-    }
-    loupe.hidden = false;
-    const left = Math.min(Math.max(event.clientX - middle, 4), innerWidth - loupe.width - 4);
-    const above = event.clientY - loupe.height - LOUPE_GAP_PX;
-    Object.assign(loupe.style, { left: `${left}px`, top: `${above > 4 ? above : event.clientY + LOUPE_GAP_PX}px` });
-  }
-
-  handle(k) {
-    const group = make("g", { class: "handle numbered", tabindex: 0, role: "button", "aria-label": `Corner ${k + 1} in ${this.name}; arrow keys move it` }, this.svg);
-    make("circle", { class: "grip", r: GRIP_PX }, group);
-    make("circle", { class: "mark-case", r: 6 }, group);
-    make("circle", { class: "mark", r: 6 }, group);
-    const label = make("g", {}, group);
-    make("circle", { r: 9.5, class: "disc" }, label);
-    make("text", { "text-anchor": "middle", dy: "0.36em" }, label).textContent = k + 1;
-    group.addEventListener("keydown", (event) => {
-      const by = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] }[event.key];
-      if (!by) return;
-      event.preventDefault();
-      const far = event.shiftKey ? 10 : 1;
-      this.points[k] = this.points[k].map((value, axis) => Math.min(Math.max(value + far * by[axis], -0.5), this.size[axis] - 0.5));
-      this.draw();
-      this.changed();
-    });
-    return { group, label };
-  }
-
-  draw() {
-    const scale = this.size[0] / Math.max(Math.min(this.svg.clientWidth, (this.svg.clientHeight * this.size[0]) / this.size[1]), 1);
-    while (this.handles.length < this.points.length) this.handles.push(this.handle(this.handles.length));
-    const middle = middleOf(this.points);
-    this.points.forEach((point, k) => {
-      place(this.handles[k].group, point, scale);
-      this.handles[k].label.setAttribute("transform", `translate(${awayFrom(middle, point, 19)})`);
-    });
-    this.quad.setAttribute("d", this.points.length > 1 ? path([this.points.flat()], null, this.points.length === CORNERS) : "");
-    setText(this.left, this.points.length < CORNERS ? `${this.points.length} of ${CORNERS} corners` : "all corners");
   }
 }

@@ -1,0 +1,166 @@
+"""The hand, as the main loop finds it in all views; where it does not, what would help."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fingerpost._core import StartPose, Template
+from fingerpost.capture import Frame, Loss
+from fingerpost.config import Rig, Start, View
+from fingerpost.doctor.hand import FINGER_PX, judge_hand, read_hand
+from fingerpost.pipeline import Observation, Pointer, Step, steps
+from fingerpost.pointing import FingerLine, Status
+from fingerpost.recording.picture.shapes import ahead, with_gaps
+from fingerpost.setting_up import SURE_FRAMES
+
+Shown = Callable[[dict[str, Any], Step], None]
+
+_KEPT_FRAMES = 25  # in which a hand that is held up to a template settles
+_OUTLINE_POINTS = 96
+
+
+def templates() -> dict[str, list[float]]:
+    """Return the outline of the template with the thumb at each side, flat x, y, x, y.
+
+    The tip of the finger is the origin, it points along +x, and its length is 1.
+    """
+    pose = StartPose((0.0, 0.0), 0.0, 1.0)
+    return {
+        thumb: np.round(
+            pose.centre_px + Template.pistol(thumb).outline(_OUTLINE_POINTS) @ pose.linear_px.T, 4
+        )
+        .ravel()
+        .tolist()
+        for thumb in ("left", "right")
+    }
+
+
+@dataclass(frozen=True, slots=True)
+class HandSearch:
+    """What came of a search.
+
+    Attributes
+    ----------
+    is_found
+        Whether all views together indicate a point.
+    state
+        What each view shows and what is wrong with it, fit for JSON.
+    """
+
+    is_found: bool
+    state: dict[str, Any]
+
+
+def look_for_hand(
+    rig: Rig,
+    frames: Iterator[Sequence[Frame | Loss | None]],
+    is_left: Callable[[], bool],
+    show: Shown,
+) -> HandSearch:
+    """Look for the hand until it points, frames end, or the page asks for something else.
+
+    Parameters
+    ----------
+    rig
+        The rig, complete.
+    frames
+        Of all views.
+    is_left
+        Tells whether to leave off.
+    show
+        Called with what is found so far, and the step.
+    """
+    pointer = Pointer(rig)
+    kept: deque[Sequence[Frame | Loss | None]] = deque(maxlen=_KEPT_FRAMES)
+    in_a_row, last = 0, None
+    for step in steps(pointer, _keeping(frames, kept)):
+        last = step
+        in_a_row = in_a_row + 1 if step.fix.status is Status.OK else 0
+        is_found = in_a_row >= SURE_FRAMES
+        state = {"found": is_found, "views": [_seen(seen) for seen in step.observations]}
+        show(state, step)
+        if is_found:
+            return HandSearch(True, {**_judged(rig, step, list(kept)), "found": True})
+        if is_left():
+            break
+    return HandSearch(False, _judged(rig, last, list(kept)))
+
+
+def _keeping(
+    frames: Iterator[Sequence[Frame | Loss | None]], kept: deque[Sequence[Frame | Loss | None]]
+) -> Iterator[Sequence[Frame | Loss | None]]:
+    for together in frames:
+        kept.append(together)
+        yield together
+
+
+def _judged(
+    rig: Rig, last: Step | None, kept: list[Sequence[Frame | Loss | None]]
+) -> dict[str, Any]:
+    """Say of every view what it shows, and what it lacks."""
+    views = []
+    for k, view in enumerate(rig.views):
+        seen = {} if last is None else _seen(last.observations[k])
+        frames = [together[k] for together in kept]
+        pictures = [frame for frame in frames if isinstance(frame, Frame)]
+        if view.start is not None and pictures:
+            seen["words"] = held_wrong(view, view.start, pictures) or seen.get("words", "")
+        views.append(seen)
+    return {"found": False, "views": views}
+
+
+def held_wrong(view: View, start: Start, frames: Sequence[Frame]) -> str:
+    """Return what is wrong with a hand that is held up to a template, or empty words.
+
+    Parameters
+    ----------
+    view
+        The view.
+    start
+        Its template.
+    frames
+        One or more, in time.
+    """
+    readings = read_hand(list(frames), start)
+    height, width = frames[0].image.shape[:2]
+    wrong = next(judge_hand(view.name, readings, start, (width, height), len(frames)), None)
+    return "" if wrong is None else f"{wrong.what}; {wrong.right}"
+
+
+def _seen(seen: Observation) -> dict[str, Any]:
+    """Return what a view shows of the hand, in pixels of its frames, fit for JSON."""
+    if seen.frame is None:
+        return {"words": seen.reasons[0]}
+    height, width = seen.frame.image.shape[:2]
+    whole = seen.reduction.whole
+    finger = seen.finger
+    found: dict[str, Any] = {"contour": _polylines(whole(with_gaps(seen.contour_px)))}
+    if not isinstance(finger, FingerLine):
+        found["words"] = seen.reasons[0]
+        return found
+    corners = np.array([[-0.5, -0.5], [width - 0.5, height - 0.5]])
+    length_px = seen.reduction.factor * 2.0 * math.dist(finger.anchor_px, finger.tip_px)
+    found["tip"] = np.round(whole(finger.tip_px), 1).tolist()
+    found["finger"] = _polylines(whole(ahead(finger, corners)))
+    found["length"] = round(length_px, 1)
+    found["words"] = ""
+    if length_px < FINGER_PX[0]:
+        found["words"] = (
+            f"the hand is small: its finger is {length_px:.0f} px long, {FINGER_PX[0]:.0f} or more "
+            "is right; zoom in, or come closer"
+        )
+    return found
+
+
+def _polylines(points: NDArray[np.float64]) -> list[list[float]]:
+    """Return a line with gaps as its parts, each flat x, y, x, y."""
+    parts = np.split(points, np.flatnonzero(np.isnan(points).any(axis=1)))
+    kept = (part[np.isfinite(part).all(axis=1)] for part in parts)
+    return [np.round(part, 1).ravel().tolist() for part in kept if len(part) > 1]
