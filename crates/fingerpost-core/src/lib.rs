@@ -66,6 +66,7 @@ pub mod geometry;
 pub mod image;
 pub mod measure;
 pub mod numeric;
+pub mod plane;
 pub mod solve;
 pub mod track;
 
