@@ -124,6 +124,7 @@ RUST_RULES = {
     "image": {"error"},
     "appearance": {"error", "image", "numeric"},
     "detect": {"error", "image", "appearance", "geometry"},
+    "plane": {"error", "image", "numeric"},
     "solve": {"error", "geometry", "numeric"},
     "measure": {"error", "geometry", "image", "appearance", "numeric"},
     "axis": {"error", "geometry", "image", "appearance", "measure", "solve", "numeric"},

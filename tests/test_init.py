@@ -1,5 +1,6 @@
 """`fingerpost init`: a rig file from films alone, and one line where something is not seen."""
 
+import re
 from pathlib import Path
 
 import cv2
@@ -7,6 +8,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 from sheets import SIZE, corners_of_view, inside, noisy
+from terminals import THE_END, on_a_terminal
 
 from fingerpost.cli import main
 from fingerpost.config import Rig
@@ -126,6 +128,59 @@ def test_writes_over_no_rig_file_unasked(tmp_path):
     assert done.exit_code == 2
     assert "exists already; --force writes over it" in done.output
     assert rig_file.read_text() == "mine"
+
+
+@pytest.fixture(scope="module")
+def two_films(tmp_path_factory):
+    """A folder with stills of two views, on a plain table, and a rig file that was made before."""
+    folder, rng = tmp_path_factory.mktemp("films"), np.random.default_rng(0)
+    for name in "ab":
+        (folder / name).mkdir()
+        picture = noisy(110.0 + 105.0 * inside(corners_of_view(rng)), rng, 2.0)
+        cv2.imwrite(str(folder / name / "0.png"), picture)
+    (folder / "old.toml").write_text("old\n")
+    return folder
+
+
+def test_asks_on_a_terminal_until_answers_are_right(two_films):
+    with on_a_terminal("init", both=True, asks=True, cwd=two_films) as terminal:
+        assert terminal.read_until("View 1.*: $")
+        for answer, said in [
+            ("c.mp4", r"c.mp4: no such file\s+View 1.*: $"),
+            ("a/*.png", "View 2.*: $"),
+            ("", "View 2.*: $"),
+            ("-", r"a named pipe does\s+View 2.*: $"),
+            ("a/*.png", r"each needs a source of its own\s+View 2.*: $"),
+            ("b/*.png", "View 3.*: $"),
+            ("", "table .*: $"),
+            ("A9", r'plane is "A9"; needed: A4.*\s+.*table .*: $'),
+            ("210x297", "Rig file.*: $"),
+            ("rig.toml", r"corners[\s\S]*right.*: $"),
+        ]:
+            terminal.answer(answer)
+            assert re.search(said, terminal.read_until(said))
+        terminal.answer("")
+        assert "rig file  rig.toml" in terminal.read_until(THE_END)
+        assert terminal.end()[0] == 0
+    assert [view.name for view in Rig.load(two_films / "rig.toml").views] == ["a", "b"]
+
+
+@pytest.mark.parametrize(
+    ("given", "prompt"),
+    [
+        ([], "View 1.*: $"),
+        (["--from", "a/*.png", "b/*.png", "--plane", "A4", "-o", "old.toml"], "Overwrite.*: $"),
+        (["--from", "a/*.png", "b/*.png", "--plane", "A4", "-o", "new.toml"], "right.*: $"),
+    ],
+)
+def test_ctrl_c_at_a_prompt_ends_it_and_writes_no_rig(two_films, given, prompt):
+    with on_a_terminal("init", *given, both=True, asks=True, cwd=two_films) as terminal:
+        assert re.search(prompt, terminal.read_until(prompt))
+        terminal.interrupt()
+        assert re.search(r"\nfingerpost: stopped\s*$", terminal.read_until(THE_END))
+        assert terminal.end()[0] == 130
+    assert (two_films / "old.toml").read_text() == "old\n"
+    assert not (two_films / "new.toml").exists()
 
 
 def test_names_of_views_and_sizes():

@@ -25,8 +25,8 @@ read-only.
 ``options`` of every stage tells; an unknown key is refused with its path.
 
 *Threads*: whatever takes longer than some microseconds releases the GIL. Objects are immutable and
-may be shared, but for `ContourTracker`, `Background` and `HandFinder`: while one is
-at work in one thread, any use of it in another raises `fingerpost.errors.FingerpostError`.
+may be shared, but for `ContourTracker`, `Background`, `HandFinder` and `PlaneRegistration`: while
+one is at work in one thread, any use of it in another raises `fingerpost.errors.FingerpostError`.
 
 Bad input raises `fingerpost.errors.InvalidInputError`, a `ValueError`, that names the value and
 what would be right; an object of the wrong class raises `TypeError`. A hand that is not there is
@@ -1405,6 +1405,118 @@ class Candidate:
         """How like a finger it is by its shape and colours alone, 0 to 1."""
 
 @final
+class PlaneLevel:
+    """Chosen pixels of the working plane at one level of a first image's pyramid.
+
+    Parameters
+    ----------
+    positions_px : (N, 2)
+        Where a pinhole shows them at full resolution [px].
+    levels : (N,)
+        Grey levels of the smoothed level.
+    gradients : (N, 2)
+        By a position at full resolution [levels/px].
+    variances : (N,)
+        Of an inlier's residual [levels²], positive.
+    squares : sequence of int
+        The square of pixels that each belongs to, in ascending order: each has a gain and an
+        offset of its own.
+    scale
+        Size of the level over that of the image, at most 1.
+    non_similarity_sigma
+        Standard deviation of the change between two images of what a homography has beside a
+        similarity, in unit coordinates.
+    unit_from_px : (3, 3)
+        From pixels at full resolution to coordinates of order 1, in which steps are computed: a
+        scale and a shift.
+    lens : seven floats, optional
+        fx, fy, cx, cy, k1, k2 and the greatest radius, as `Lens.radial` gives them.
+
+    Raises
+    ------
+    InvalidInputError
+        Numbers that are not finite, or columns of different lengths.
+    """
+
+    def __init__(
+        self,
+        positions_px: ArrayLike,
+        levels: ArrayLike,
+        gradients: ArrayLike,
+        variances: ArrayLike,
+        squares: Sequence[int],
+        *,
+        scale: float,
+        non_similarity_sigma: float,
+        unit_from_px: ArrayLike,
+        lens: tuple[float, float, float, float, float, float, float] | None = None,
+    ) -> None: ...
+
+class PlaneRegistration:
+    """Registers the working plane of a first image with later ones.
+
+    Iterated least squares on grey levels over the eight entries of a homography (inverse
+    compositional: Baker & Matthews 2004), from the coarsest level to the full resolution; Tukey's
+    biweight rejects what covers the plane, and pixels that are often outliers lose weight.
+
+    Parameters
+    ----------
+    levels
+        Of one view, from full resolution down; copied.
+    points_px : (M, 2)
+        Where accuracy is required, as a pinhole shows it in the first image [px].
+
+    Raises
+    ------
+    InvalidInputError
+        No level, or unit coordinates that are none.
+    """
+
+    def __init__(self, levels: Sequence[PlaneLevel], points_px: ArrayLike) -> None: ...
+    def align(
+        self,
+        smooth: Sequence[NDArray[np.uint8]],
+        guess: ArrayLike,
+        hand: tuple[ArrayLike, ArrayLike, float] | None = None,
+    ) -> RegisteredPlane | None:
+        """Register an image.
+
+        Parameters
+        ----------
+        smooth
+            Its smoothed pyramid, a level for each of the first image's, from full resolution down.
+        guess : (3, 3)
+            Homography from the first image to this one, accurate to a few pixels.
+        hand
+            Region that is not the plane: two ends of a segment [px], and the radius about it [px].
+
+        Returns
+        -------
+        RegisteredPlane or None
+            None where too little of the plane is visible.
+
+        Raises
+        ------
+        InvalidInputError
+            Another number of levels, or numbers that are not finite.
+        """
+
+class RegisteredPlane:
+    """The working plane as it lies in an image."""
+
+    @property
+    def now_from_first(self) -> NDArray[np.float64]:
+        """(3, 3) Homography from the pinhole's pixels of the first image to those of this one."""
+    @property
+    def step_covariance(self) -> NDArray[np.float64]:
+        """(8, 8) Covariance of a step before it, its entries but the last, in unit coordinates."""
+    @property
+    def inlier_share(self) -> float:
+        """Part of the expected pixels' information that inliers have, 0 to 1."""
+    @property
+    def inliers(self) -> int:
+        """Number of inliers among the expected pixels."""
+
 class RoundFinger:
     """The finger whose shading, as a round body's, explains best what is seen about an axis.
 

@@ -69,6 +69,11 @@ class Lens:
             in_range(getattr(self, name), f"lens {name}", -_MAX_COEFFICIENT, _MAX_COEFFICIENT)
         object.__setattr__(self, "_max_radius", _fold_radius(self.k1, self.k2))
 
+    @property
+    def radial(self) -> tuple[float, float, float, float, float, float, float]:
+        """fx, fy, cx, cy, k1, k2, and the radius up to which the model holds, perhaps infinite."""
+        return self.fx, self.fy, self.cx, self.cy, self.k1, self.k2, self._max_radius
+
     def distort(self, points_px: ArrayLike) -> NDArray[np.float64]:
         """Where the lens shows what a pinhole would show at `points_px`.
 

@@ -32,6 +32,8 @@ pub mod measure;
 #[doc(hidden)]
 pub mod numeric;
 #[doc(hidden)]
+pub mod plane;
+#[doc(hidden)]
 pub mod solve;
 #[doc(hidden)]
 pub mod track;

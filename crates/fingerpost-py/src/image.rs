@@ -37,9 +37,14 @@ impl<'py> FrameArrays<'py> {
         Ok(Self { gray, colour: has_colours.then_some(pixels) })
     }
 
+    /// Its grey levels.
+    pub fn levels(&self) -> PyResult<GrayView<'_>> {
+        self.gray.levels().map_err(invalid_input)
+    }
+
     /// The frame as the core sees it.
     pub fn frame(&self) -> PyResult<Frame<'_>> {
-        let gray = self.gray.levels().map_err(invalid_input)?;
+        let gray = self.levels()?;
         let Some(colour) = &self.colour else { return Ok(Frame::gray(gray)) };
         Frame::coloured(gray, colour.colours()?).map_err(invalid_input)
     }

@@ -12,6 +12,7 @@ mod image;
 mod numbers;
 mod options;
 mod outline;
+mod plane;
 mod round;
 mod search;
 mod shape_space;
@@ -42,6 +43,8 @@ mod _core {
     use super::fit::{PyFitReport, PyFitter};
     #[pymodule_export]
     use super::outline::{PyEdgePoints, PyLineFit, edges_along, fit_line};
+    #[pymodule_export]
+    use super::plane::{PyPlaneLevel, PyPlaneRegistration, PyRegisteredPlane};
     #[pymodule_export]
     use super::round::PyRoundFinger;
     #[pymodule_export]

@@ -13,6 +13,7 @@ from fingerpost.capture.devices import Camera, list_cameras
 from fingerpost.capture.opening import (
     open_source,
     open_views,
+    refuse_repeated,
     resolve_source,
     source_files,
     source_relative_to,
@@ -38,6 +39,7 @@ __all__ = [
     "open_source",
     "open_views",
     "read_views",
+    "refuse_repeated",
     "resolve_source",
     "source_files",
     "source_relative_to",

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import sys
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,7 +15,7 @@ import click
 from fingerpost.cli.live_views import give_up_option, hush_streams
 from fingerpost.cli.outputs import keep_apart, rig_files
 from fingerpost.cli.progress import watched
-from fingerpost.errors import InvalidInputError
+from fingerpost.errors import FingerpostError, InvalidInputError
 from fingerpost.installation import need_opencv
 from fingerpost.signals import ending_at_once
 
@@ -101,20 +104,23 @@ def init(
 
     asks = _is_terminal()
     given = list(sources) or _asked_sources(asks)
-    words = plane or _asked(asks, "--plane", "Size of the rectangle on the table", "A4")
+    words = plane or _asked(
+        asks, "--plane", "Size of the rectangle on the table", "A4", check=reference_of
+    )
     output = output or Path(_asked(asks, "-o", "Rig file", "rig.toml") if asks else "rig.toml")
     picture = picture or output.with_suffix(".png")
     rig = rig_of([_source(name) for name in given], reference_of(words), _near(near))
     keep_apart({"-o": output, "--picture": picture}, [*rig_files(output, rig)][1:])
     check_picture(picture)
     may_write = force or not output.exists()
-    if not may_write and not (asks and click.confirm(f"{output} exists. Overwrite?", err=True)):
+    may_write = may_write or (asks and _confirmed(f"{output} exists. Overwrite?", default=False))
+    if not may_write:
         raise InvalidInputError(f"{output}: exists already; --force writes over it")
     found = _found(rig, frames, give_up_after_s)
     write_picture(picture, found.picture)
     click.echo("\n".join(found.lines))
     click.echo(f"picture   {picture}")
-    if asks and not click.confirm("Is that right?", default=True, err=True):
+    if asks and not _confirmed("Is that right?", default=True):
         raise InvalidInputError("--near VIEW=U,V says which rectangle is meant")
     found.rig.save(output)
     click.echo(f"rig file  {output}")
@@ -146,10 +152,12 @@ def _is_terminal() -> bool:
     return all(stream is not None and stream.isatty() for stream in (sys.stdin, sys.stderr))
 
 
-def _asked(asks: bool, option: str, question: str, default: str) -> str:
+def _asked(
+    asks: bool, option: str, question: str, default: str, check: Callable[[str], object] = str
+) -> str:
     if not asks:
         raise click.UsageError(f"{option} is missing; such as {option} {default}")
-    return str(click.prompt(question, default=default, err=True))
+    return _answered(question, check, default=default)
 
 
 def _asked_sources(asks: bool) -> list[str]:
@@ -157,15 +165,72 @@ def _asked_sources(asks: bool) -> list[str]:
         raise click.UsageError(
             "--from is missing; such as --from left.mp4 right.mp4, or --from 0 1"
         )
+    _show_cameras()
     names: list[str] = []
     while True:
         question = f"View {len(names) + 1}: film, camera number or URL"
-        question += " (empty: no more)" if len(names) >= 2 else ""
-        options: dict[str, Any] = {"default": "", "show_default": False} if len(names) >= 2 else {}
-        answer = str(click.prompt(question, err=True, **options)).strip()
+        is_enough = len(names) >= 2
+        question += " (empty: no more)" if is_enough else ""
+        options: dict[str, Any] = {"default": "", "show_default": False} if is_enough else {}
+        answer = _answered(question, partial(_check_source, names), **options)
         if not answer:
             return names
         names.append(answer)
+
+
+def _answered(question: str, check: Callable[[str], object], **options: Any) -> str:
+    """Ask until an answer passes its check."""
+
+    def checked(answer: str) -> str:
+        answer = answer.strip()
+        try:
+            check(answer)
+        except FingerpostError as error:
+            # What makes click ask once more.
+            raise click.UsageError(str(error)) from error
+        return answer
+
+    with _ended_line():
+        return str(click.prompt(question, value_proc=checked, err=True, **options))
+
+
+def _confirmed(question: str, *, default: bool) -> bool:
+    with _ended_line():
+        return click.confirm(question, default=default, err=True)
+
+
+@contextmanager
+def _ended_line() -> Iterator[None]:
+    """Begin a new line if a prompt is not answered: by Ctrl-C, or the end of input."""
+    try:
+        yield
+    except click.Abort:
+        click.echo(err=True)
+        raise
+
+
+def _check_source(before: Sequence[str], answer: str) -> None:
+    """Refuse a file that is not there, or that another view reads."""
+    from fingerpost.capture import is_url, refuse_repeated, source_files
+
+    if not answer and len(before) >= 2:
+        return
+    source = _source(answer)
+    if source == "-":
+        raise InvalidInputError("-: a terminal sends no frames; a named pipe does")
+    # Path.exists would raise where a name is too long to exist.
+    exists = [os.path.exists(file) for file in source_files(source)]  # noqa: PTH110
+    if isinstance(source, str) and not is_url(source) and not (exists and all(exists)):
+        raise InvalidInputError(f"{answer}: no such file")
+    refuse_repeated({f"view {k + 1}": _source(name) for k, name in enumerate([*before, answer])})
+
+
+def _show_cameras() -> None:
+    """Name the cameras that are plugged in, for their numbers are what is asked for."""
+    from fingerpost.capture import list_cameras
+
+    for camera in list_cameras():
+        click.echo(f"camera {camera.number}  {camera.name or camera.trouble}", err=True)
 
 
 def _source(name: str) -> str | int:

@@ -61,13 +61,15 @@ class RectangleMeter:
         self._lens = lens
         self._channel: int | None = None
         self._steps: Array | None = None
+        self._is_swift = False
 
     def measure(self, picture: Picture, near_px: Array) -> Measured | None:
         """Measure the corners near to where they were; None where too little of it shows."""
         if self._steps is None:
             self._channel = channel_of(picture, near_px)
         levels = tone(picture, self._channel)
-        for reach_px in (NEAR_PX, FAR_PX):
+        # Of a camera that has just moved far, the next picture shows them far off again.
+        for reach_px in (FAR_PX,) if self._is_swift else (NEAR_PX, FAR_PX):
             rough = fit_sides(levels, near_px, self._lens, reach_px=reach_px, steps=self._steps)
             if rough is None:
                 continue
@@ -78,9 +80,11 @@ class RectangleMeter:
                     levels, rough.corners_px, self._lens, reach_px=NEAR_PX, steps=rough.steps
                 )
             if sides is not None and self._is_believed(sides):
+                self._is_swift = bool(np.abs(sides.corners_px - near_px).max() > NEAR_PX)
                 if self._steps is None:
                     self._steps = sides.steps
                 return Measured(sides.corners_px, sides.covariance)
+        self._is_swift = False
         return None
 
     def search(self, picture: Picture, near_px: Array) -> Measured | None:

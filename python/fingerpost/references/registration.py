@@ -1,13 +1,11 @@
 """Direct registration of the working plane in the images of a moving camera.
 
 The region of the first image about its reference points is aligned with the present image by a
-homography: iterated least squares on grey levels over the eight parameters, with the gradients of
-the first image (inverse compositional: Baker & Matthews 2004), from reduced pyramid levels, which
-determine a similarity, to the full resolution. The pixels are in small squares: some spread over
-the whole image, however weak their gradients, and the strongest ones besides, which may be of an
-object or a shadow. Each square has a free gain and offset, for the soft shadow of a hand crosses
-most of them. Tukey's biweight rejects occluders, and a square that is often an outlier loses
-weight: an object off the plane soon moves relative to it.
+homography, from reduced pyramid levels, which determine a similarity, to the full resolution; the
+core iterates (`fingerpost._core.PlaneRegistration`). The pixels are in small squares: some spread
+over the whole image, however weak their gradients, and the strongest ones besides, which may be of
+an object or a shadow. A square that is often an outlier loses weight: an object off the plane soon
+moves relative to it.
 """
 
 from __future__ import annotations
@@ -18,6 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fingerpost._core import PlaneLevel, RegisteredPlane
+from fingerpost._core import PlaneRegistration as CoreRegistration
 from fingerpost.homography import transfer_jacobian_by_entries, transfer_to_image
 from fingerpost.lens import Lens
 
@@ -50,37 +50,11 @@ NOISE_LEVELS = 3.0
 ALIGNED_PX = 0.15
 """Standard deviations of an inlier's residual: noise [levels], and position along the gradient."""
 
-GAIN_SIGMA = 0.3
-MAX_GAIN = 0.5
-"""Standard deviation of the relative change of a square's gain, and its greatest value: a plain
-area in place of an edge fits with a change of -1 and is not the plane."""
-
-BIWEIGHT = 4.685
-MIN_SCALE = 0.3
-MAX_SCALE = 2.0
-"""Tukey's constant, 95 % efficient for normal errors, and the range of the residual scale. A square
-that is an inlier only at a larger scale is not the plane."""
-
-MAX_ITERATIONS = 10
-CONVERGENCE_PX = 0.03
-COARSE_CONVERGENCE_PX = 0.4
-MIN_DETERMINANT = 0.1
-"""Greatest number of iterations; greatest motion of a reference point in the last one, at full
-resolution and at reduced levels; least determinant of a step, below which it nearly folds the
-plane."""
-
-NON_SIMILARITY = np.zeros((4, 8))
-NON_SIMILARITY[(0, 0, 1, 1, 2, 3), (0, 4, 1, 3, 6, 7)] = 1.0, -1.0, 1.0, 1.0, 1.0, 1.0
 NON_SIMILARITY_SIGMA_PX = 0.5
 COARSE_NON_SIMILARITY_SIGMA_PX = 0.001
-"""The four components of a homography's entries beside a similarity, and the standard deviations of
-their change between two frames [px at half an image width from its centre], at full resolution and
-at reduced levels. This prior keeps them where the image does not determine them."""
-
-TRUST_RATE = 0.1
-MIN_TRUST = 0.5
-"""Rate of the running mean of a pixel's inlier indicator (its trust, 1 to 0), and the least trust
-of a pixel that is expected to be an inlier."""
+"""Standard deviations of the change between two frames of what a homography has beside a similarity
+[px at half an image width from its centre], at full resolution and at reduced levels. This prior
+keeps its four components where the image does not determine them."""
 
 MIN_INLIER_INFORMATION = 0.5
 MIN_INLIERS = 150
@@ -102,12 +76,14 @@ NOISE_FLOOR = 0.3
 MIN_GAIN = 0.3
 LIGHT_ITERATIONS = 3
 MIN_STATIC_SHARE = 0.15
+MIN_STATIC_PIXELS = 150
 MIN_INFORMATIVE_SQUARES = 8
 """Test for a static plane. A square is informative if the motion would change it by more than
 `NOISE_FACTOR` times its noise bound. It is static if its change is below `MAX_UNCHANGED_PART` of
 that plus the bound, and it has kept `MIN_GAIN` of its contrast. The plane is static if at least
 `MIN_INFORMATIVE_SQUARES` are informative and more than `MIN_STATIC_SHARE` of these are static:
-after a motion of the camera hardly any are, a moving arm leaves more."""
+after a motion of the camera hardly any are, a moving arm leaves more. It is not tested by fewer
+than `MIN_STATIC_PIXELS`."""
 
 ROW = 64
 """Row length of the array of pixels passed to OpenCV."""
@@ -181,12 +157,14 @@ class PlaneRegistration:
 
     def _choose(self) -> None:
         """Choose the pixels of the first image and its pyramid."""
-        view = self._lens, self._unit_from_px
-        self._levels = [
-            _Level(picture, halvings, self._plane, *view)
+        levels = [
+            _Level(picture, halvings, self._plane, self._lens)
             for halvings, picture in enumerate(_pyramid(self._first))
         ]
-        self._static_test = _Level(self._first, 0, self._all, *view, only_spread=True)
+        self._finest = levels[0]
+        in_core = [level.in_core(self._unit_from_px) for level in levels]
+        self._registration = CoreRegistration(in_core, self._points_px)
+        self._static_test = _Level(self._first, 0, self._all, self._lens, only_spread=True)
 
     def apparent_motion_px(self, now: Picture) -> float:
         """Return the apparent motion of the plane, the median over its best pixels [px].
@@ -198,7 +176,7 @@ class PlaneRegistration:
         now
             (H, W) Grey levels of an image of the first one's size.
         """
-        return self._levels[0].apparent_motion_px(now)
+        return self._finest.apparent_motion_px(now)
 
     def forget(self, hand: Segment) -> None:
         """Exclude a region of the first image from the plane.
@@ -245,41 +223,18 @@ class PlaneRegistration:
         hand
             Region of a hand in the present image, if known.
         """
-        now_from_first, fit = guess, None
-        # Accumulated step since the guess, in normalised units.
-        gone = np.eye(3)
-        for level, picture in reversed(list(zip(self._levels, _pyramid(now), strict=True))):
-            smooth = _smooth(picture)
-            for _ in range(MAX_ITERATIONS):
-                fit = level.fit(smooth, now_from_first, gone / gone[2, 2], hand)
-                if fit is None or np.linalg.det(fit.step) < MIN_DETERMINANT:
-                    return None
-                back = np.linalg.inv(fit.step)
-                step, gone = self._px_from_unit @ back @ self._unit_from_px, gone @ back
-                now_from_first = now_from_first @ step
-                now_from_first = now_from_first / now_from_first[2, 2]
-                if not np.isfinite(now_from_first).all():
-                    return None
-                if self._changes_px(step) < (
-                    CONVERGENCE_PX if level is self._levels[0] else COARSE_CONVERGENCE_PX
-                ):
-                    break
-            if fit is not None:
-                level.learn(fit)
-        return None if fit is None else self._judged(now_from_first, fit)
+        smooth = [_blurred(picture) for picture in _pyramid(now)]
+        registered = self._registration.align(smooth, guess, hand)
+        return None if registered is None else self._judged(registered)
 
-    def _changes_px(self, step: Array) -> float:
-        """Return the greatest motion of a reference point by a step [px]."""
-        off_px = transfer_to_image(step, self._points_px) - self._points_px
-        return float(np.abs(off_px).max())
-
-    def _judged(self, now_from_first: Array, fit: _Fit) -> PlaneMotion | None:
+    def _judged(self, registered: RegisteredPlane) -> PlaneMotion | None:
         """Return the motion with its covariance; None with too few inliers."""
-        if fit.share < MIN_INLIER_INFORMATION or fit.count < MIN_INLIERS:
+        if registered.inlier_share < MIN_INLIER_INFORMATION or registered.inliers < MIN_INLIERS:
             return None
+        now_from_first = registered.now_from_first
         # Each entry of the step is one of a product: now_from_first · N⁻¹ · step · N.
         by_step = np.kron(now_from_first @ self._px_from_unit, self._unit_from_px.T)[:, :8]
-        motion = PlaneMotion(now_from_first, by_step @ fit.covariance @ by_step.T)
+        motion = PlaneMotion(now_from_first, by_step @ registered.step_covariance @ by_step.T)
         return motion if self._sigma_px(motion) < MAX_SIGMA_PX else None
 
     def _sigma_px(self, motion: PlaneMotion) -> float:
@@ -292,29 +247,6 @@ class PlaneRegistration:
         return float(np.sqrt(np.trace(covariances, axis1=1, axis2=2).max()))
 
 
-@dataclass(frozen=True, eq=False)
-class _Fit:
-    """One iteration.
-
-    Attributes
-    ----------
-    step
-        (3, 3) Homography of the step, in normalised units.
-    covariance
-        (8, 8) Covariance of its entries but the last, clustered: errors within a square correlate.
-    weights
-        (N,) Biweight of each pixel, 1 to 0; NaN where it is not visible.
-    share, count
-        Inliers among the expected pixels: their part of the information, and their number.
-    """
-
-    step: Array
-    covariance: Array
-    weights: Array
-    share: float
-    count: int
-
-
 class _Level:
     """The chosen pixels of one level of the first image's pyramid."""
 
@@ -324,7 +256,6 @@ class _Level:
         halvings: int,
         plane: Picture,
         lens: Lens | None,
-        unit_from_px: Array,
         *,
         only_spread: bool = False,
     ) -> None:
@@ -355,12 +286,6 @@ class _Level:
         self._noise_levels = _noise(picture) / np.sqrt(2.0 * np.pi) / BLUR_PX
         self._variances = NOISE_LEVELS**2 + (ALIGNED_PX / self._scale) ** 2 * (by_px**2).sum(1)
         self._information = (by_px**2).sum(axis=1) / self._variances
-        self._jacobian = self._by_step(by_px, unit_from_px)
-        self._trust = np.ones(len(self._levels))
-        oblique_px = NON_SIMILARITY_SIGMA_PX if halvings == 0 else COARSE_NON_SIMILARITY_SIGMA_PX
-        self._non_similarity_information = (
-            NON_SIMILARITY.T @ NON_SIMILARITY / (unit_from_px[0, 0] * oblique_px) ** 2
-        )
         better = np.argsort(-self._information, kind="stable")[: len(row) // 2]
         # A pixel without gradient has no information.
         some = better[self._information[better] > 0.0][::SUBSAMPLING]
@@ -368,13 +293,21 @@ class _Level:
         self._some_by_px = np.linalg.norm(by_px[some], axis=1)
         self._some_levels = picture[self._some].astype(np.int16)
 
-    def _by_step(self, by_px: Array, unit_from_px: Array) -> Array:
-        """Return the Jacobian (N, 8) of the levels by a step's entries but the last."""
-        x, y = transfer_to_image(unit_from_px, self._places_px).T
-        by_x, by_y = (by_px / unit_from_px[0, 0]).T
-        radial = -(by_x * x + by_y * y)
-        columns = [by_x * x, by_x * y, by_x, by_y * x, by_y * y, by_y, radial * x, radial * y]
-        return np.column_stack(columns)
+    def in_core(self, unit_from_px: Array) -> PlaneLevel:
+        """Return the pixels as the core takes them."""
+        is_finest = self._scale == 1.0
+        oblique_px = NON_SIMILARITY_SIGMA_PX if is_finest else COARSE_NON_SIMILARITY_SIGMA_PX
+        return PlaneLevel(
+            self._places_px,
+            self._levels,
+            self._by_px,
+            self._variances,
+            self._square_of.tolist(),
+            scale=self._scale,
+            non_similarity_sigma=unit_from_px[0, 0] * oblique_px,
+            unit_from_px=unit_from_px,
+            lens=None if self._lens is None else self._lens.radial,
+        )
 
     def apparent_motion_px(self, now: Picture) -> float:
         """Return the median apparent motion of some pixels, less a common change of level."""
@@ -388,7 +321,7 @@ class _Level:
         if len(self._levels) == 0:
             return False
         here, in_sight = self._seen(smooth, np.eye(3), hand)
-        if in_sight.sum() < MIN_INLIERS:
+        if in_sight.sum() < MIN_STATIC_PIXELS:
             return False
         weights = in_sight / self._variances
         off_px = transfer_to_image(guess, self._places_px) - self._places_px
@@ -408,49 +341,6 @@ class _Level:
         return bool(
             is_informative.sum() >= MIN_INFORMATIVE_SQUARES
             and is_unchanged[is_informative].mean() > MIN_STATIC_SHARE
-        )
-
-    def fit(
-        self,
-        smooth: NDArray[np.float32],
-        now_from_first: Array,
-        gone: Array,
-        hand: Segment | None,
-    ) -> _Fit | None:
-        """Solve for the least-squares step; None where too few pixels are visible.
-
-        `gone` is the accumulated step since the guess, in normalised units.
-        """
-        if len(self._levels) < MIN_INLIERS * self._scale:
-            return None
-        here, in_sight = self._seen(smooth, now_from_first, hand)
-        expected = in_sight & (self._trust > MIN_TRUST)
-        if expected.sum() < MIN_INLIERS * self._scale:
-            return None
-        columns = np.column_stack([self._jacobian, np.where(in_sight, here - self._levels, 0.0)])
-        weights = in_sight * self._trust / self._variances
-        left, gains = self._without_light(columns[:, 8:], weights)
-        z = np.abs(left[:, 0]) / np.sqrt(self._variances)
-        scale = max(1.4826 * float(np.median(z[expected])), MIN_SCALE)
-        cut = BIWEIGHT * scale
-        is_lit = np.abs(gains[:, 0]) < MAX_GAIN
-        fits = np.where(in_sight & is_lit & (z < cut), (1.0 - (z / cut) ** 2) ** 2, 0.0)
-        weights = weights * fits
-        columns, _ = self._without_light(columns, weights)
-        solved = self._solved(columns[:, :8], columns[:, 8], weights, gone)
-        if solved is None:
-            return None
-        step = np.eye(3)
-        step.ravel()[:8] += solved[0]
-        is_like = is_lit & (z < BIWEIGHT * min(scale, MAX_SCALE))
-        is_met = is_like[expected]
-        information = self._information[expected]
-        return _Fit(
-            step,
-            solved[1],
-            np.where(in_sight, fits, np.nan),
-            share=float(information @ is_met / information.sum()),
-            count=int(is_met.sum()),
         )
 
     def _seen(
@@ -481,44 +371,9 @@ class _Level:
         means = (sums[:, 1:] / (sums[:, :1] + np.finfo(float).tiny))[self._square_of]
         return np.asarray((columns - means).T)
 
-    def _without_light(self, columns: Array, weights: Array) -> tuple[Array, Array]:
-        """Eliminate each square's light, a gain and an offset; return the columns and the gains."""
-        centred = self._centred(np.column_stack([self._levels, columns]), weights)
-        level, about = centred[0], centred[1:].T
-        both = np.column_stack([level, about]) * (weights * level)[:, None]
-        sums = self._sums(both)
-        gains = sums[:, 1:] / (sums[:, :1] + 1.0 / GAIN_SIGMA**2)
-        gains = gains[self._square_of]
-        return np.asarray(about - level[:, None] * gains), np.asarray(gains)
-
-    def _solved(
-        self, jacobian: Array, off: Array, weights: Array, gone: Array
-    ) -> tuple[Array, Array] | None:
-        """Return the least-squares solution and its covariance; None without any weight.
-
-        A prior pulls the accumulated step back to a similarity.
-        """
-        weighted = jacobian * weights[:, None]
-        normal = weighted.T @ jacobian + self._non_similarity_information
-        scale = np.sqrt(np.diag(normal))
-        if not (scale > 0.0).all():
-            return None
-        scales = np.outer(scale, scale)
-        inverse = np.linalg.pinv(normal / scales, rcond=1e-9, hermitian=True) / scales
-        solution = inverse @ (
-            weighted.T @ off + self._non_similarity_information @ (gone - np.eye(3)).ravel()[:8]
-        )
-        scores = self._sums(weighted * (off - jacobian @ solution)[:, None])
-        return solution, inverse @ (scores.T @ scores + self._non_similarity_information) @ inverse
-
     def _sums(self, columns: Array) -> Array:
         """Return the sums over the pixels of each square."""
         return np.asarray(np.add.reduceat(columns, self._square_starts, axis=0))
-
-    def learn(self, fit: _Fit) -> None:
-        """Update the trust of the visible pixels by whether they are inliers."""
-        seen = np.isfinite(fit.weights)
-        self._trust[seen] += TRUST_RATE * ((fit.weights[seen] > 0.0) - self._trust[seen])
 
 
 def _noise(picture: Picture) -> float:
@@ -611,7 +466,11 @@ def _pyramid(picture: Picture) -> list[Picture]:
     return pictures
 
 
-def _smooth(picture: Picture) -> NDArray[np.float32]:
+def _blurred(picture: Picture) -> Picture:
     import cv2
 
-    return np.asarray(cv2.GaussianBlur(picture, (0, 0), BLUR_PX), np.float32)
+    return np.asarray(cv2.GaussianBlur(picture, (0, 0), BLUR_PX), np.uint8)
+
+
+def _smooth(picture: Picture) -> NDArray[np.float32]:
+    return _blurred(picture).astype(np.float32)

@@ -1,5 +1,6 @@
 """The simulated rig: cameras, table and pointing device, rendered with exact truth."""
 
+import copy
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -84,16 +85,38 @@ class SimulatedRig:
         if not self.cameras:
             raise InvalidInputError("cameras is empty; a rig needs one or more")
         self.reference_points_px = tuple(self._references(camera) for camera in self.cameras)
-        table = Table(self.background, self.workspace, self.cameras)
-        self._views = tuple(
-            ViewRenderer(camera, table, self.background, self.lighting, self.sensor)
-            for camera in self.cameras
-        )
+        self._table = Table(self.background, self.workspace, self.cameras)
+        self._views = self._renderers()
 
     @property
     def plane_points(self) -> Array:
         """(N, 2) reference points on the plane [mm]."""
         return self.workspace.points_mm
+
+    def seen_by(self, cameras: Sequence[Camera]) -> "SimulatedRig":
+        """Return the same scene before other cameras: the table is not laid out anew.
+
+        Parameters
+        ----------
+        cameras
+            For a camera that moves, where it is at one time; under the same name.
+
+        Raises
+        ------
+        InvalidInputError
+            As of the constructor.
+        """
+        seen = copy.copy(self)
+        seen.cameras = _cameras(cameras, self.workspace)
+        seen.reference_points_px = tuple(seen._references(camera) for camera in seen.cameras)
+        seen._views = seen._renderers()
+        return seen
+
+    def _renderers(self) -> tuple[ViewRenderer, ...]:
+        return tuple(
+            ViewRenderer(camera, self._table, self.background, self.lighting, self.sensor)
+            for camera in self.cameras
+        )
 
     def render(
         self,

@@ -3,3 +3,4 @@
 pub mod edge;
 pub mod edge_search;
 pub mod outline;
+mod stretch;

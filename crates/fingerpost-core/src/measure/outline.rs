@@ -11,22 +11,13 @@
 
 use nalgebra::{Matrix2, Point2, Vector2};
 
+use super::stretch::{KERNEL_REACH, KERNEL_SIGMA_PX, Stretch, summit};
 use crate::image::gray::GrayView;
 use crate::{Error, Result};
-
-/// σ of the derivative of a Gaussian \[px\]: about the blur of a camera's edge, which is optimal,
-/// and wide enough to be sampled by pixels (aliasing is below 10⁻¹²).
-const KERNEL_SIGMA_PX: f64 = 1.2;
-
-/// Reach of the kernel, in σ: it has fallen to 10⁻⁴ of its peak.
-const KERNEL_REACH: f64 = 4.5;
 
 /// Minimum number of stretches of a path, and their maximum length \[px\].
 const STRETCHES: f64 = 32.0;
 const LONGEST_STRETCH_PX: f64 = 8.0;
-
-/// Newton steps to the maximum of |R|; it converges within two from the nearest whole pixel.
-const NEWTON_STEPS: usize = 4;
 
 /// Inlier threshold of the distance from a line: \[px\], in median standard deviations if that is
 /// more, and its upper bound \[px\].
@@ -109,9 +100,6 @@ pub struct LineFit {
     pub rms_px: f64,
 }
 
-/// The pixels of one stretch: distance from the path along the scan, and grey level.
-pub(super) type Samples = Vec<(f64, f64)>;
-
 /// Localises an edge along a path.
 ///
 /// Each stretch of the path gives the strongest edge within reach, or none. Rows or columns are
@@ -191,12 +179,12 @@ impl<'a> Scan<'a> {
             return;
         }
         let count = (self.length_px / stretch_px).ceil().min(1e5);
-        let mut pixels = Samples::new();
+        let mut stretch = Stretch::default();
         for k in 0..count as usize {
             let from_px = k as f64 * self.length_px / count;
             let to_px = (k + 1) as f64 * self.length_px / count;
-            if let Some(middle_px) = self.gather(from_px, to_px, &mut pixels)
-                && let Some(edge) = self.edge(&pixels, middle_px, polarity, least_contrast)
+            if let Some(middle_px) = self.gather(from_px, to_px, &mut stretch)
+                && let Some(edge) = self.edge(&stretch, middle_px, polarity, least_contrast)
             {
                 edges.push(edge);
             }
@@ -205,8 +193,8 @@ impl<'a> Scan<'a> {
 
     /// Collects the pixels of a stretch; returns the mean position of its scans along the path, if
     /// there are any.
-    fn gather(&self, from_px: f64, to_px: f64, pixels: &mut Samples) -> Option<f64> {
-        pixels.clear();
+    fn gather(&self, from_px: f64, to_px: f64, stretch: &mut Stretch) -> Option<f64> {
+        stretch.clear();
         let (begin, step) = self.axis();
         let (a, b) = (begin + step * from_px, begin + step * to_px);
         let (low, high) = if a < b { (a, b) } else { (b, a) };
@@ -217,7 +205,7 @@ impl<'a> Scan<'a> {
         // Half open: the scan on a border belongs to the next stretch.
         while at < end {
             let along_px = (at - begin) / step;
-            if self.scan(at as usize, along_px, pixels) {
+            if self.scan(at as usize, along_px, stretch) {
                 scans += 1.0;
                 middle_px += along_px;
             }
@@ -227,7 +215,7 @@ impl<'a> Scan<'a> {
     }
 
     /// Appends the pixels of one row or column; false if it ends within the kernel's reach.
-    fn scan(&self, at: usize, along_px: f64, pixels: &mut Samples) -> bool {
+    fn scan(&self, at: usize, along_px: f64, stretch: &mut Stretch) -> bool {
         let centre = self.from + self.along * along_px;
         let centre = if self.by_columns { centre.y } else { centre.x };
         let reach = self.reach_px + KERNEL_REACH * KERNEL_SIGMA_PX;
@@ -236,10 +224,11 @@ impl<'a> Scan<'a> {
         if low < 0.0 || high > last - 1.0 {
             return false;
         }
+        stretch.starts.push(stretch.pixels.len());
         for other in low as usize..=high as usize {
             let (x, y) = if self.by_columns { (at, other) } else { (other, at) };
             let Some(level) = self.image.pixel(x, y) else { return false };
-            pixels.push((other as f64 - centre, f64::from(level)));
+            stretch.pixels.push((other as f64 - centre, f64::from(level)));
         }
         true
     }
@@ -247,7 +236,7 @@ impl<'a> Scan<'a> {
     /// The strongest edge of the pixels of a stretch.
     fn edge(
         &self,
-        pixels: &[(f64, f64)],
+        stretch: &Stretch,
         middle_px: f64,
         polarity: EdgePolarity,
         least_contrast: f64,
@@ -255,12 +244,13 @@ impl<'a> Scan<'a> {
         // Coordinates along the scan increase with the normal or against it.
         let steepness = if self.by_columns { self.along.x } else { -self.along.y };
         let sense = steepness.signum();
-        let mean = pixels.iter().map(|(_, level)| level).sum::<f64>() / pixels.len() as f64;
+        let mean = stretch.mean();
         let steps = self.reach_px.floor() as i32;
         let top = (-steps..=steps)
-            .map(|x| (f64::from(x), polarity.strength(sense * response(pixels, mean, x.into()))))
+            .zip(stretch.responses(mean, steps))
+            .map(|(x, response)| (f64::from(x), polarity.strength(sense * response)))
             .max_by(|a, b| a.1.total_cmp(&b.1))?;
-        let (x, contrast, sigma) = summit(pixels, mean, top.0)?;
+        let (x, contrast, sigma) = summit(&stretch.pixels, mean, top.0)?;
         let contrast = sense * contrast;
         if polarity.strength(contrast) < least_contrast || x.abs() > self.reach_px + 0.5 {
             return None;
@@ -273,46 +263,6 @@ impl<'a> Scan<'a> {
             sigma_px: (NOISE_LEVELS * sigma * steepness).hypot(ROUGHNESS_PX),
         })
     }
-}
-
-/// R at x, normalised to the step of grey levels there.
-fn response(pixels: &[(f64, f64)], mean: f64, x: f64) -> f64 {
-    let (mut sum, mut scale) = (0.0, 0.0);
-    for (s, level) in pixels {
-        let z = (s - x) / KERNEL_SIGMA_PX;
-        if z.abs() < KERNEL_REACH {
-            let gauss = (-0.5 * z * z).exp();
-            sum += (level - mean) * z * gauss;
-            scale += 0.5 * z.abs() * gauss;
-        }
-    }
-    if scale > 0.0 { sum / scale } else { 0.0 }
-}
-
-/// The maximum of |R| near x: position, height, and standard deviation for noise of 1 grey level.
-fn summit(pixels: &[(f64, f64)], mean: f64, from: f64) -> Option<(f64, f64, f64)> {
-    let mut x = from;
-    let mut sigma = 0.0;
-    for _ in 0..NEWTON_STEPS {
-        let (mut slope, mut curvature, mut squares) = (0.0, 0.0, 0.0);
-        for (s, level) in pixels {
-            let z = (s - x) / KERNEL_SIGMA_PX;
-            if z.abs() < KERNEL_REACH {
-                let gauss = (-0.5 * z * z).exp();
-                let by_x = (z * z - 1.0) * gauss;
-                slope += (level - mean) * by_x;
-                curvature += (level - mean) * z * (z * z - 3.0) * gauss;
-                squares += by_x * by_x;
-            }
-        }
-        let step = -KERNEL_SIGMA_PX * slope / curvature;
-        if !step.is_finite() || (x + step - from).abs() > 1.0 {
-            return None;
-        }
-        x += step;
-        sigma = KERNEL_SIGMA_PX * squares.sqrt() / curvature.abs();
-    }
-    Some((x, response(pixels, mean, x), sigma))
 }
 
 /// Fits the line with the largest consensus; `None` for fewer than five points, or without
