@@ -60,6 +60,9 @@ __all__ = [
     "HandFinder",
     "LineFit",
     "PlacedContour",
+    "PlaneLevel",
+    "PlaneRegistration",
+    "RegisteredPlane",
     "RoundFinger",
     "SearchLines",
     "ShapeSpace",
@@ -1438,8 +1441,8 @@ class PlaneLevel:
         Numbers that are not finite, or columns of different lengths.
     """
 
-    def __init__(
-        self,
+    def __new__(
+        cls,
         positions_px: ArrayLike,
         levels: ArrayLike,
         gradients: ArrayLike,
@@ -1450,8 +1453,9 @@ class PlaneLevel:
         non_similarity_sigma: float,
         unit_from_px: ArrayLike,
         lens: tuple[float, float, float, float, float, float, float] | None = None,
-    ) -> None: ...
+    ) -> PlaneLevel: ...
 
+@final
 class PlaneRegistration:
     """Registers the working plane of a first image with later ones.
 
@@ -1472,7 +1476,7 @@ class PlaneRegistration:
         No level, or unit coordinates that are none.
     """
 
-    def __init__(self, levels: Sequence[PlaneLevel], points_px: ArrayLike) -> None: ...
+    def __new__(cls, levels: Sequence[PlaneLevel], points_px: ArrayLike) -> PlaneRegistration: ...
     def align(
         self,
         smooth: Sequence[NDArray[np.uint8]],
@@ -1501,6 +1505,7 @@ class PlaneRegistration:
             Another number of levels, or numbers that are not finite.
         """
 
+@final
 class RegisteredPlane:
     """The working plane as it lies in an image."""
 
@@ -1517,6 +1522,7 @@ class RegisteredPlane:
     def inliers(self) -> int:
         """Number of inliers among the expected pixels."""
 
+@final
 class RoundFinger:
     """The finger whose shading, as a round body's, explains best what is seen about an axis.
 
