@@ -1,8 +1,12 @@
 """What all tests share."""
 
+import os
 import signal
 
 from hypothesis import HealthCheck, settings
+
+# As the command line has it; NumPy reads it when it is imported.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 # A busy machine is no fault of what is tested: no example has a deadline, and none is too slow.
 settings.register_profile(

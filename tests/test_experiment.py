@@ -391,17 +391,19 @@ def test_a_template_moulded_elsewhere_costs_the_paper_its_accuracy_and_the_bands
     # A planar template that was held up is another one where the hand points: section 3.3 of the
     # paper is off by 3.7 % of the plane.
     rms = {}
-    here = [Bench(ExperimentOptions()).trial(k).target for k in (0, 5)]
+    here = [Bench(ExperimentOptions()).trial(k).target for k in (0, 9)]
     for tracker in ("paper", "ribbon"):
-        for away in (0, 30):
-            bench = Bench(ExperimentOptions(tracker={"model": tracker}, approach_frames=away))
-            trials = [bench.trial(index) for index in range(6)]
-            np.testing.assert_array_equal([trials[0].target, trials[5].target], here)
+        for away in (0, 12):
+            bench = Bench(
+                ExperimentOptions(tracker={"model": tracker}, approach_frames=away, frames=12)
+            )
+            trials = [bench.trial(index) for index in range(10)]
+            np.testing.assert_array_equal([trials[0].target, trials[9].target], here)
             errors = [trial.error for trial in trials if trial.status is Status.OK]
-            assert len(errors) >= 5
+            assert len(errors) >= 9
             rms[tracker, away] = np.sqrt(np.mean(np.square(errors)))
-    assert rms["paper", 30] > 2.0 * rms["paper", 0]
-    assert rms["ribbon", 30] < 1.5 * rms["ribbon", 0]
+    assert rms["paper", 12] > 2.0 * rms["paper", 0]
+    assert rms["ribbon", 12] < 1.5 * rms["ribbon", 0]
 
 
 def test_trackers_start_where_the_device_is_first():
@@ -435,9 +437,9 @@ def test_what_noise_does_to_a_target_its_mirror_does_the_other_way_round():
 
 
 def test_the_paper_reaches_its_accuracy_over_the_workspace():
-    options = ExperimentOptions(tracker=PAPER, targets=40, frames=6)
+    options = ExperimentOptions(tracker=PAPER, targets=20, frames=6)
     summary = run_experiment(options, workers=1).summary
-    assert summary.available >= 20
+    assert summary.available >= 10
     assert summary.points.rms <= 0.037 * PLANE
     assert summary.bound.rms < summary.points.rms
 
@@ -447,7 +449,7 @@ def test_a_lens_that_is_told_costs_nothing_and_one_that_is_not_a_lot():
     medians = {}
     for lens in ("known", "ignored"):
         options = ExperimentOptions(
-            targets=8,
+            targets=6,
             lens=lens,
             cameras=webcams,
             reference_noise_px=0.0,
@@ -464,7 +466,7 @@ def test_the_finger_that_a_lens_bends_is_straight_again():
     rms_mm = {}
     for k1 in (0.0, -0.2):
         options = ExperimentOptions(
-            targets=12,
+            targets=8,
             cameras=Placement(distance_m=0.75, f_px=622.0, k1=(k1,)),
             reference_noise_px=0.0,
             sensor=Sensor(noise=0.0),

@@ -90,7 +90,7 @@ def test_version_says_what_a_bug_report_needs_without_opencv(site):
     [
         ("ex", {"experiment", "export"}),
         ("experiment --dev", {"--device"}),
-        ("live --h", {"--host", "--help"}),
+        ("live --ho", {"--host", "--homing-timeout"}),
     ],
 )
 def test_the_shell_completes_commands_and_options(typed, offered):

@@ -10,6 +10,8 @@ from fingerpost.signals import ending_at_once, is_anything_stuck
 
 def main() -> None:
     """Load the command line and run it; Ctrl-C is heard from here on, until the program is gone."""
+    # Matrices are small here: threads of BLAS would only spin, for a quarter of all work.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     with ending_at_once():
         from fingerpost.cli import main as run_command
     try:

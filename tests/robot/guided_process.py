@@ -343,13 +343,16 @@ class JpegStreams(http.server.ThreadingHTTPServer):
     ----------
     films
         For every view its pictures, as JPEG bytes; or a callable that draws the next.
+    fps
+        Pictures a second.
     """
 
     daemon_threads = True
 
-    def __init__(self, films) -> None:
+    def __init__(self, films, fps=FPS) -> None:
         super().__init__(("127.0.0.1", 0), _JpegHandler)
         self.films = films
+        self.fps = fps
         self.stalled = False
         self.closing = False
 
@@ -383,7 +386,7 @@ class _JpegHandler(http.server.BaseHTTPRequestHandler):
         begin_s, number = time.monotonic(), 0
         with contextlib.suppress(OSError):
             while not self.server.closing:
-                due_s = begin_s + number / FPS
+                due_s = begin_s + number / self.server.fps
                 if self.server.stalled or (early_s := due_s - time.monotonic()) > 0:
                     time.sleep(0.005 if self.server.stalled else early_s)
                     continue
