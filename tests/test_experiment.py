@@ -393,7 +393,7 @@ def test_a_template_moulded_elsewhere_costs_the_paper_its_accuracy_and_the_bands
     rms = {}
     here = [Bench(ExperimentOptions()).trial(k).target for k in (0, 9)]
     for tracker in ("paper", "ribbon"):
-        for away in (0, 12):
+        for away in (0, 30):
             bench = Bench(
                 ExperimentOptions(tracker={"model": tracker}, approach_frames=away, frames=12)
             )
@@ -402,8 +402,8 @@ def test_a_template_moulded_elsewhere_costs_the_paper_its_accuracy_and_the_bands
             errors = [trial.error for trial in trials if trial.status is Status.OK]
             assert len(errors) >= 9
             rms[tracker, away] = np.sqrt(np.mean(np.square(errors)))
-    assert rms["paper", 12] > 2.0 * rms["paper", 0]
-    assert rms["ribbon", 12] < 1.5 * rms["ribbon", 0]
+    assert rms["paper", 30] > 2.0 * rms["paper", 0]
+    assert rms["ribbon", 30] < 1.5 * rms["ribbon", 0]
 
 
 def test_trackers_start_where_the_device_is_first():
@@ -437,9 +437,9 @@ def test_what_noise_does_to_a_target_its_mirror_does_the_other_way_round():
 
 
 def test_the_paper_reaches_its_accuracy_over_the_workspace():
-    options = ExperimentOptions(tracker=PAPER, targets=20, frames=6)
+    options = ExperimentOptions(tracker=PAPER, targets=40, frames=6)
     summary = run_experiment(options, workers=1).summary
-    assert summary.available >= 10
+    assert summary.available >= 20
     assert summary.points.rms <= 0.037 * PLANE
     assert summary.bound.rms < summary.points.rms
 

@@ -13,7 +13,7 @@ import pytest
 from guided_process import commands
 from test_robot_guard import fix_at
 
-from fingerpost.capture import Frame
+from fingerpost.capture import Frame, at_speed
 from fingerpost.errors import InvalidInputError, RecordingError
 from fingerpost.guidance import (
     CommandLog,
@@ -21,7 +21,6 @@ from fingerpost.guidance import (
     SessionReport,
     Worker,
     attended_at_first,
-    paced,
 )
 from fingerpost.pointing import Status
 from fingerpost.robot import CommandRecord, FollowReport, FollowState, Pose
@@ -213,7 +212,8 @@ class Clock:
 def played(film, *works_s):
     """When each step of a film was given, and its frames, to one who works so long on each."""
     clock, steps = Clock(), []
-    for frames, work_s in zip(paced(iter(film), clock, clock.sleep), works_s, strict=True):
+    given = at_speed(iter(film), stamped=True, clock=clock, sleep=clock.sleep)
+    for frames, work_s in zip(given, works_s, strict=True):
         steps.append((clock.now_s, frames))
         clock.now_s += work_s
     return steps

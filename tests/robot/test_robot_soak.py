@@ -5,7 +5,7 @@ import os
 import pytest
 from soak import ARMS, LIMIT_S, soak
 
-MOVES = int(os.environ.get("FINGERPOST_SOAK_MOVES", "80"))
+MOVES = int(os.environ.get("FINGERPOST_SOAK_MOVES", "200"))
 
 
 @pytest.mark.parametrize("arm", ARMS)

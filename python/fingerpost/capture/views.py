@@ -6,7 +6,7 @@ import logging
 import math
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from typing import TypeVar
+from dataclasses import replace
 
 from fingerpost.capture.source import Frame, Loss, Source, SourceKind
 from fingerpost.checks import in_range
@@ -69,30 +69,33 @@ def read_views(
     return _in_step(sources)
 
 
-Together = TypeVar("Together", bound=Sequence[Frame | Loss | None])
-
-
 def at_speed(
-    frames: Iterable[Together],
-    speed: float,
+    frames: Iterable[Sequence[Frame | Loss | None]],
+    speed: float = 1.0,
     *,
+    stamped: bool = False,
     clock: Callable[[], float] = time.monotonic,
     sleep: Callable[[float], None] = time.sleep,
-) -> Iterator[Together]:
-    """Give the frames of recorded views when they are due, and change nothing of them.
+) -> Iterator[Sequence[Frame | Loss | None]]:
+    """Give the frames of recorded views when they are due, as cameras would.
 
-    No frame is left out: where the caller is slower, everything after is due later.
+    No frame is left out. Where the caller works longer on a frame than the recording lasts, the
+    recording waits, and everything after it is due later: what is seen of it does not depend on
+    the speed of the computer, and no frame is late when it is given.
 
     Parameters
     ----------
     frames
-        As `read_views` gives them.
+        As `read_views` gives them; the first are due at once.
     speed
         How many seconds of the recording pass in a second, > 0.
+    stamped
+        Whether times become those of the clock at which frames are due; else nothing of the frames
+        is changed.
     clock
         The time [s].
     sleep
-        Waits for so many seconds.
+        Waits for so many seconds of it.
 
     Raises
     ------
@@ -100,13 +103,18 @@ def at_speed(
         `speed` is out of range.
     """
     in_range(speed, "speed", *_SPEEDS)
-    begin_s = -math.inf
+    begin_s = -math.inf  # of the recording, in the time of the clock
     for together in frames:
-        due_s = min(seen.time_s for seen in together if seen is not None) / speed
-        begin_s = max(begin_s, clock() - due_s)
-        if (early_s := begin_s + due_s - clock()) > 0.0:
-            sleep(early_s)
-        yield together
+        times_s = [seen.time_s / speed for seen in together if seen is not None]
+        if times_s:
+            begin_s = max(begin_s, clock() - max(times_s))
+            if (early_s := begin_s + max(times_s) - clock()) > 0.0:
+                sleep(early_s)
+        yield [_due(seen, begin_s, speed) for seen in together] if stamped else together
+
+
+def _due(seen: Frame | Loss | None, begin_s: float, speed: float) -> Frame | Loss | None:
+    return None if seen is None else replace(seen, time_s=begin_s + seen.time_s / speed)
 
 
 def _as_recorded(sources: Sequence[Source]) -> Iterator[tuple[Frame | Loss | None, ...]]:

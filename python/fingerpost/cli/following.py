@@ -8,7 +8,7 @@ import sys
 import time
 import tomllib
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from fingerpost.capture import Source
+    from fingerpost.capture import Frame, Loss, Source
     from fingerpost.config import Rig
     from fingerpost.pipeline import Pointer, Step
     from fingerpost.recording import TableWriter, TrackRow
@@ -202,8 +202,9 @@ def follow(
             if asked.publish:
                 published.append(Publishing(stack, asked.publish, rig, is_live=is_live))
                 takers.append(published[0].take)
-            frames = read_views(sources, give_up_after_s=asked.give_up_after_s)
-            frames = at_most(frames, asked.max_frames)
+            frames: Iterator[Sequence[Frame | Loss | None]] = at_most(
+                read_views(sources, give_up_after_s=asked.give_up_after_s), asked.max_frames
+            )
             if asked.speed is not None:
                 if is_live:
                     raise click.UsageError("--speed: live views come at their own pace")

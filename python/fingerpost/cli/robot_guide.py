@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from functools import partial
@@ -202,14 +201,13 @@ def guided_arm(
 
 
 def _guide(given: Mapping[str, Any], carry: PickPlaceOptions | None) -> None:
-    from fingerpost.capture import SourceKind, open_views, read_views
+    from fingerpost.capture import SourceKind, at_speed, open_views, read_views
     from fingerpost.config import Rig
     from fingerpost.guidance import (
         Attendance,
         Keys,
         attended_at_first,
         guided,
-        paced,
         robot_of,
     )
     from fingerpost.pipeline import Pointer, at_most, steps
@@ -254,7 +252,7 @@ def _guide(given: Mapping[str, Any], carry: PickPlaceOptions | None) -> None:
             if has_keys:
                 stack.enter_context(Keys(session.press, session.leave))
             if sources[0].kind is SourceKind.RECORDED:
-                frames = paced(frames, time.monotonic, time.sleep)
+                frames = at_speed(frames, stamped=True)
             taken = steps(pointer, at_most(frames, given["max_frames"]))
             if attendance is Attendance.HAND:
                 taken = attended_at_first(arm.guard, taken)

@@ -5,7 +5,7 @@ guard of a rig with a [robot] table. Nothing here knows a command line.
 """
 
 from fingerpost.guidance.agreement import Agreement, Sightings, ViewTie, agree, need_certainty
-from fingerpost.guidance.attendance import Attendance, attended_at_first, paced
+from fingerpost.guidance.attendance import Attendance, attended_at_first
 from fingerpost.guidance.errors import (
     GripperNotFoundError,
     InconsistentPlaneError,
@@ -75,7 +75,6 @@ __all__ = [
     "load_outline",
     "load_pixels",
     "need_certainty",
-    "paced",
     "places_to_visit",
     "plane_of",
     "region_of",

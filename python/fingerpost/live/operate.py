@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import logging
-import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 
-from fingerpost.capture import Frame, Loss, SourceKind, open_views, read_views
+from fingerpost.capture import Frame, Loss, SourceKind, at_speed, open_views, read_views
 from fingerpost.config import Rig
 from fingerpost.errors import FingerpostError
-from fingerpost.guidance import guided, paced
+from fingerpost.guidance import guided
 from fingerpost.live.desk import GuidingDesk
 from fingerpost.live.page import Page
 from fingerpost.live.scene import RigScene
@@ -42,8 +41,8 @@ def operate(
     operator
         Whose habit of pointing is subtracted from the points.
     begin
-        Called before the first step with whether the views are live; what it returns takes every
-        step as well.
+        Called before the first step with whether times are the machine's, as those of cameras are;
+        what it returns takes every step as well.
     desk
         Of an arm that the page guides; recordings are then played as if live.
 
@@ -62,21 +61,22 @@ def operate(
             pointer = Pointer(rig, operator=operator, moving=moving)
             with open_views(rig.sources, rig.readings) as sources:
                 counts = [source.frame_count for source in sources if source.frame_count]
-                is_live = sources[0].kind is SourceKind.LIVE
+                is_recorded = sources[0].kind is SourceKind.RECORDED
+                is_live = desk is not None or not is_recorded
                 scene = RigScene.of(
                     title,
                     rig.plane.unit,
                     pointer.plane_views,
                     rig.sources,
                     targets=rig.things,
-                    is_live=desk is not None or is_live,
+                    is_live=is_live,
                     frames=min(counts, default=None),
                 )
                 page.open_rig(scene)
                 take = None if begin is None else begin(is_live)
                 frames: Frames = page.allowed(iter(read_views(sources)))
-                if desk is not None and not is_live:
-                    frames = paced(frames, time.monotonic, time.sleep)
+                if desk is not None and is_recorded:
+                    frames = at_speed(frames, stamped=True)
                 with _guided(page, steps(pointer, frames), desk) as taken:
                     for step in taken:
                         page.show(step)

@@ -26,6 +26,8 @@ _log = logging.getLogger(__name__)
 _PORT = 8765
 _MOST_WAITING_BYTES = 1 << 16
 """A receiver for which more waits gets nothing until it has caught up: 200 fixes or so."""
+_LOOKED_AFTER_S = 0.05
+"""How often it is asked whether a receiver has caught up."""
 _LONGEST_MESSAGE_BYTES = 1 << 10
 _CLOSING_S = 1.0
 _OWN_PAGES = re.compile(r"https?://(localhost|127\.0\.0\.1|\[::1\])(:\d+)?")
@@ -48,6 +50,7 @@ class WebSockets:
         self._address = address
         self.port = address.port_or(_PORT, is_free=True)
         self._newest = ""
+        self._behind: dict[ServerConnection, asyncio.Task[None]] = {}
         self._loop = asyncio.new_event_loop()
         try:
             self._server: Server = self._loop.run_until_complete(self._listen())
@@ -91,12 +94,19 @@ class WebSockets:
         from websockets.asyncio.server import broadcast
 
         self._newest = text
-        ready = [
-            one
-            for one in self._server.connections
-            if one.transport.get_write_buffer_size() < _MOST_WAITING_BYTES
-        ]
-        broadcast(ready, text)
+        waiting = [one for one in self._server.connections if one not in self._behind]
+        broadcast([one for one in waiting if not _is_full(one)], text)
+        for one in filter(_is_full, waiting):
+            self._behind[one] = self._loop.create_task(self._catch_up(one))
+
+    async def _catch_up(self, one: ServerConnection) -> None:
+        """Send the newest fix to a receiver that was behind, once it has taken what waits."""
+        from websockets.asyncio.server import broadcast
+
+        while _is_full(one) and one in self._server.connections:
+            await asyncio.sleep(_LOOKED_AFTER_S)
+        del self._behind[one]
+        broadcast([one], self._newest)
 
     def close(self) -> None:
         """Send what was sent on its way, close all connections, and no longer listen."""
@@ -113,8 +123,14 @@ class WebSockets:
             self._loop.close()
 
     async def _end(self) -> None:
+        for task in self._behind.values():
+            task.cancel()
         self._server.close(close_connections=True)
         await self._server.wait_closed()
+
+
+def _is_full(connection: ServerConnection) -> bool:
+    return connection.transport.get_write_buffer_size() >= _MOST_WAITING_BYTES
 
 
 _QUIET = logging.getLogger(f"{__name__}.connections")

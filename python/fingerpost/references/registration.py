@@ -76,14 +76,13 @@ NOISE_FLOOR = 0.3
 MIN_GAIN = 0.3
 LIGHT_ITERATIONS = 3
 MIN_STATIC_SHARE = 0.15
-MIN_STATIC_PIXELS = 150
 MIN_INFORMATIVE_SQUARES = 8
 """Test for a static plane. A square is informative if the motion would change it by more than
 `NOISE_FACTOR` times its noise bound. It is static if its change is below `MAX_UNCHANGED_PART` of
 that plus the bound, and it has kept `MIN_GAIN` of its contrast. The plane is static if at least
 `MIN_INFORMATIVE_SQUARES` are informative and more than `MIN_STATIC_SHARE` of these are static:
 after a motion of the camera hardly any are, a moving arm leaves more. It is not tested by fewer
-than `MIN_STATIC_PIXELS`."""
+than `MIN_INLIERS`."""
 
 ROW = 64
 """Row length of the array of pixels passed to OpenCV."""
@@ -321,7 +320,7 @@ class _Level:
         if len(self._levels) == 0:
             return False
         here, in_sight = self._seen(smooth, np.eye(3), hand)
-        if in_sight.sum() < MIN_STATIC_PIXELS:
+        if in_sight.sum() < MIN_INLIERS:
             return False
         weights = in_sight / self._variances
         off_px = transfer_to_image(guess, self._places_px) - self._places_px

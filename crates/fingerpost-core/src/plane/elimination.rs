@@ -1,4 +1,4 @@
-//! SquareNormal equations of one square of pixels, with its gain and offset eliminated.
+//! Normal equations of one square of pixels, with its gain and offset eliminated.
 //!
 //! In a square with levels L, residuals r and weights w, the light is r ≈ o + g L with o free and
 //! g ~ N(0, σ²). With columns centred by their weighted means, S = Σ w L², b = Σ w L J and the factor
@@ -56,7 +56,7 @@ impl LightSums {
     }
 }
 
-/// SquareNormal matrix and right-hand side of a square, its light eliminated.
+/// Normal matrix and right-hand side of a square, its light eliminated.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct SquareNormal {
     pub matrix: [Derivatives; UNKNOWNS],
