@@ -82,7 +82,7 @@ def settings_of(settings: Sequence[str]) -> CameraSettings | None:
 
 
 def serve(
-    sources: Mapping[str, str | int], url: str, settings: CameraSettings | None = None
+    sources: Mapping[str, str | int], address: Address, settings: CameraSettings | None = None
 ) -> None:
     """Publish the newest pictures of cameras until Ctrl-C, or until one of them fails.
 
@@ -90,15 +90,14 @@ def serve(
     ----------
     sources
         As `fingerpost.capture.open_source` takes them, by name.
-    url
-        Where to.
+    address
+        Where to, as `address_of` gives it.
     settings
         What each of the cameras is asked for.
     """
     from fingerpost.capture import Reading, SourceKind, open_views
     from fingerpost.publishing.over_zenoh import Zenoh
 
-    address = address_of(url)
     hush_streams(sources)
     readings = [Reading(camera=settings)] * len(sources)
     counts: dict[str, int] = dict.fromkeys(sources, 0)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from fingerpost.cli.camera_server import named, serve, settings_of
+from fingerpost.cli.camera_server import address_of, named, serve, settings_of
 from fingerpost.errors import CaptureError
 from fingerpost.installation import need_opencv
 from fingerpost.signals import ending_at_once
@@ -71,10 +71,11 @@ def cameras(
         from fingerpost.capture import list_cameras
 
     if publish is not None:
+        address = address_of(publish)
         given = sources or [str(camera.number) for camera in list_cameras()]
         if not given:
             raise CaptureError(NONE)
-        serve(named(given), publish, settings_of(settings))
+        serve(named(given), address, settings_of(settings))
         return
     if sources or settings:
         raise click.UsageError(f"{(*sources, *settings)[0]}: is for --publish, which is not given")
