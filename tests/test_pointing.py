@@ -587,6 +587,28 @@ def test_alignment_undoes_the_skew_between_the_views():
     assert np.hypot(*(unaligned.point - target)) > 5.0
 
 
+def circling_finger(view, time_s):
+    """A finger that goes round a circle of 80 mm at 0.5 m/s, keeping its direction."""
+    pointing, angle = rod([120, 260], 20.0, 45.0, 150.0), 0.5 / 0.08 * time_s
+    shift = 80.0 * np.array([np.cos(angle), np.sin(angle), 0.0])
+    moved = dataclasses.replace(pointing, tip=pointing.tip + shift, base=pointing.base + shift)
+    return finger_line(view, moved, FINE, time_s), np.array([120, 260]) + shift[:2]
+
+
+@pytest.mark.parametrize("skew_s", [0.004, 0.0167, 0.029])
+def test_a_curved_motion_costs_less_than_a_millimetre_where_frames_are_half_a_period_apart(skew_s):
+    """Mean over the circle: a chord's sagitta would cost 1.3 mm half way between two frames."""
+    cameras, errors = stereo(), []
+    views = [plane_view(view, REFERENCES) for view in cameras]
+    for time_s in np.linspace(0.0, 1.0, 16):
+        first, target = circling_finger(cameras[0], time_s)
+        times_s = time_s + skew_s + np.array([-2, -1, 0]) / 30
+        history = [circling_finger(cameras[1], t)[0] for t in times_s]
+        fix = indicated_point([first, align(history, time_s).line], views, time_s=time_s)
+        errors.append(np.hypot(*(fix.point - target)))
+    assert np.mean(errors) < 0.3
+
+
 def test_interpolation_is_linear_in_anchor_and_angle_and_carries_the_tip():
     before = FingerLine([100, 100], 0.2, FINE, [140, 110], 1.0, 30.0, 10.0, (-30.0, 30.0))
     after = FingerLine([120, 90], 0.6, FINE, [155, 115], 1.04, 30.0, 14.0, (-26.0, 34.0))
@@ -600,6 +622,34 @@ def test_interpolation_is_linear_in_anchor_and_angle_and_carries_the_tip():
     assert np.hypot(*(line.tip_px - line.anchor_px)) == pytest.approx(
         0.75 * np.hypot(40, 10) + 0.25 * np.hypot(35, 25), rel=0.01
     )
+
+
+def test_interpolation_with_an_earlier_line_reproduces_a_parabola():
+    def line(t):
+        anchor, angle = np.array([100 + 300 * t, 50 + 2000 * t**2]), 3.0 + 4 * t + 30 * t**2
+        angle -= 2 * np.pi * (angle > np.pi)
+        return FingerLine(anchor, angle, FINE, anchor + 30 * np.r_[np.cos(angle), np.sin(angle)], t)
+
+    found, expected = align([line(0.0), line(0.03), line(0.07)], 0.05).line, line(0.05)
+    assert np.allclose(found.anchor_px, expected.anchor_px)
+    assert np.cos(found.angle_rad - expected.angle_rad) == pytest.approx(1.0)
+    assert np.allclose(found.tip_px, expected.tip_px)
+
+
+@pytest.mark.parametrize(
+    ("earlier_s", "is_used"), [(0.0, True), (0.025, False), (-0.08, False), (None, False)]
+)
+def test_an_earlier_line_too_near_or_too_far_is_not_used(earlier_s, is_used):
+    pair = [
+        FingerLine([0, 0], 0.0, FINE, [30, 0], 0.03),
+        FingerLine([6, 0], 0, FINE, [36, 0], 0.06),
+    ]
+    history = (
+        pair if earlier_s is None else [FingerLine([9, 0], 0, FINE, [39, 0], earlier_s), *pair]
+    )
+    found = align(history, 0.045).line
+    assert (found.anchor_px[0] != pytest.approx(3.0)) == is_used
+    assert np.all(np.diag(found.covariance) <= np.diag(FINE))
 
 
 @pytest.mark.parametrize(("first", "second"), [(3.1, -3.1), (-3.1, 3.1), (3.1, 2 * np.pi - 3.1)])
@@ -618,21 +668,22 @@ def test_a_line_of_the_wanted_time_is_taken_as_it_is():
     assert align(history, 0.0).line is history[0]
 
 
-@pytest.mark.parametrize("weight", [0.1, 0.5, 0.8])
-def test_the_interpolated_covariance_meets_monte_carlo(weight):
+@pytest.mark.parametrize(("weight", "count"), [(0.1, 2), (0.5, 3), (0.8, 3)])
+def test_the_interpolated_covariance_meets_monte_carlo(weight, count):
     rng = np.random.default_rng(58)
     covariances = np.array([[[0.04, 3e-4], [3e-4, 9e-6]], [[0.01, -1e-4], [-1e-4, 4e-6]]])
-    pose = [(np.array([100.0, 100.0]), 0.2), (np.array([130.0, 80.0]), 0.9)]
+    covariances = np.concatenate([covariances[1:] * 2, covariances])[-count:]
+    pose = [([90.0, 110.0], 0.0), ([100.0, 100.0], 0.2), ([130.0, 80.0], 0.9)][-count:]
 
     def lines(noise):
         for (anchor, angle), covariance, (offset, turn), t in zip(
-            pose, covariances, noise, (0.0, 0.04), strict=True
+            pose, covariances, noise, (-0.04, 0.0, 0.04)[-count:], strict=True
         ):
             normal = np.array([-np.sin(angle), np.cos(angle)])
             tip = anchor + 40 * np.array([np.cos(angle), np.sin(angle)])
             yield FingerLine(anchor + offset * normal, angle + turn, covariance, tip, t)
 
-    mean = align(list(lines(np.zeros((2, 2)))), 0.04 * weight).line
+    mean = align(list(lines(np.zeros((count, 2)))), 0.04 * weight).line
     normal = np.array([-np.sin(mean.angle_rad), np.cos(mean.angle_rad)])
     noise = np.stack([rng.multivariate_normal([0, 0], c, 6000) for c in covariances], axis=1)
     sampled = []

@@ -94,6 +94,17 @@ def test_footage_that_tells_no_offset_is_refused_with_what_would(motion, more, w
     assert any(part in str(raised.value) for part in words.split("|"))
 
 
+def test_a_repetition_that_falls_on_a_frame_is_not_taken_for_the_offset_between_frames():
+    """0.4 frames late, repeated after 34.4: of whole frames that of the wrong lag fits best."""
+
+    def repeated(time_s):
+        phase = 2 * np.pi / (34.4 * STEP_S) * np.asarray(time_s)
+        return tip_mm(np.sin(phase) + 0.4 * np.cos(2 * phase))
+
+    with pytest.raises(InvalidInputError, match=r"fits at .* and at .* without repeating itself"):
+        offset_between(*tracks(0.4 * STEP_S, motion=repeated))
+
+
 def test_the_command_sets_recordings_right_that_were_begun_apart(tmp_path):
     skew_s = 0.1234
     rig = SimulatedRig(

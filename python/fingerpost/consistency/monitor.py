@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from itertools import cycle
 
 import numpy as np
 
@@ -19,7 +20,8 @@ FROZEN = "its picture stands still"
 """Reason for a view that repeats its image."""
 
 LOOK_EVERY_S = 0.5
-"""Interval between comparisons of the clocks; each takes some ms."""
+"""Interval between comparisons of a view's clock with the first one's; each takes some ms, so
+that the views take turns."""
 
 REPEATS_SHARE = 0.1
 """Least share of repeated images that is reported."""
@@ -56,6 +58,8 @@ class Monitor:
         self._freshness = Freshness(len(names))
         self._tips = [Tips() for _ in names]
         self._compared_s = -np.inf
+        self._turns = cycle(range(1, len(names)))
+        self._interval_s = LOOK_EVERY_S / (len(names) - 1)
         self._said: set[tuple[str, str]] = set()
         self._worst: dict[str, Lag] = {}
         self.lags: list[Lag | None] = [None] * len(names)
@@ -91,18 +95,16 @@ class Monitor:
                 continue
             if (tip := tip_in_first_view(finger, view, plane_views[0])) is not None:
                 tips.add(time_s, tip)
-        if times_s[0] is not None and times_s[0] >= self._compared_s + LOOK_EVERY_S:
+        if times_s[0] is not None and times_s[0] >= self._compared_s + self._interval_s:
             self._compared_s = times_s[0]
-            self._compare()
+            self._compare(next(self._turns))
 
-    def _compare(self) -> None:
-        first, *others = self._tips
-        for k, other in enumerate(others, start=1):
-            lag = self.lags[k] = lag_between(first, other)
-            if lag is not None:
-                name = self._names[k]
-                self._worst[name] = lag
-                self._say_once("lag", name, self._lag_words(name, lag))
+    def _compare(self, k: int) -> None:
+        lag = self.lags[k] = lag_between(self._tips[0], self._tips[k])
+        if lag is not None:
+            name = self._names[k]
+            self._worst[name] = lag
+            self._say_once("lag", name, self._lag_words(name, lag))
 
     def _lag_words(self, name: str, lag: Lag) -> str:
         way = "after" if lag.lag_s > 0.0 else "before"

@@ -37,6 +37,7 @@ STRANGE_PX = 3.0
 _MOST_TIPS = 300  # looked at over all lags
 _WINDOW = 10  # frames that a place is fitted to
 _PARTS = 8
+_MOST_VALLEYS = 6  # of the costs at frames that are minimised between frames
 _GOLDEN = (np.sqrt(5.0) - 1.0) / 2.0
 _CLOSE_ENOUGH_S = 2e-5
 
@@ -136,11 +137,20 @@ def offset_between(first: Track, other: Track) -> Offset:
         )
     first = Track(first.times_s, first.at(first.times_s)[0])
     lags_s, costs = _costs(first, other)
-    best = int(np.nanargmin(costs))
     step_s = lags_s[1] - lags_s[0]
-    _refuse_ambiguous(lags_s, costs, best)
+    _refuse_unbounded(costs)
     every = np.arange(len(first.times_s))
-    lag_s = _least(first, other, every, lags_s[best], step_s)
+    # Costs between frames decide: those at frames depend on how near to one a lag happens to be.
+    candidates_s = np.array(
+        [_least(first, other, every, lags_s[k], step_s) for k in _lowest_valleys(costs)]
+    )
+    candidates_px = np.array([_cost_px(first, other, every, s)[0] for s in candidates_s])
+    best = int(np.nanargmin(candidates_px))
+    lag_s = float(candidates_s[best])
+    is_other = np.abs(candidates_s - lag_s) > 2.0 * step_s
+    _refuse_ambiguous(
+        lag_s, candidates_s[is_other & (candidates_px < AMBIGUITY * candidates_px[best])]
+    )
     cost_px, pairs = _cost_px(first, other, every, lag_s)
     parts = np.array_split(every, _PARTS)
     without = [np.concatenate(parts[:k] + parts[k + 1 :]) for k in range(_PARTS)]
@@ -173,16 +183,24 @@ def _costs(first: Track, other: Track) -> tuple[Array, Array]:
     return lags_s, costs
 
 
-def _refuse_ambiguous(lags_s: Array, costs: Array, best: int) -> None:
-    is_valley = np.r_[False, (costs[1:-1] <= costs[:-2]) & (costs[1:-1] <= costs[2:]), False]
-    is_valley[max(best - 2, 0) : best + 3] = False
-    others = np.flatnonzero(is_valley & (costs < AMBIGUITY * costs[best]))
-    if len(others):
-        other = others[np.argmin(costs[others])]
+def _lowest_valleys(costs: Array) -> NDArray[np.intp]:
+    """Return where costs are less than beside it, the lowest first and a few alone."""
+    inner = (costs[1:-1] <= costs[:-2]) & (costs[1:-1] <= costs[2:])
+    valleys = 1 + np.flatnonzero(inner)
+    return valleys[np.argsort(costs[valleys])[:_MOST_VALLEYS]]
+
+
+def _refuse_ambiguous(lag_s: float, others_s: Array) -> None:
+    if len(others_s):
         raise InvalidInputError(
-            f"the tip's motion fits at {lags_s[best]:.2f} s and at {lags_s[other]:.2f} s; it is to "
+            f"the tip's motion fits at {lag_s:.2f} s and at {others_s[0]:.2f} s; it is to "
             "move without repeating itself"
         )
+
+
+def _refuse_unbounded(costs: Array) -> None:
+    """Refuse costs whose least one may be less still where nothing is known."""
+    best = int(np.nanargmin(costs))
     neighbours = costs[max(best - 1, 0) : best + 2]
     if len(neighbours) < 3 or not np.isfinite(neighbours).all():
         raise InvalidInputError(

@@ -138,8 +138,7 @@ def lag_between(first: Tips, other: Tips) -> Lag | None:
     lags_s = step_s * np.arange(-none, none + 1)
     if _spread_px(points) < LEAST_SPREAD_PX:
         return None
-    costs = [_distance_px(times_s + lag_s, points, other_s, there, step_s) for lag_s in lags_s]
-    off_px, pairs = np.array(costs).T
+    off_px, pairs = _distances_px(times_s + lags_s[:, None], points, other_s, there, step_s)
     off_px[pairs < LEAST_SHARE * pairs[none]] = np.nan
     if not np.isfinite(off_px[none]):
         return None
@@ -161,60 +160,79 @@ def _spread_px(points: Array) -> float:
     return float(np.median(np.hypot(*(points[:, :2] - np.median(points[:, :2], axis=0)).T)))
 
 
-def _distance_px(
+def _distances_px(
     times_s: Array, points: Array, other_s: Array, there: Array, step_s: float
-) -> tuple[float, int]:
+) -> tuple[Array, NDArray[np.intp]]:
     """Median distance of tips from their epipolar lines [px], the others' taken at other times.
 
-    And the number of pairs; NaN of too few.
+    A row of `times_s` is a lag. And the number of pairs of each; NaN where they are too few.
     """
     after = np.clip(np.searchsorted(other_s, times_s), 1, len(other_s) - 1)
     gap_s = other_s[after] - other_s[after - 1]
     part = (times_s - other_s[after - 1]) / np.maximum(gap_s, np.finfo(float).tiny)
     known = (part >= 0.0) & (part <= 1.0) & (gap_s < 2.5 * step_s)
-    if known.sum() < LEAST_PAIRS:
-        return np.nan, 0
-    part = part[known, None]
-    between = (1.0 - part) * there[after - 1][known] + part * there[after][known]
-    return _misfit_px(points[known], between), int(known.sum())
+    part = part[..., None]
+    between = (1.0 - part) * there[after - 1] + part * there[after]
+    here = np.broadcast_to(points, between.shape)
+    off_px = _median(fit_epipole(here, between, known), known)
+    pairs = known.sum(axis=1)
+    off_px[pairs < LEAST_PAIRS] = np.nan
+    return off_px, pairs
 
 
-def _misfit_px(here: Array, there: Array) -> float:
-    """Return the median distance of pairs of points from the lines of their best epipole."""
-    return float(np.median(fit_epipole(here, there)))
-
-
-def fit_epipole(here: Array, there: Array) -> Array:
+def fit_epipole(here: Array, there: Array, known: NDArray[np.bool_] | None = None) -> Array:
     """Fit the epipole of lines through pairs of points; return the distances from those lines.
 
     Parameters
     ----------
-    here, there : (N, 3)
-        Homogeneous, in the pixels of one image of the plane; the last entry of `here` is 1.
+    here, there : (..., N, 3)
+        Homogeneous, in the pixels of one image of the plane; the last entry of `here` is 1. Every
+        set of N pairs has an epipole of its own.
+    known : (..., N), optional
+        Which pairs count; all by default.
 
     Returns
     -------
-    (N,)
+    (..., N)
         Of each point `here` from the line through the epipole and its partner [px].
     """
-    middle = here[:, :2].mean(axis=0)
-    scale = max(float(np.abs(here[:, :2] - middle).mean()), 1.0)
-    to_unit = np.array(
-        [[1 / scale, 0, -middle[0] / scale], [0, 1 / scale, -middle[1] / scale], [0, 0, 1]]
-    )
-    here, there = here @ to_unit.T, there @ to_unit.T
-    there = there / np.linalg.norm(there, axis=1, keepdims=True)
+    if known is None:
+        known = np.ones(here.shape[:-1], np.bool_)
+    here, there, scale = _normalised(here, there, known)
     lines = np.cross(here, there)
-    weights = np.ones(len(lines))
+    weights = known.astype(np.float64)
     for _ in range(_REFITS):
-        weighted = lines * weights[:, None]
-        epipole = np.linalg.eigh(weighted.T @ weighted)[1][:, 0]
+        weighted = lines * weights[..., None]
+        epipole = np.linalg.eigh(np.swapaxes(weighted, -1, -2) @ weighted)[1][..., None, :, 0]
         # The distance of a point from the line through the epipole and its partner.
-        normals = np.cross(epipole, there)[:, :2]
-        off = np.abs(lines @ epipole) / np.maximum(np.hypot(*normals.T), 1e-9)
-        weights = 1.0 / np.maximum(np.hypot(*normals.T), 1e-9)
-        weights /= np.hypot(1.0, off / max(1.5 * float(np.median(off)), 1e-9))  # Cauchy's
-    return np.asarray(off * scale)
+        normals = np.cross(epipole, there)
+        lengths = np.maximum(np.hypot(normals[..., 0], normals[..., 1]), 1e-9)
+        off = np.abs(np.sum(lines * epipole, axis=-1)) / lengths
+        usual = np.maximum(1.5 * _median(off, known), 1e-9)[..., None]
+        weights = known / (lengths * np.hypot(1.0, off / usual))  # Cauchy's
+    return np.asarray(off * scale[..., None])
+
+
+def _normalised(here: Array, there: Array, known: NDArray[np.bool_]) -> tuple[Array, Array, Array]:
+    """Return pairs about the middle of `here`, at unit scale and unit length; and the scale."""
+    count = np.maximum(known.sum(axis=-1), 1)
+    middle = np.sum(here[..., :2] * known[..., None], axis=-2) / count[..., None]
+    away = np.abs(here[..., :2] - middle[..., None, :]) * known[..., None]
+    scale = np.maximum(away.sum(axis=(-1, -2)) / (2 * count), 1.0)
+    moved = []
+    for points in (here, there):
+        places = points[..., :2] - middle[..., None, :] * points[..., 2:]
+        places = places / scale[..., None, None]
+        moved.append(np.concatenate([places, points[..., 2:]], axis=-1))
+    return moved[0], moved[1] / np.linalg.norm(moved[1], axis=-1, keepdims=True), scale
+
+
+def _median(values: Array, known: NDArray[np.bool_]) -> Array:
+    """Median of the known values of each row; infinite where there are none."""
+    ordered = np.sort(np.where(known, values, np.inf), axis=-1)
+    count = known.sum(axis=-1)
+    middle = np.stack([(count - 1) // 2, count // 2], axis=-1)
+    return np.asarray(np.take_along_axis(ordered, np.maximum(middle, 0), axis=-1).mean(axis=-1))
 
 
 def _vertex(values: Array) -> float:
