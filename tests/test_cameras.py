@@ -14,17 +14,20 @@ import cv2
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from patience import PATIENCE_S
+from patience import PATIENCE_S, wait_until
 
 import fingerpost as fp
 from fingerpost.capture import (
     Arrangement,
+    Camera,
     CameraSettings,
     Frame,
     Reading,
     list_cameras,
     open_source,
     open_views,
+    opening,
+    refuse_repeated,
 )
 from fingerpost.capture.live import LiveSource
 from fingerpost.capture.raw import RawFormat, RawStream, StreamEndedError
@@ -468,7 +471,10 @@ def machine(tmp_path: Path) -> tuple[Path, Path]:
     return tmp_path / "sys", tmp_path / "dev"
 
 
-@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="V4L2 is Linux's")
+needs_linux = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="V4L2 is Linux's")
+
+
+@needs_linux
 def test_the_kernel_tells_cameras_with_name_and_modes(machine):
     webcam, other = list_cameras(sys_folder=machine[0], dev_folder=machine[1], ioctl=kernel)
     assert (webcam.number, webcam.name, webcam.trouble) == (0, "HD Webcam", "")
@@ -499,6 +505,112 @@ def test_the_command_lists_cameras_and_writes_what_they_show(machine, tmp_path, 
         "    cannot be opened: No such file or directory",
     ]
     assert cv2.imread(str(picture)).shape == (240, 320, 3)
+
+
+LINKS = {
+    "by-id/usb-Maker_HD_Webcam_A1-video-index0": "video0",
+    "by-id/usb-Maker_HD_Webcam_B2-video-index0": "video4",
+    "by-path/pci-0:1-video-index0": "video0",
+}
+
+
+@pytest.fixture
+def twins(tmp_path, monkeypatch) -> Path:
+    """A machine with two webcams of one kind, a third of another, and what udev calls them."""
+    places = {"video0": "HD Webcam", "video4": "HD Webcam", "video2": "Desk [left]: C920"}
+    for node, title in places.items():
+        (tmp_path / "sys" / node).mkdir(parents=True)
+        (tmp_path / "sys" / node / "name").write_text(f"{title}\n")
+        (tmp_path / "dev").mkdir(exist_ok=True)
+        (tmp_path / "dev" / node).touch()
+    for link, node in LINKS.items():
+        path = tmp_path / "dev" / "v4l" / link
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.symlink_to(tmp_path / "dev" / node)
+
+    def every_node_is_a_camera(descriptor: int, request: int, told: bytearray) -> None:
+        if request & 0xFF:
+            raise OSError(errno.EINVAL, "Invalid argument")
+        struct.pack_into("=I", told, 84, 0x1)
+
+    def there() -> list[Camera]:
+        folders = {"sys_folder": tmp_path / "sys", "dev_folder": tmp_path / "dev"}
+        return list_cameras(**folders, ioctl=every_node_is_a_camera)
+
+    monkeypatch.setattr(opening, "named_cameras", there)
+    return tmp_path
+
+
+@pytest.fixture
+def opened(monkeypatch) -> list[object]:
+    """What devices are opened by, in place of opening them."""
+    asked: list[object] = []
+
+    def connected(source: object, *_: object) -> Webcam:
+        asked.append(source)
+        return Webcam()
+
+    monkeypatch.setattr(opening, "connected", connected)
+    return asked
+
+
+@needs_linux
+@pytest.mark.parametrize(
+    ("name", "number"),
+    [
+        ("Desk [left]: C920", 2),
+        ("usb-Maker_HD_Webcam_B2-video-index0", 4),
+        ("pci-0:1-video-index0", 0),
+    ],
+)
+def test_a_camera_is_opened_by_its_name(twins, tmp_path, opened, name, number):
+    rig = loaded(tmp_path, source=f'"{name}"')
+    with open_source(rig.sources["left"]) as source:
+        assert isinstance(next(source), Frame)
+        assert source.name == name
+    assert opened == [number]
+    rig.save(tmp_path / "again.toml")
+    assert f'source = "{name}"' in (tmp_path / "again.toml").read_text(encoding="utf-8")
+    with pytest.raises(InvalidInputError, match="each needs a source of its own"):
+        refuse_repeated({"left": rig.sources["left"], "right": number})
+
+
+@needs_linux
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        (
+            "HD webcam",
+            'no such file, and no camera has that name; plugged in: "HD Webcam" (0), '
+            '"Desk [left]: C920" (2), "HD Webcam" (4)',
+        ),
+        (
+            "HD Webcam",
+            'no such file, and 2 cameras have that name; name one as "usb-Maker_HD_Webcam_A1-video-'
+            'index0", "usb-Maker_HD_Webcam_B2-video-index0"',
+        ),
+    ],
+)
+def test_a_name_of_none_or_several_is_one_line_with_those_there_are(twins, name, said):
+    with pytest.raises(SourceError) as raised:
+        open_source(name)
+    assert str(raised.value) == f"{name}: {said}"
+
+
+@needs_linux
+def test_a_camera_that_comes_back_under_another_number_is_found_by_its_name(
+    twins, opened, monkeypatch
+):
+    monkeypatch.setattr("fingerpost.capture.live._FIRST_PAUSE_S", 0.0)
+    monkeypatch.setattr("fingerpost.capture.live._ENDED_S", 0.0)
+    monkeypatch.setattr(Webcam, "grab", lambda _: True)
+    with open_source("Desk [left]: C920") as source:
+        next(source)
+        for folder in ("sys", "dev"):
+            (twins / folder / "video2").rename(twins / folder / "video6")
+        monkeypatch.setattr(Webcam, "grab", lambda _: len(opened) > 1)  # unplugged
+        wait_until(lambda: opened == [2, 6])
+        assert any(isinstance(entry, Frame) for entry in source)
 
 
 def test_no_camera_is_one_clear_line(monkeypatch):

@@ -6,6 +6,7 @@ Each frame carries its number painted as bars, so that what arrives is read from
 import errno
 import http.server
 import logging
+import math
 import os
 import struct
 import subprocess
@@ -23,7 +24,7 @@ from patience import PATIENCE_S, wait_until
 
 from fingerpost.capture import Frame, Loss, SourceKind, open_source, opening, read_views
 from fingerpost.capture.as_sent import picture_of
-from fingerpost.capture.live import LiveSource
+from fingerpost.capture.live import FRESH_S, LiveSource
 from fingerpost.capture.opening import STILL_FRAMES, refuse_repeated
 from fingerpost.capture.video import FrameTimes
 from fingerpost.errors import CaptureError, InvalidInputError, SourceError
@@ -604,7 +605,7 @@ def test_a_camera_that_sends_nothing_is_lost_and_comes_back(caplog, monkeypatch)
         next(source)
         source._timeout_s = 0.05  # from here on: a busy machine may open it late
         lost = next(entry for entry in source if isinstance(entry, Loss))
-        assert lost.why == "no picture has come for 0 s"
+        assert lost.why == "no picture has come for 0.1 s"
         assert [record.getMessage() for record in caplog.records] == [
             "camera 0: no new frame within 0.05 s: lost until it sends again"
         ]
@@ -615,6 +616,35 @@ def test_a_camera_that_sends_nothing_is_lost_and_comes_back(caplog, monkeypatch)
         assert number_in(next(source).image) == 2
         assert "camera 0: sends again" in caplog.text
         assert source.notes == (f"sent nothing for {PATIENCE_S:g} s and more, once",)
+
+
+def test_a_camera_that_is_slow_by_nature_is_not_overdue():
+    device = HandFedDevice()
+    device.feed(1)
+    with live(device) as source:
+        assert source.due_in_s == math.inf
+        source._periods_s.extend([200.0, 200.0, 0.01, 200.0])
+        assert source.overdue() is None
+        assert 300.0 < source.due_in_s <= 400.0
+
+
+@pytest.mark.parametrize(("bridged_s", "taken"), [(1e6, 2), (0.0, 1)])
+def test_a_frame_that_has_waited_gives_way_to_the_next_if_that_is_near(
+    monkeypatch, bridged_s, taken
+):
+    monkeypatch.setattr("fingerpost.capture.live._OVERDUE_S", bridged_s)
+    device = HandFedDevice()
+    device.feed(1)
+    with live(device) as source:
+        steps = read_views([source])
+        assert number_in(next(steps)[0].image) == 0
+        source._periods_s.extend([1e3] * 9)
+        device.feed(1)
+        wait_until(lambda: source.silent_s > FRESH_S and source.frames_grabbed == 2)
+        following = threading.Timer(0.05, device.feed, [1])
+        following.start()
+        assert number_in(next(steps)[0].image) == taken
+        following.join()
 
 
 def test_a_camera_that_does_not_open_or_never_sends_is_an_error():
@@ -842,6 +872,30 @@ def test_live_views_give_a_new_frame_of_each(tmp_path):
         a.close()
         devices[1].feed(1)
         assert list(steps) == []
+
+
+def test_a_view_of_a_lower_rate_holds_up_no_other_and_is_named_once(caplog):
+    devices = [HandFedDevice(), HandFedDevice()]
+    for device in devices:
+        device.feed(12)
+    with live(devices[0]) as fast, live(devices[1]) as slow:
+        wait_until(lambda: fast.frames_grabbed == slow.frames_grabbed == 12)
+        fast._periods_s.extend([50.0] * 9)
+        slow._periods_s.extend([200.0] * 9)
+        steps = read_views([fast, slow])
+        assert [frame.index for frame in next(steps)] == [11, 11]
+        for index in (12, 13):
+            devices[0].feed(1)
+            wait_until(lambda index=index: fast.frames_grabbed == index + 1)
+            frame, nothing = next(steps)
+            assert (frame.index, nothing) == (index, None)
+        for device in devices:
+            device.feed(1)
+        wait_until(lambda: (fast.frames_grabbed, slow.frames_grabbed) == (15, 13))
+        assert [frame.index for frame in next(steps)] == [14, 12]
+        (slowness,) = slow.notes
+        assert slowness.startswith("sends 0.005 pictures a second; more than 10 are needed")
+        assert caplog.text.count(f"camera 0: {slowness}") == 1
 
 
 def test_views_of_different_kind_or_none_are_refused(tmp_path):

@@ -51,6 +51,25 @@ def test_a_shift_is_told_in_pixels_of_the_picture(size_px, by_px):
     assert told_px == pytest.approx(np.hypot(*by_px), abs=0.3 * size_px[0] / 320)
 
 
+def test_a_camera_that_was_away_is_adrift_until_the_plane_is_seen_where_it_was():
+    picture, another = table(), table()[::-1, ::-1].copy()
+    watch = ReferenceWatch(REFERENCES_PX)
+    shown(watch, [taken(picture), taken(another, 2)])
+    assert not watch.is_adrift  # for all that is known, something stands before the table
+    watch.doubt()
+    shown(watch, [taken(another, 3)])
+    assert watch.is_adrift
+    shown(watch, [taken(picture, 4)])
+    assert not watch.is_adrift
+
+
+def test_a_table_without_texture_leaves_no_doubt_that_could_not_be_ended():
+    watch = ReferenceWatch(REFERENCES_PX)
+    shown(watch, [np.full((240, 320), 90, np.uint8)])
+    watch.doubt()
+    assert not watch.is_adrift
+
+
 def test_a_camera_that_turns_has_moved_and_one_that_comes_back_has_not():
     picture = table()
     turned = moved(picture, cv2.getRotationMatrix2D((100.0, 60.0), 1.0, 1.0))

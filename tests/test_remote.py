@@ -10,6 +10,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Iterator
+from contextlib import ExitStack
 from itertools import islice
 from pathlib import Path
 
@@ -198,7 +199,7 @@ def test_a_view_that_stops_is_lost_while_the_others_go_on_and_comes_back(
         open_source(server.url("/camera/right"), timeout_s=PATIENCE_S) as right,
     ):
         steps = read_views([left, right])
-        assert all(isinstance(entry, Frame) for step in islice(steps, 3) for entry in step)
+        assert any(all(isinstance(entry, Frame) for entry in step) for step in steps)
         right._timeout_s = 0.3  # from here on: a busy machine may open it late
         getattr(server, how).add("/camera/right")
         lost = next(step for step in steps if isinstance(step[1], Loss))
@@ -208,6 +209,29 @@ def test_a_view_that_stops_is_lost_while_the_others_go_on_and_comes_back(
         getattr(server, how).clear()
         assert any(isinstance(step[1], Frame) for step in steps)
         assert caplog.text.count("/camera/right: no new frame within 0.3 s: lost until") == 1
+
+
+@pytest.mark.parametrize("how", ["silent", "dead"])
+def test_the_others_do_not_wait_for_a_view_that_is_overdue_and_it_comes_back(server, caplog, how):
+    """Nothing here waits for the time limit of a source, which is longer than any test."""
+    with ExitStack() as stack:
+        views = [
+            stack.enter_context(open_source(server.url(f"/camera/{name}"), timeout_s=PATIENCE_S))
+            for name in ("left", "middle", "right")
+        ]
+        steps = read_views(views)
+        kinds = ([type(entry) for entry in step] for step in steps)
+        assert kinds_come(kinds, [Frame, Frame, Frame])
+        getattr(server, how).add("/camera/left")
+        assert kinds_come(kinds, [Loss, Frame, Frame])
+        getattr(server, how).clear()
+        assert kinds_come(kinds, [Frame, Frame, Frame])
+    assert "lost until" not in caplog.text
+
+
+def kinds_come(kinds: Iterator[list[type]], expected: list[type]) -> bool:
+    """Wait for a step of such entries: a machine that is busy makes other cameras late, too."""
+    return any(found == expected for found in kinds)
 
 
 def test_a_view_that_stays_away_is_given_up_if_that_is_wished(server):

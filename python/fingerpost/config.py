@@ -55,7 +55,8 @@ _RIGHT = {
     "plane.points": f"at least {MIN_REFERENCE_POINTS} points [X, Y] in the plane's unit",
     "view": "one [[view]] table per camera",
     "view.name": 'a short name in quotes, such as "left"',
-    "view.source": "a file, a glob of images or a URL in quotes, or a camera number from 0",
+    "view.source": "a file, a glob of images, a camera's name or a URL in quotes, or a camera "
+    "number from 0",
     "view.camera": "{ width = 1280, height = 720, fps = 30 }, or other settings of a camera",
     "view.camera.fourcc": 'four letters in quotes, such as "MJPG"',
     "view.rotate_deg": "a turn clockwise by 0, 90, 180 or 270",

@@ -91,6 +91,10 @@ LARGEST_PX = 2560
 """Frames with a longer side are processed at a reduced size: a finger is no sharper in them, and
 time and memory would be many times those of decoding."""
 
+ABSENT_S = 1.0
+"""Time without frames after which a camera may be elsewhere or another: less than it takes to
+unplug it and to plug one in."""
+
 # Range of the standard deviation of reference points: its square stays above rounding [px].
 _REFERENCE_SIGMAS_PX = (1e-6, 1e6)
 
@@ -385,19 +389,20 @@ class _History:
             self.entries.append((seen.time_s, entry, plane_view))
 
     def forget(self, time_s: float) -> None:
-        """Drop the entries that are not needed at a time or later."""
-        while len(self.entries) > 1 and self.entries[1][0] <= time_s:
+        """Drop the entries that are not needed at a time or later: two that precede it are."""
+        while len(self.entries) > 2 and self.entries[2][0] <= time_s:
             del self.entries[0]
 
     def at(self, time_s: float, options: PointingOptions) -> FingerLine | _NoLine | None:
         """Interpolate the finger line at a time; None if the next frame is needed for it."""
-        before: FingerLine | _NoLine = _NoLine(Status.ACQUIRING)
+        earlier: FingerLine | _NoLine = _NoLine(Status.ACQUIRING)
+        before = earlier
         for entry_time_s, entry, _ in self.entries:
             if entry_time_s == time_s:
                 return entry
             if entry_time_s > time_s:
-                return _between(before, entry, time_s, options)
-            before = entry
+                return _between(earlier, before, entry, time_s, options)
+            earlier, before = before, entry
         return None
 
     def plane_view_at(self, time_s: float, latest: PlaneView) -> PlaneView:
@@ -414,17 +419,19 @@ class _History:
 
 
 def _between(
+    earlier: FingerLine | _NoLine,
     before: FingerLine | _NoLine,
     after: FingerLine | _NoLine,
     time_s: float,
     options: PointingOptions,
 ) -> FingerLine | _NoLine:
-    """Interpolate between two neighbours in time; the absence of a line takes precedence."""
+    """Interpolate between two neighbours in time; the absence of either takes precedence."""
     if isinstance(before, _NoLine):
         return before
     if isinstance(after, _NoLine):
         return after
-    aligned = align([before, after], time_s, options)
+    history = [earlier] if isinstance(earlier, FingerLine) else []
+    aligned = align([*history, before, after], time_s, options)
     return aligned.line or _NoLine(Status.LOST, aligned.reason)
 
 
@@ -503,6 +510,7 @@ class Pointer:
         self._options = pointing_options
         self._still = self.plane_views
         self._watches = tuple(self._watch_of(view) for view in rig.views)
+        self._seen_s = [np.inf] * len(self.views)
         self._histories = tuple(_History() for _ in self.views)
         self._pending: deque[_Pending] = deque()
         self._identity = Identity()
@@ -732,11 +740,14 @@ class Pointer:
 
     def _watch(self, frames: Sequence[Frame | None]) -> None:
         """Update the views' homographies: a camera may have moved."""
-        for view, still, watch, frame in zip(
-            self.views, self._still, self._watches, frames, strict=True
+        for k, (view, still, watch, frame) in enumerate(
+            zip(self.views, self._still, self._watches, frames, strict=True)
         ):
             if frame is None:
                 continue
+            if frame.time_s - self._seen_s[k] > ABSENT_S:
+                watch.doubt()
+            self._seen_s[k] = frame.time_s
             watch.look(frame.grey(), view.hand, frame.image)
             if (plane_view := watch.plane_view(still)) is not None:
                 view.move(plane_view)
@@ -846,7 +857,7 @@ def _absences(
             continue
         if finger.reason:
             absences[k] = finger.reason
-        elif seen.is_adrift and finger.status is Status.ILL_CONDITIONED:
+        elif seen.is_adrift:
             absences[k] = _moved(seen)
         elif seen.is_body:
             absences[k] = "it shows what the system itself moves"

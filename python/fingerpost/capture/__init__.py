@@ -11,6 +11,7 @@ be believed, or a live source sends none, a `Loss` stands in place of the frame.
 
 from fingerpost.capture.devices import Camera, list_cameras
 from fingerpost.capture.opening import (
+    is_camera_name,
     open_source,
     open_views,
     refuse_repeated,
@@ -34,6 +35,7 @@ __all__ = [
     "Source",
     "SourceKind",
     "at_speed",
+    "is_camera_name",
     "is_url",
     "list_cameras",
     "open_source",

@@ -1,6 +1,7 @@
 """Which cameras are plugged in: their numbers, names and modes, without opening a stream.
 
-On Linux the kernel lists them (V4L2: /sys/class/video4linux, and the enumerations of videodev2.h).
+On Linux the kernel lists them (V4L2: /sys/class/video4linux, and the enumerations of videodev2.h),
+and udev links each by what it is and by where it is plugged in (/dev/v4l/by-id, /dev/v4l/by-path).
 Elsewhere OpenCV is asked for one number after the other, which gives no names.
 """
 
@@ -10,13 +11,16 @@ import errno
 import os
 import struct
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from fingerpost.errors import CaptureError
+
 _SYS = Path("/sys/class/video4linux")
 _DEV = Path("/dev")
+_LINKS = ("v4l/by-id", "v4l/by-path")
 _MOST_NUMBERS = 10
 _MOST_ENTRIES = 256  # of an enumeration that a driver does not end
 
@@ -75,17 +79,32 @@ class Camera:
     number
         What stands in a rig file as its `source`.
     name
-        What it calls itself; empty where the system does not tell.
+        What it calls itself, which may stand there as well; empty where the system does not tell.
     modes
         Largest pictures first.
     trouble
         Why it cannot be asked; else empty.
+    links
+        Names that distinguish it from others of its kind: by its serial number, if it has one, and
+        by where it is plugged in.
     """
 
     number: int
     name: str = ""
     modes: list[Mode] = field(default_factory=list)
     trouble: str = ""
+    links: list[str] = field(default_factory=list)
+
+    def __str__(self) -> str:
+        return f'"{self.name}" ({self.number})' if self.name else str(self.number)
+
+    def name_in(self, source: str) -> str:
+        """Return the name of it that a source is, or ends in as a path; empty if it has none.
+
+        A rig file's sources are paths relative to it before anything is known of them.
+        """
+        names = [name for name in (self.name, *self.links) if name]
+        return next((name for name in names if f"/{source}".endswith(f"/{name}")), "")
 
 
 def list_cameras(
@@ -108,6 +127,30 @@ def list_cameras(
     return sorted(filter(None, cameras), key=lambda camera: camera.number)
 
 
+def named_cameras() -> list[Camera]:
+    """Return the cameras that are plugged in, where the system gives them names; else none."""
+    return list_cameras() if sys.platform.startswith("linux") else []
+
+
+def the_camera(source: str, cameras: Iterable[Camera]) -> Camera:
+    """Return the camera that a source names.
+
+    Raises
+    ------
+    CaptureError
+        None or several have that name; the message has the names that there are.
+    """
+    each = list(cameras)
+    found = [camera for camera in each if camera.name_in(source)]
+    if len(found) == 1:
+        return found[0]
+    if not found:
+        there = ", ".join(map(str, each)) or "none that has one"
+        raise CaptureError(f"no camera has that name; plugged in: {there}")
+    others = ", ".join(f'"{camera.links[0]}"' if camera.links else str(camera) for camera in found)
+    raise CaptureError(f"{len(found)} cameras have that name; name one as {others}")
+
+
 def _system_ioctl() -> Ioctl:
     from fcntl import ioctl  # Unix alone has it
 
@@ -116,22 +159,29 @@ def _system_ioctl() -> Ioctl:
 
 def _asked(node: Path, dev_folder: Path, ioctl: Ioctl) -> Camera | None:
     """Ask a video device; None for one that is no camera, as those of metadata and codecs."""
-    number, name = int(node.name[5:]), _name(node)
+    number, name, links = int(node.name[5:]), _name(node), _links(node.name, dev_folder)
     try:
         descriptor = os.open(dev_folder / node.name, os.O_RDWR | os.O_NONBLOCK)
     except OSError as error:
         hint = "; join the group video" if error.errno == errno.EACCES else ""
-        return Camera(number, name, trouble=f"cannot be opened: {error.strerror}{hint}")
+        trouble = f"cannot be opened: {error.strerror}{hint}"
+        return Camera(number, name, trouble=trouble, links=links)
     try:
         if not _captures(descriptor, ioctl):
             return None
         found = {(m.fourcc, m.width, m.height): m for m in _modes(descriptor, ioctl)}
     except OSError as error:
-        return Camera(number, name, trouble=f"cannot be asked: {error.strerror}")
+        return Camera(number, name, trouble=f"cannot be asked: {error.strerror}", links=links)
     finally:
         os.close(descriptor)
     modes = sorted(found.values(), key=lambda mode: (-mode.width * mode.height, mode.fourcc))
-    return Camera(number, name, modes)
+    return Camera(number, name, modes, links=links)
+
+
+def _links(node: str, dev_folder: Path) -> list[str]:
+    """Return the names by which udev links a video device."""
+    links = (link for kind in _LINKS for link in sorted((dev_folder / kind).glob("*")))
+    return [link.name for link in links if link.resolve().name == node]
 
 
 def _name(node: Path) -> str:

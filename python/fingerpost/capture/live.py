@@ -5,8 +5,9 @@ frames would wait in the driver's or the decoder's queue, and a consumer slower 
 would see an image whose age grows without bound. The thread owns the device from opening to
 release, so a device that blocks can be left behind but is never torn down under its reader.
 
-A source that sends nothing for its time limit is lost: a `Loss` stands in place of a frame as long
-as that lasts. Its thread opens it anew, after pauses that double, until it is back.
+A source whose frame is overdue by its own rate is not waited for by whoever has others to read: a
+`Loss` stands in place of its frame. One that sends nothing for its time limit is lost, which is
+said. Its thread opens it anew, after pauses that double, until it is back.
 """
 
 from __future__ import annotations
@@ -16,9 +17,12 @@ import logging
 import math
 import os
 import select
+import statistics
 import threading
 import time
+from collections import deque
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
@@ -36,8 +40,17 @@ _log = logging.getLogger(__name__)
 
 _RETRY_S = 0.01
 _JOIN_S = 2.0
-_FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.5, 8.0
+_FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.5, 2.0
 """Pauses between attempts to open a source that is lost: the first, and the longest."""
+_ENDED_S = 0.5
+"""A device that fails without waiting for so long has ended, as an unplugged one does."""
+_OVERDUE_S, _OVERDUE_PERIODS = 0.1, 2.0
+"""A frame is overdue after the longer of both: finger lines are not interpolated over more
+(`PointingOptions.max_gap_s`), and a camera that is slower by nature is not late."""
+FRESH_S = 0.01
+"""A picture that has waited for no longer is as fresh as it can be had."""
+_KNOWN_PERIODS, _LATEST_PERIODS = 3, 9
+"""Times between frames from which the usual one is known, and how many of them are kept."""
 
 
 class Device(Protocol):
@@ -68,7 +81,7 @@ class Stamping(Protocol):
         """What is to be said of how it knows, for people."""
 
 
-def _connect(source: str | int, timeout_s: float, camera: CameraSettings | None = None) -> Device:
+def connected(source: str | int, timeout_s: float, camera: CameraSettings | None = None) -> Device:
     """Open a camera, pipe or stream; whether that worked is for `isOpened` to say."""
     if source == STDIN:
         return RawStream(0, raw_format(camera), timeout_s=timeout_s, ends=True)
@@ -154,7 +167,7 @@ class LiveSource(Source):
     Parameters
     ----------
     source
-        A camera number, a camera device, a named pipe, or a URL.
+        A camera number, a camera device, a named pipe, or a URL; or what `connect` takes.
     timeout_s
         How long opening may take, and how long the wait for a new frame, before the source
         counts as lost.
@@ -189,7 +202,7 @@ class LiveSource(Source):
         self._stamping: Stamping | None = None
         self._timeout_s = timeout_s
         self._clock = clock
-        self._connect = connect or partial(_connect, camera=camera)
+        self._connect = connect or partial(connected, camera=camera)
         self._changed = threading.Condition()
         self._closed = False
         self._opened: bool | None = None
@@ -197,7 +210,10 @@ class LiveSource(Source):
         self._frames_grabbed = 0
         self._failure: BaseException | None = None
         self._silent_since = time.monotonic()
+        self._periods_s: deque[float] = deque(maxlen=_LATEST_PERIODS)
+        self._fetched_s = -math.inf  # when the last frame fetched had come
         self._stalls = 0
+        self._is_slow = False
         self._is_lost = False
         self._reader = threading.Thread(
             target=self._run, args=(source,), name=f"capture {self.name}", daemon=True
@@ -227,7 +243,49 @@ class LiveSource(Source):
         times = "once" if self._stalls == 1 else f"{self._stalls} times"
         stalls = f"sent nothing for {self._timeout_s:g} s and more, {times}"
         notes = (*self._differences, *(self._stamping.notes if self._stamping else ()))
-        return (*notes, stalls) if self._stalls else notes
+        slowness = self._slowness() if self._is_slow else ()
+        return (*notes, *slowness, stalls) if self._stalls else (*notes, *slowness)
+
+    def _slowness(self) -> tuple[str, ...]:
+        rate = f"sends {1.0 / self.period_s:.2g} pictures a second"
+        return (f"{rate}; more than {1.0 / _OVERDUE_S:.0f} are needed to bring views to one time",)
+
+    @property
+    def due_in_s(self) -> float:
+        """How long the next frame may take before it is overdue; infinite if no rate is known."""
+        return max(_OVERDUE_S, _OVERDUE_PERIODS * self.period_s) - self.silent_s
+
+    @property
+    def period_s(self) -> float:
+        """Usual time between frames [s]; infinite while it is not known."""
+        with self._changed:
+            periods_s = [*self._periods_s]
+        return statistics.median(periods_s) if len(periods_s) >= _KNOWN_PERIODS else math.inf
+
+    @property
+    def has_next(self) -> bool:
+        """Whether a frame is there, or the source closed, so that `next` need not wait."""
+        with self._changed:
+            return self._newest is not None or self._closed
+
+    @property
+    def is_stale(self) -> bool:
+        """Whether a frame has waited for long, and its successor is near enough to wait for it.
+
+        Near enough is what finger lines are interpolated over, from the last frame fetched.
+        """
+        with self._changed:
+            if self._newest is None:
+                return False
+            arrived_s = self._silent_since
+        period_s = self.period_s
+        is_near = arrived_s + period_s - self._fetched_s <= _OVERDUE_S
+        return FRESH_S < time.monotonic() - arrived_s < period_s and is_near
+
+    def pass_over(self) -> None:
+        """Give up the frame that waits, for the next one."""
+        with self._changed:
+            self._newest = None
 
     def wait(self, at_most_s: float = math.inf) -> None:
         """Return when a frame is there that was not fetched yet, or the source is closed or lost.
@@ -237,11 +295,11 @@ class LiveSource(Source):
         at_most_s
             Return after so long in any case.
         """
-        while not self._is_lost and at_most_s > 0.0:
-            left_s = self._timeout_s - self.silent_s
-            if self._await(lambda: self._newest is not None, min(left_s, at_most_s)):
+        end_s = time.monotonic() + at_most_s
+        while not self._is_lost:
+            left_s = min(self._timeout_s - self.silent_s, end_s - time.monotonic())
+            if self._await(lambda: self._newest is not None, left_s):
                 return
-            at_most_s -= max(left_s, 0.0)
             if self.silent_s >= self._timeout_s:
                 self._is_lost = True
                 self._stalls += 1
@@ -250,6 +308,15 @@ class LiveSource(Source):
                     self.name,
                     self._timeout_s,
                 )
+            elif time.monotonic() >= end_s:
+                return
+
+    def overdue(self) -> Loss | None:
+        """Return what is there in place of a frame that is overdue, or lost."""
+        if self.has_next or not (self._is_lost or self.due_in_s <= 0.0):
+            return None
+        loss = self._loss()
+        return replace(loss, time_s=loss.time_s + self.offset_s)
 
     def linger(self, longest_s: float) -> None:
         """Wait for a frame of a source that is lost."""
@@ -259,14 +326,25 @@ class LiveSource(Source):
         self.wait()
         with self._changed:
             frame, self._newest = self._newest, None
+            self._fetched_s = self._silent_since
         if frame is not None:
-            if self._is_lost:
-                self._is_lost = False
-                _log.warning("%s: sends again", self.name)
+            self._say_of(frame)
             return frame
         if self._closed:
             raise StopIteration
-        why = f"no picture has come for {self.silent_s:.0f} s"
+        return self._loss()
+
+    def _say_of(self, frame: Frame) -> None:
+        """Warn, once, where a frame shows that its source is back, or too slow."""
+        if self._is_lost:
+            self._is_lost = False
+            _log.warning("%s: sends again", self.name)
+        if not self._is_slow and frame.index > _LATEST_PERIODS and self.period_s > _OVERDUE_S:
+            self._is_slow = True
+            _log.warning("%s: %s", self.name, *self._slowness())
+
+    def _loss(self) -> Loss:
+        why = f"no picture has come for {self.silent_s:.1f} s"
         return Loss(self._frames_grabbed, self._clock() / 1e9, why)
 
     def _count(self) -> None:
@@ -373,6 +451,7 @@ class LiveSource(Source):
         """Grab frames until closed, or until none has come for as long as makes a source lost."""
         started_s = time.monotonic()
         while not self._closed:
+            asked_s = time.monotonic()
             grabbed = device.grab()
             time_ns = self._clock()
             if grabbed and self._stamping is not None:
@@ -380,8 +459,10 @@ class LiveSource(Source):
             ok, sent = device.retrieve() if grabbed else (False, None)
             image, encoded = picture_of(sent) if ok and sent is not None else (None, b"")
             if image is None:
-                silent_s = min(self.silent_s, time.monotonic() - started_s)
-                if self._frames_grabbed and silent_s > self._timeout_s:
+                now_s = time.monotonic()
+                has_waited = now_s - asked_s > _RETRY_S
+                longest_s = self._timeout_s if has_waited else min(self._timeout_s, _ENDED_S)
+                if self._frames_grabbed and min(self.silent_s, now_s - started_s) > longest_s:
                     return
                 time.sleep(_RETRY_S)
                 continue
@@ -389,6 +470,13 @@ class LiveSource(Source):
             with self._changed:
                 if not self._closed:
                     self._newest = frame
-                self._frames_grabbed += 1
-                self._silent_since = time.monotonic()
+                self._note_arrival()
                 self._changed.notify_all()
+
+    def _note_arrival(self) -> None:
+        """Count a frame, and the time since the one before."""
+        now_s = time.monotonic()
+        if self._frames_grabbed:
+            self._periods_s.append(now_s - self._silent_since)
+        self._frames_grabbed += 1
+        self._silent_since = now_s

@@ -13,6 +13,7 @@ from functools import partial
 from pathlib import Path
 
 from fingerpost.capture import over_zenoh
+from fingerpost.capture.devices import named_cameras, the_camera
 from fingerpost.capture.images import (
     ImageSequence,
     JpegFilm,
@@ -21,7 +22,7 @@ from fingerpost.capture.images import (
     natural_order,
     picture_count,
 )
-from fingerpost.capture.live import LiveSource
+from fingerpost.capture.live import Device, LiveSource, connected
 from fingerpost.capture.raw import STDIN, raw_format
 from fingerpost.capture.remote import Remote, RemoteFilm, is_url, look_up, masked
 from fingerpost.capture.settings import CameraSettings, Reading
@@ -57,10 +58,11 @@ def open_source(
     source
         A video file, an animation or a TIFF of many pages, one still image (shown `STILL_FRAMES`
         times), a glob of still images (`left/*.png`, taken in natural order: 2 before 10), a
-        camera number, a camera device (`/dev/video0`) or a named pipe, or a URL (`http://`,
-        `https://`, `rtsp://`, ...): live, unless a web server says that it is a film; or `-`: raw
-        frames on standard input (`fingerpost.capture.raw`), which are live as well. A view of a
-        recording is `session.mcap#left`, a camera on another machine `zenoh://HOST:PORT/KEY/NAME`.
+        camera number, a camera's name where there is no such file (Linux), a camera device
+        (`/dev/video0`) or a named pipe, or a URL (`http://`, `https://`, `rtsp://`, ...): live,
+        unless a web server says that it is a film; or `-`: raw frames on standard input
+        (`fingerpost.capture.raw`), which are live as well. A view of a recording is
+        `session.mcap#left`, a camera on another machine `zenoh://HOST:PORT/KEY/NAME`.
     camera
         What a camera is asked for, or the format of the raw frames on a pipe.
     fps
@@ -108,9 +110,7 @@ def _opened(
             raise InvalidInputError(f"camera {source}: cameras are numbered 0, 1, 2, ...")
         return LiveSource(source, timeout_s=timeout_s, clock=clock, camera=camera)
     if not source or "\0" in source:
-        raise InvalidInputError(
-            f"source {source!r}: must name a file, a glob, a camera number or a URL"
-        )
+        raise InvalidInputError(f"source {source!r}: must name a file, a glob, a camera or a URL")
     if source == STDIN:
         raw_format(camera)
         return LiveSource(source, timeout_s=timeout_s, clock=clock, camera=camera)
@@ -158,13 +158,32 @@ def _opened(
         raise
     except OSError as error:
         raise CaptureError(f"{path}: {error.strerror}") from error
-    if glob.has_magic(source):
-        paths = _matching(source)
-        if not paths:
-            raise CaptureError(f"{source}: no file matches")
+    if glob.has_magic(source) and (paths := _matching(source)):
         return ImageSequence(paths, fps=fps, name=source)
-    hint = "; a camera's number goes without quotes" if source.isdecimal() else ""
-    raise CaptureError(f"{source}: no such file{hint}")
+    return LiveSource(
+        _name_of_camera(source),
+        timeout_s=timeout_s,
+        clock=clock,
+        connect=partial(_camera_by_name, camera=camera),
+        camera=camera,
+    )
+
+
+def _name_of_camera(source: str) -> str:
+    """Return the name by which a source that is no file names a camera."""
+    try:
+        return the_camera(source, named_cameras()).name_in(source)
+    except CaptureError as error:
+        files = "no file matches" if glob.has_magic(source) else "no such file"
+        hint = "; a camera's number goes without quotes" if source.isdecimal() else f", and {error}"
+        raise CaptureError(f"{source}: {files}{hint}") from None
+
+
+def _camera_by_name(
+    source: str | int, timeout_s: float, *, camera: CameraSettings | None
+) -> Device:
+    """Open a camera by its name: its number may change whenever it is plugged in."""
+    return connected(the_camera(str(source), named_cameras()).number, timeout_s, camera)
 
 
 def _remote_camera(
@@ -293,11 +312,28 @@ def _what_is_read(source: str | int) -> list[str | int]:
     if isinstance(source, str) and (in_recording := _view_of_recording(source)) is not None:
         path, view = in_recording
         return [f"{os.path.realpath(path)}#{view}"]
-    is_camera = isinstance(source, int)
-    files = [Path(_CAMERA_FILE.format(source))] if is_camera else source_files(source)
+    files = [] if isinstance(source, int) else source_files(source)
     # Path.exists would raise where no file can have such a name.
     existing = [os.path.realpath(path) for path in files if os.path.exists(path)]  # noqa: PTH110
-    return [source] if is_camera and not existing else [*existing]
+    if existing:
+        return [*existing]
+    if (number := source if isinstance(source, int) else _number_of(source)) is None:
+        return []
+    file = _CAMERA_FILE.format(number)
+    return [os.path.realpath(file) if os.path.exists(file) else number]  # noqa: PTH110
+
+
+def is_camera_name(source: str) -> bool:
+    """Tell whether one camera that is plugged in has such a name."""
+    return _number_of(source) is not None
+
+
+def _number_of(name: str) -> int | None:
+    """Return the number of the camera that has a name; None if no camera, or no single one, has."""
+    try:
+        return the_camera(name, named_cameras()).number
+    except CaptureError:
+        return None
 
 
 def resolve_source(source: str | int, directory: Path) -> str | int:

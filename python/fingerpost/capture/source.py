@@ -281,6 +281,33 @@ class Source(ABC):
         """How long a live source has sent nothing; a recorded one is never silent."""
         return 0.0
 
+    @property
+    def period_s(self) -> float:
+        """Usual time between a live source's frames [s]; infinite while it is not known."""
+        return math.inf
+
+    @property
+    def has_next(self) -> bool:
+        """Whether the next frame, or the end, is there at once: always, of recorded sources."""
+        return True
+
+    @property
+    def due_in_s(self) -> float:
+        """How long a live source's next frame may take before it is overdue."""
+        return math.inf
+
+    def overdue(self) -> Loss | None:
+        """Return what is there in place of a live source's frame that is overdue; else None."""
+        return None
+
+    @property
+    def is_stale(self) -> bool:
+        """Whether a live source's frame has waited for long, and its successor comes soon."""
+        return False
+
+    def pass_over(self) -> None:  # noqa: B027 - frames of recordings are never passed over
+        """Give up a live source's frame that waits, for the next one."""
+
     def wait(self, at_most_s: float = math.inf) -> None:  # noqa: B027 - nothing to wait for is usual
         """Return when the next frame, or a loss, can be had at once; recorded ones always can."""
 

@@ -17,6 +17,9 @@ _log = logging.getLogger(__name__)
 _GIVE_UP_AFTER_S = (1e-3, 1e9)
 _SPEEDS = (1e-3, 1e3)
 
+_SLOW_PERIODS = 1.5
+"""A view whose frames are further apart than so many periods of the fastest is not waited for."""
+
 _ALL_LOST_STEP_S = 0.5
 """Time between steps while no view sends anything: what waits for steps goes on to be called."""
 
@@ -42,8 +45,9 @@ def read_views(
     tuple of Frame, Loss or None
         One entry per source, in their order. Recorded views advance by their times and end with
         the shortest; an entry is None where a view has no frame of about that time, as it was
-        recorded at a lower rate. Live views wait until every view has a new frame, or is lost, and
-        then give the newest of each. Views of one recording come as they came when it was made.
+        recorded at a lower rate. Live views wait until every view has a new frame, or one that is
+        overdue, and then give the newest of each; a view of a much lower rate than another is not
+        waited for. Views of one recording come as they came when it was made.
 
     Raises
     ------
@@ -157,22 +161,44 @@ def _newest_together(
     sources: Sequence[Source], give_up_after_s: float | None
 ) -> Iterator[tuple[Frame | Loss | None, ...]]:
     while True:
+        # Whoever is slower than the cameras is served best by frames that are new when he begins.
+        if all(source.is_stale for source in sources):
+            for source in sources:
+                source.pass_over()
+        fastest_s = min(source.period_s for source in sources)
         for source in sources:
-            _wait(source, give_up_after_s)
-        seen = tuple(next(source, None) for source in sources)
-        if None in seen:
+            is_slow = math.inf > source.period_s > _SLOW_PERIODS * fastest_s
+            _wait(source, 0.0 if is_slow else source.due_in_s, give_up_after_s)
+        seen: list[Frame | Loss | None] = []
+        try:
+            for source in sources:
+                seen.append(_newest(source))  # noqa: PERF401 - in a comprehension it cannot end
+        except StopIteration:
             return
-        yield seen
+        yield tuple(seen)
         if all(isinstance(entry, Loss) for entry in seen):
             sources[0].linger(_ALL_LOST_STEP_S)
 
 
-def _wait(source: Source, give_up_after_s: float | None) -> None:
-    """Wait for a view's frame, or that it is lost, as long as it may be waited for."""
+def _newest(source: Source) -> Frame | Loss | None:
+    """Return what a view has: a new frame, what stands in place of an overdue one, or nothing.
+
+    Raises
+    ------
+    StopIteration
+        The view has ended.
+    """
+    if (loss := source.overdue()) is not None:
+        return loss
+    return next(source) if source.has_next else None
+
+
+def _wait(source: Source, at_most_s: float, give_up_after_s: float | None) -> None:
+    """Wait for a view's frame, as long as it may be waited for."""
     if give_up_after_s is None:
-        source.wait()
+        source.wait(at_most_s)
         return
-    source.wait(give_up_after_s - source.silent_s)
+    source.wait(min(at_most_s, give_up_after_s - source.silent_s))
     if source.silent_s >= give_up_after_s:
         raise CaptureError(
             f"{source.name}: no picture for {source.silent_s:.0f} s: given up after "

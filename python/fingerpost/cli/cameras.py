@@ -60,8 +60,8 @@ def cameras(
 ) -> None:
     """List the cameras that are plugged in: number, name, modes, and a picture of each.
 
-    The number is what stands in a rig file as the view's source; the modes, what its camera can be
-    asked for.
+    The number or, on Linux, the name is what stands in a rig file as the view's source; the modes,
+    what its camera can be asked for.
 
     With --publish, a CAMERA is a number, NAME=NUMBER, or NAME= and whatever a rig file may have as
     a live source; what the rig file on the other machine has to say is printed. Ctrl-C ends it.
@@ -85,14 +85,16 @@ def cameras(
         if as_json:
             click.echo(json.dumps({**dataclasses.asdict(camera), "thumbnail": picture}))
         else:
-            click.echo("\n".join(_lines(camera, picture)))
+            is_shared = sum(other.name == camera.name for other in found) > 1
+            click.echo("\n".join(_lines(camera, picture, is_shared=is_shared)))
     if not found:
         click.echo(NONE, err=as_json)
 
 
-def _lines(camera: Camera, picture: str | None) -> list[str]:
-    """Say what is known of a camera, for people."""
+def _lines(camera: Camera, picture: str | None, *, is_shared: bool) -> list[str]:
+    """Say what is known of a camera, for people; a name of its own where it shares its name."""
     lines = [f"camera {camera.number}   {camera.name}".rstrip()]
+    lines += [f"    also {link}" for link in camera.links[:1] if is_shared]
     lines += [f"    {mode}" for mode in camera.modes[:_SHOWN_MODES]]
     if len(camera.modes) > _SHOWN_MODES:
         lines.append(f"    and {len(camera.modes) - _SHOWN_MODES} smaller ones")

@@ -211,7 +211,7 @@ def _ended_line() -> Iterator[None]:
 
 def _check_source(before: Sequence[str], answer: str) -> None:
     """Refuse a file that is not there, or that another view reads."""
-    from fingerpost.capture import is_url, refuse_repeated, source_files
+    from fingerpost.capture import is_camera_name, is_url, refuse_repeated, source_files
 
     if not answer and len(before) >= 2:
         return
@@ -220,7 +220,11 @@ def _check_source(before: Sequence[str], answer: str) -> None:
         raise InvalidInputError("-: a terminal sends no frames; a named pipe does")
     # Path.exists would raise where a name is too long to exist.
     exists = [os.path.exists(file) for file in source_files(source)]  # noqa: PTH110
-    if isinstance(source, str) and not is_url(source) and not (exists and all(exists)):
+    if (
+        isinstance(source, str)
+        and not (is_url(source) or (exists and all(exists)))
+        and not is_camera_name(source)
+    ):
         raise InvalidInputError(f"{answer}: no such file")
     refuse_repeated({f"view {k + 1}": _source(name) for k, name in enumerate([*before, answer])})
 

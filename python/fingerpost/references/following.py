@@ -179,6 +179,11 @@ class ReferenceFollower:
         """
         return None if self.is_adrift else self._plane_view
 
+    def doubt(self) -> None:
+        """Hold nothing until references or texture are seen again, as `ReferenceWatch.doubt`."""
+        if self._watch is not None:
+            self._watch.doubt()
+
     def look(
         self, grey: Picture, hand: Segment | None = None, picture: Picture | None = None
     ) -> None:
@@ -250,7 +255,7 @@ class ReferenceFollower:
                 self._plane_view = still.moved(motion.now_from_first, motion.covariance)
                 self.moved_px, self.is_adrift, self.is_held = watch.moved_px, False, False
                 return
-            if watch.moved_px == 0.0 and not self.is_adrift:
+            if watch.moved_px == 0.0 and not (self.is_adrift or watch.is_adrift):
                 self.is_held = True
                 self._search(picture)
                 return

@@ -127,8 +127,12 @@ class ReferenceWatch:
 
     @property
     def is_adrift(self) -> bool:
-        """Whether the camera has moved and it is not known where to."""
+        """Whether the camera has moved, or was away, and it is not known where it is."""
         return self._watch.is_adrift
+
+    def doubt(self) -> None:
+        """Hold the camera adrift until the plane is seen again: it was away, or is another."""
+        self._watch.doubt()
 
     @property
     def motion(self) -> PlaneMotion | None:
@@ -200,12 +204,19 @@ class _Watch:
         self._reference_points_px = reference_points_px
         self._lens = lens
         self._has_begun = False
+        self._is_doubted = False
         self._whole_px = 1.0
 
     @property
     def is_adrift(self) -> bool:
-        """Whether the camera has moved and it is not known where to."""
-        return self.motion is None and self.moved_px > ADRIFT_PX
+        """Whether the camera has moved, or was away, and it is not known where it is."""
+        return self._is_doubted or (self.motion is None and self.moved_px > ADRIFT_PX)
+
+    def doubt(self) -> None:
+        """As `ReferenceWatch.doubt`, unless the first image has too little texture to end it."""
+        if self._has_begun:
+            samples, _ = self._samples(self._corners_px, ~self._is_hand)
+            self._is_doubted = len(samples) >= MIN_SAMPLES
 
     def look(self, grey: _Picture, hand: Segment | None = None) -> None:
         """Take the next frame, as `ReferenceWatch.look`."""
@@ -237,7 +248,7 @@ class _Watch:
 
     def _rest(self) -> None:
         """Set the camera to static."""
-        self.moved_px, self.motion = 0.0, None
+        self.moved_px, self.motion, self._is_doubted = 0.0, None, False
         self._now_from_first, self._further = np.eye(3), np.eye(3)
 
     def _forget(self, hand: Segment) -> None:
@@ -248,7 +259,7 @@ class _Watch:
 
     def _is_due(self, grey: _Picture) -> bool:
         """Whether a frame is to be tested."""
-        if self.moved_px > 0.0:
+        if self.moved_px > 0.0 or self._is_doubted:
             return True
         apparent_motion_px = self._registration.apparent_motion_px(grey)
         is_unlike = (
@@ -343,7 +354,7 @@ class _Watch:
                 return
             is_backed = was_followed if samples is None else self._is_consistent(motion, *samples)
             if is_backed:
-                self.motion, self.moved_px = motion, moved_px
+                self.motion, self.moved_px, self._is_doubted = motion, moved_px, False
                 self._now_from_first = motion.now_from_first
                 self._further = self._similarity_step(before) if was_followed else np.eye(3)
                 return
