@@ -29,7 +29,7 @@ from fingerpost.signals import ending_at_once
 def run(rig_file: Path, **asked: Any) -> None:
     """Track a hand in every view of a rig and tell where on the plane it points.
 
-    RIG.TOML names the views (video files, globs of images, camera numbers, URLs or views of a
+    RIG.TOML names the views (video files, globs of images, cameras, URLs or views of a
     recording), the plane and where the hand is first seen. A live view that sends nothing is lost
     until it comes back; a damaged picture is lost for its view. Ctrl-C ends a run; what was written
     stays, and the summary covers the frames until then.
