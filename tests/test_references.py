@@ -63,6 +63,16 @@ def test_a_camera_that_was_away_is_adrift_until_the_plane_is_seen_where_it_was()
     assert not watch.is_adrift
 
 
+@pytest.mark.parametrize(("gain", "offset"), [(0.6, 0.0), (0.4, 5.0), (0.8, 50.0)])
+def test_a_camera_that_comes_back_in_another_light_is_where_it_was(gain, offset):
+    picture = table()
+    watch = ReferenceWatch(REFERENCES_PX)
+    shown(watch, [taken(picture)])
+    watch.doubt()
+    shown(watch, [taken(gain * picture + offset, 2)])
+    assert not watch.is_adrift
+
+
 def test_a_table_without_texture_leaves_no_doubt_that_could_not_be_ended():
     watch = ReferenceWatch(REFERENCES_PX)
     shown(watch, [np.full((240, 320), 90, np.uint8)])

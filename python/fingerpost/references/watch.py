@@ -275,7 +275,9 @@ class _Watch:
         """Track the corners from the first image to this one, and decide by their samples."""
         if self.motion is not None:
             self._last_px = self._shown(self._corners_px, self._further @ self._now_from_first)
-        here_px, is_sure = self._followed(_halved(grey, self._halves))
+        now = _halved(grey, self._halves)
+        # A camera that was away may come back in another light, or with another exposure.
+        here_px, is_sure = self._followed(_relit(now, self._first) if self._is_doubted else now)
         is_sure &= ~self._is_hand
         if hand is not None:
             is_sure &= ~is_within(hand, self._whole(here_px))
@@ -416,6 +418,16 @@ class _Watch:
                 off_px = np.linalg.norm(moved_px - np.median(moved_px, axis=0), axis=1)
                 chosen.append(corners[np.argmin(off_px)])
         return self._corners_px[chosen], here_px[chosen]
+
+
+def _relit(now: _Picture, first: _Picture) -> _Picture:
+    """Return an image with the mean and the contrast of the first one."""
+    import cv2
+
+    (mean, contrast), (first_mean, first_contrast) = (cv2.meanStdDev(one) for one in (now, first))
+    gain = float(first_contrast[0, 0] / max(contrast[0, 0], 1.0))
+    relit = cv2.convertScaleAbs(now, alpha=gain, beta=float(first_mean[0, 0] - gain * mean[0, 0]))
+    return np.asarray(relit, np.uint8)
 
 
 def _are_static(from_px: _Points, to_px: _Points) -> bool:
