@@ -32,6 +32,7 @@ def ask(address, command, wait_s=0.3):
         ("marlin", b"N0 M110 N0*125\n", b"ok\n"),
         ("dexarm", b"N0 M110 N0*125\n", b"ok\n"),
         ("uarm", b"#1 M17\n", b"$1 ok\n"),
+        ("so101", b"\xff\xff\x01\x02\x01\xfb", b"\xff\xff\x01\x02\x00\xfc"),
     ],
 )
 def test_every_controller_answers_on_its_port(name, command, answer):
