@@ -17,6 +17,7 @@ import click
 import guidance_scene
 import numpy as np
 import pytest
+import rosbridge_rig
 import so101_rig
 from guidance_scene import NAMES, draw_marker
 from guided_process import (
@@ -289,6 +290,20 @@ def test_the_so101s_page(film, tmp_path, monkeypatch):
         said = go_through("so101", device, port, stage, tmp_path)
         assert [kind for kind, _ in said] == ["home", "plane", "follow", "pick"]
         assert said[0][1].startswith("x 0.2104 m")
+        assert "9 of 9 places" in said[1][1]
+        assert "1 picked and placed" in said[3][1]
+
+
+@pytest.mark.skipif("FINGERPOST_EVERY_PAGE" not in os.environ, reason="30 s of a processor")
+def test_the_page_of_ros(film, tmp_path):
+    with rosbridge_rig.rosbridge_rig(home=False, time_scale=1.0) as rig:
+        stage = Stage(rig.true_m, film)
+        device = "rosbridge://10.0.0.5:9090?frame=base_link"
+        services = "&".join(f"{key}={value}" for key, value in rosbridge_rig.GRIPPER.items())
+        port = f"rosbridge://{rig.emulator.address}?frame=base_link&{services}"
+        said = go_through("ros", device, port, stage, tmp_path)
+        assert [kind for kind, _ in said] == ["home", "plane", "follow", "pick"]
+        assert said[0][1].startswith("x 0.3000 m")
         assert "9 of 9 places" in said[1][1]
         assert "1 picked and placed" in said[3][1]
 

@@ -25,6 +25,13 @@ def ask(address, command, wait_s=0.3):
         return port.read(200)
 
 
+def test_rosbridge_is_served_on_a_tcp_port_alone(tmp_path):
+    with make_emulator("rosbridge", tcp_port=0) as emulator:
+        assert emulator.address.startswith("127.0.0.1:")
+    with pytest.raises(InvalidInputError, match="rosbridge has no serial line; tcp_port is right"):
+        make_emulator("rosbridge", link=tmp_path / "x")
+
+
 @pytest.mark.parametrize(
     ("name", "command", "answer"),
     [

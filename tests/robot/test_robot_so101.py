@@ -288,6 +288,47 @@ def test_a_stop_that_may_have_met_an_answer_on_the_line_is_sent_again(tmp_path):
         wait_until(lambda: rig.bus.goals >= goals + 2)
 
 
+def test_a_stop_that_overtakes_a_place_is_repeated_after_it(tmp_path):
+    with so101_rig(tmp_path) as rig:
+        rig.robot.move_to(NEAR)
+        send_place, sent = rig.robot._send_place, []
+
+        def send_late(place):
+            sent.append(place)
+            if len(sent) == 8:
+                rig.robot.stop()
+            send_place(place)
+
+        rig.robot._send_place = send_late
+        with pytest.raises(StoppedError):
+            rig.robot.move_to(FAR)
+        time.sleep(0.05)
+        assert len(sent) == 8
+        goals = {number: servo._word(42) for number, servo in rig.bus.servos.items()}
+        assert [goals[k] for k in range(1, 6)] == [rig.robot._measured[k] for k in range(1, 6)]
+
+
+def test_an_arm_that_sags_does_not_sink_with_every_stop(tmp_path):
+    with so101_rig(tmp_path) as rig:
+        rig.robot.move_to(NEAR)
+        goals = {number: servo._word(42) for number, servo in rig.bus.servos.items()}
+        for servo in rig.bus.servos.values():
+            servo.position, servo.stuck = servo.at(rig.clock()) + 15, True  # 1.3°
+        for _ in range(3):
+            rig.robot.pose()
+            rig.robot.stop()
+        time.sleep(0.05)
+        assert goals == {number: servo._word(42) for number, servo in rig.bus.servos.items()}
+
+
+def test_servos_without_torque_are_sent_nothing_before_homing(tmp_path):
+    with so101_rig(tmp_path, home=False) as rig:
+        rig.robot.connect()
+        rig.robot.stop()
+        assert rig.bus.goals == 0
+        assert not any(servo.memory[40] for servo in rig.bus.servos.values())
+
+
 def test_a_stop_of_a_closed_arm_says_so(tmp_path):
     with (
         so101_rig(tmp_path, home=False) as rig,

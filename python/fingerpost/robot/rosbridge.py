@@ -11,10 +11,10 @@ without a stamp: the bridge fills in its own time, so no clocks are compared.
 
 from __future__ import annotations
 
-import logging
 import math
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Annotated
 
 import msgspec
@@ -42,8 +42,6 @@ from fingerpost.robot.orientation import (
 from fingerpost.robot.protocol import Angle, GripperKind, Limits, Pose
 from fingerpost.robot.rosbridge_link import Message, RosbridgeLink
 from fingerpost.robot.streaming import StreamedArm
-
-logger = logging.getLogger(__name__)
 
 DEFAULT_PORT = 9090
 """Where rosbridge_server listens by default."""
@@ -205,7 +203,7 @@ class RosbridgeArm(StreamedArm):
         options = self._options
         self._link.send(op="advertise", topic=options.target_topic, type=POSE_TYPE)
         self._link.send(op="subscribe", topic=options.pose_topic, type=POSE_TYPE, queue_length=1)
-        self._hold()
+        self._hold(has_arrived=False)
 
     def _disconnect(self) -> None:
         self._link.close()
@@ -239,6 +237,10 @@ class RosbridgeArm(StreamedArm):
     def _measure(self) -> Vector:
         self._raise_trouble()
         self._see_to_stop()
+        return self._newest_place()
+
+    def _newest_place(self) -> Vector:
+        """Return the newest pose that came, if it can be believed."""
         topic = self._options.pose_topic
         came_s, message = self._reading or (-math.inf, {})
         if self._clock() - came_s > self._options.max_age_s:
@@ -296,13 +298,13 @@ class RosbridgeArm(StreamedArm):
             },
         }
 
-    def _hold(self) -> None:
+    def _hold(self, *, has_arrived: bool) -> None:
         self._needs_start = True
         options, link = self._options, self._link
-        if self._reading is not None:
-            _, measured = self._reading
-            target = {"header": {"frame_id": options.frame}, "pose": measured.get("pose")}
-            link.send_now(op="publish", topic=options.target_topic, msg=target)
+        if not has_arrived:
+            with suppress(GarbledReplyError, RobotTimeoutError):  # then the service alone stops it
+                message = self._message(self._newest_place())
+                link.send_now(op="publish", topic=options.target_topic, msg=message)
         if options.stop_service:
             self._stop_call = link.call(options.stop_service, urgent=True), self._clock()
 

@@ -8,6 +8,7 @@ LeRobot's calibration finds it. The frame has its origin under the base's axis o
 of the arm and y to its left.
 
 A stop writes the last measured position as every joint's goal: the arm stands, with its torque on.
+Servos whose torque is off are sent nothing until homing switches it on.
 """
 
 from __future__ import annotations
@@ -297,6 +298,8 @@ class SoArm(StreamedArm):
             lenient={self._gripper.id: feetech.OVERLOAD},  # it holds something
         )
         self._measured: dict[int, int] = {}  # positions [counts] by servo
+        self._sent: dict[int, int] = {}  # and the last goals of the joints
+        self._holding: set[int] = set()  # servos whose torque is on
         self._gripper_moves = False
 
     @property
@@ -308,7 +311,9 @@ class SoArm(StreamedArm):
         self._bus.open()
         self._need_this_arms_file()
         self._measure()
-        self._hold()
+        torque = self._bus.read(feetech.TORQUE_ENABLE, 1)
+        self._holding = {servo for servo, data in torque.items() if data[0]}
+        self._hold(has_arrived=False)
 
     def _need_this_arms_file(self) -> None:
         """See that the servos have the offsets of the file, without which no position is one."""
@@ -324,19 +329,21 @@ class SoArm(StreamedArm):
 
     def _disconnect(self) -> None:
         self._bus.close()
-        self._measured = {}
+        self._measured, self._sent, self._holding = {}, {}, set()
 
     def _make_ready(self, turn: Turn, report: Callable[[str], None]) -> None:
         """Switch the torque on where the arm stands; its encoders are absolute."""
         self._check(turn)
         report("absolute encoders: no motion needed")
         self._measure()
-        everything = self._goals(self._measured)
-        self._issue(lambda: self._bus.write(feetech.ACCELERATION, everything), turn)
+        self._issue(
+            lambda: self._bus.write(feetech.ACCELERATION, self._goals(self._measured)), turn
+        )
         self._bus.confirm(feetech.TORQUE_LIMIT, self._gripper.id, *two_bytes(GRIPPER_TORQUE))
         for servo in self._measured:
             self._check(turn)
             self._bus.confirm(feetech.TORQUE_ENABLE, servo, 1)
+            self._holding.add(servo)
 
     def _measure(self) -> Vector:
         read = self._bus.read(feetech.PRESENT_POSITION, 2)
@@ -381,17 +388,17 @@ class SoArm(StreamedArm):
             self._servos[name].id: int(count) for name, count in zip(JOINTS, counts, strict=True)
         }
         self._bus.write(feetech.ACCELERATION, self._goals(goals))
+        self._sent = goals
 
-    def _hold(self) -> None:
-        holds = {
-            servo: count
-            for servo, count in self._measured.items()
-            # A gripper that stands goes on holding what it holds.
-            if servo != self._gripper.id or self._gripper_moves
-        }
-        if not holds:
+    def _hold(self, *, has_arrived: bool) -> None:
+        if not self._measured:
             raise ConnectionLostError("not connected: call connect() first")
-        self._bus.write_now(feetech.ACCELERATION, self._goals(holds))
+        # A gripper that stands goes on holding what it holds.
+        held = self._holding - (set() if self._gripper_moves else {self._gripper.id})
+        counts = {**self._measured, **(self._sent if has_arrived else {})}
+        self._sent = {servo: counts[servo] for servo in sorted(held)}
+        if held:
+            self._bus.write_now(feetech.ACCELERATION, self._goals(self._sent))
 
     def _goals(self, counts: Mapping[int, int]) -> dict[int, tuple[int, ...]]:
         """Return what is written for each servo: acceleration, goal, no time, greatest speed."""

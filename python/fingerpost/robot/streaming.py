@@ -8,7 +8,8 @@ arm that stands within one period's way. Nor is anything caught up on: where the
 answer, was late, the arm is late, and neither faster than asked for nor off its line.
 
 A stop ends the stream by the count that voids every command (`fingerpost.robot.arm`), and has the
-driver hold the arm where it was last measured. The next move begins where the arm then is.
+driver hold the arm where it was last measured. The next move begins where the arm then is. An arm
+that has arrived keeps its goal: it hangs a little below it, and would sink with every stop.
 """
 
 from __future__ import annotations
@@ -59,6 +60,7 @@ class StreamedArm(Arm):
         self._acceleration_m_s2 = acceleration_m_s2
         self._motion: MotionQueue | None = None  # not known after a stop
         self._path_s = 0.0  # time by which the queued moves are run
+        self._has_arrived = False  # at the place that was sent last, or is held there
         self._stream_turn = Turn(0, 0.0)
         self._stream_error: RobotError | None = None
         self._under_way = threading.Event()
@@ -95,8 +97,11 @@ class StreamedArm(Arm):
         """Send where the arm shall be now, without waiting for an answer."""
 
     @abstractmethod
-    def _hold(self) -> None:
-        """Send that the arm stays where it was last measured, past every queue."""
+    def _hold(self, *, has_arrived: bool) -> None:
+        """Send that the arm stays where it was last measured, past every queue.
+
+        One that has arrived may stay where it was sent.
+        """
 
     # Inside.
 
@@ -105,10 +110,12 @@ class StreamedArm(Arm):
             self._stream_ended.set()
             self._under_way.set()
         self._stream_ended = self._motion = self._stream_error = None
+        self._has_arrived = False
         self._disconnect()
 
     def _home(self, turn: Turn, report: Callable[[str], None]) -> None:
         self._motion = self._stream_error = None
+        self._has_arrived = False  # somebody may have moved it by hand
         self._make_ready(turn, report)
 
     def _start_move(self, pose: Pose, speed_m_s: float, turn: Turn) -> None:
@@ -139,10 +146,12 @@ class StreamedArm(Arm):
             self._pause(self._period_s, turn)
             self._raise_stream_error()
         super()._await_arrival(goal, turn)
+        self._has_arrived = True
 
     def _send_stop(self) -> None:
         self._motion = None
-        self._hold()
+        self._hold(has_arrived=self._has_arrived)
+        self._has_arrived = True
 
     def _raise_stream_error(self) -> None:
         """Raise what the stream ended with; a thread has nobody else to say it to."""
@@ -177,15 +186,20 @@ class StreamedArm(Arm):
                 self._path_s += min(now_s - last_s, LATE_PERIODS * self._period_s)
                 last_s, place = now_s, motion.position(self._path_s)
                 is_last = not motion.is_moving(self._path_s)
-                self._issue(lambda place=place: self._send_place(place), turn)  # type: ignore[misc]
+                self._issue(lambda place=place: self._leave_for(place), turn)  # type: ignore[misc]
             if is_last:
                 return
             due_s = max(due_s + self._period_s, self._clock())
             self._sleep_for(max(0.0, due_s - self._clock()))
 
+    def _leave_for(self, place: Vector) -> None:
+        self._has_arrived = False
+        self._send_place(place)
+        self._has_arrived = False  # also after a stop that came in between
+
     def _hold_if_possible(self) -> None:
         try:
-            self._hold()
+            self._hold(has_arrived=False)
         except RobotError:  # the error that it is called for is kept
             return
 

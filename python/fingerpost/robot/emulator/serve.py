@@ -75,7 +75,8 @@ def make_emulator(
     Raises
     ------
     InvalidInputError
-        No such controller, or a value out of its range.
+        No such controller, a value out of its range, or a link to a controller without a serial
+        line.
     """
     homing_s = in_range(homing_s, "homing_s", *HOMING_S)
     controllers: dict[str, Callable[[], Controller]] = {
@@ -89,7 +90,9 @@ def make_emulator(
     if name not in controllers:
         raise InvalidInputError(f"{name!r} is not emulated; {', '.join(EMULATED)} are")
     port: Port
-    if name == "rosbridge":  # it knows no serial line
+    if name == "rosbridge":
+        if link is not None:
+            raise InvalidInputError(f"{link}: rosbridge has no serial line; tcp_port is right")
         port = HostPort(port=tcp_port or 0)
     else:
         port = PtyPort(link) if tcp_port is None else TcpPort(port=tcp_port)
