@@ -14,6 +14,7 @@ that has arrived keeps its goal: it hangs a little below it, and would sink with
 
 from __future__ import annotations
 
+import queue
 import threading
 import time
 from abc import abstractmethod
@@ -63,8 +64,7 @@ class StreamedArm(Arm):
         self._has_arrived = False  # at the place that was sent last, or is held there
         self._stream_turn = Turn(0, 0.0)
         self._stream_error: RobotError | None = None
-        self._under_way = threading.Event()
-        self._stream_ended: threading.Event | None = None  # set to end the thread
+        self._wakes: queue.SimpleQueue[bool] | None = None  # of this connection's thread
 
     # What a driver provides, beside `_open` and `_move_gripper`.
 
@@ -106,10 +106,9 @@ class StreamedArm(Arm):
     # Inside.
 
     def _close(self) -> None:
-        if self._stream_ended is not None:
-            self._stream_ended.set()
-            self._under_way.set()
-        self._stream_ended = self._motion = self._stream_error = None
+        if self._wakes is not None:
+            self._wakes.put(False)
+        self._wakes = self._motion = self._stream_error = None
         self._has_arrived = False
         self._disconnect()
 
@@ -126,14 +125,14 @@ class StreamedArm(Arm):
         def start() -> None:
             motion.add(path, speed_m_s, self._acceleration_m_s2, self._path_s)
             self._motion, self._stream_turn = motion, turn
-            self._under_way.set()
 
-        if self._stream_ended is None:
-            self._stream_ended = threading.Event()
-            threading.Thread(
-                target=self._stream, args=(self._stream_ended,), name="stream", daemon=True
-            ).start()
         self._issue(start, turn)
+        if self._wakes is None:
+            self._wakes = queue.SimpleQueue()
+            threading.Thread(
+                target=self._stream, args=(self._wakes,), name="stream", daemon=True
+            ).start()
+        self._wakes.put(True)
 
     def _read_pose(self, turn: Turn) -> Pose:
         self._check(turn)
@@ -159,13 +158,11 @@ class StreamedArm(Arm):
         if error is not None:
             raise error
 
-    def _stream(self, ended: threading.Event) -> None:
+    def _stream(self, wakes: queue.SimpleQueue[bool]) -> None:
         """Send while there is something to send, until the connection is closed."""
-        while not ended.is_set():
-            self._under_way.wait()
-            self._under_way.clear()
+        while wakes.get():
             try:
-                self._send_along(ended)
+                self._send_along(wakes)
             except StoppedError:
                 continue  # a stop has held the arm
             except Exception as error:  # the thread that waits for the arm raises it
@@ -173,22 +170,21 @@ class StreamedArm(Arm):
                 self._stream_error = _as_robot_error(error)
                 self._hold_if_possible()
 
-    def _send_along(self, ended: threading.Event) -> None:
+    def _send_along(self, wakes: queue.SimpleQueue[bool]) -> None:
         """Send the places of the queued moves, one a period, up to the end of the last one."""
         due_s = last_s = self._clock()
         while True:
             with self._exchange_lock:
                 motion, turn = self._motion, self._stream_turn
-                if motion is None or ended.is_set():
+                if motion is None or self._wakes is not wakes:
                     return
+                if not motion.is_moving(self._path_s):
+                    return  # the last place has been sent
                 self._measure()
                 now_s = self._clock()
                 self._path_s += min(now_s - last_s, LATE_PERIODS * self._period_s)
                 last_s, place = now_s, motion.position(self._path_s)
-                is_last = not motion.is_moving(self._path_s)
                 self._issue(lambda place=place: self._leave_for(place), turn)  # type: ignore[misc]
-            if is_last:
-                return
             due_s = max(due_s + self._period_s, self._clock())
             self._sleep_for(max(0.0, due_s - self._clock()))
 
