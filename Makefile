@@ -19,6 +19,8 @@ export PATH := $(CARGO_HOME)/bin:$(or $(PATH),/usr/local/sbin:/usr/local/bin:/us
 export VIRTUAL_ENV := $(CURDIR)/$(VENV)
 export PYO3_PYTHON := $(CURDIR)/$(BIN)/python
 unexport CONDA_PREFIX PYTHONHOME PYTHONPATH
+# Tests start hundreds of processes: none need compile every module anew.
+unexport PYTHONDONTWRITEBYTECODE
 # Tests are built once and run: in one piece they take a quarter of the time.
 export CARGO_INCREMENTAL := 0
 # What is built here is run from there, whatever else Cargo is configured to do.

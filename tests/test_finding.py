@@ -4,7 +4,7 @@ import csv
 import dataclasses
 import math
 from contextlib import ExitStack
-from itertools import islice
+from itertools import islice, pairwise
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -362,6 +362,31 @@ def test_an_empty_cluttered_table_starts_nothing():
     assert {step.fix.status for step in steps} == {Status.ACQUIRING}
     rows = [o.track_row() for step in steps for o in step.observations]
     assert {row.status for row in rows} == {"acquiring"}
+
+
+def test_a_table_on_which_nothing_changes_is_searched_again_once_a_hand_comes(monkeypatch):
+    monkeypatch.setattr("fingerpost.finding.rest.REST_FRAMES", 20)
+    scene, rng = SCENES["a hand of a few pixels"], np.random.default_rng(SEED)
+    comes = (
+        Trajectory.hold(AWAY, 2.4)
+        .then(Trajectory.through([AWAY, OVER_THE_TABLE], 1.2))
+        .then(Trajectory.hold(OVER_THE_TABLE, 0.6))
+    )
+    pointer, candidates, points, truth = Pointer(rig_from_simulation(scene)), [], [], []
+    for k in range(int(comes.duration_s * FPS)):
+        shot = scene.render(comes, time_s=k / FPS, rng=rng)
+        (step,) = pointer.update([Frame(k, k / FPS, image) for image in shot.images])
+        candidates.append([view.search.candidates for view in pointer.views])
+        points.append(step.fix.point)
+        truth.append(shot.truth)
+    (came,) = entries(truth)
+    for view in range(2):
+        looked = [now[view] is not before[view] for before, now in pairwise(candidates)]
+        assert all(looked[:19])
+        assert not any(looked[38:46])
+        assert all(looked[came - 1 : came + 2])
+    found = next(k for k, point in enumerate(points) if point is not None)
+    assert found - came <= FOUND_WITHIN
 
 
 def test_what_stands_on_the_table_starts_nothing():

@@ -39,6 +39,8 @@ _EXTRAS = {
     "parquet": "pyarrow",
     "page": "uvicorn",
     "plot": "matplotlib",
+    "ros": "websockets",
+    "so101": "scservo_sdk",
     "ur": "rtde_control",
     "xarm": "xarm",
 }

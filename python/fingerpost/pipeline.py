@@ -44,6 +44,7 @@ from fingerpost.finding import (
     HandView,
     Identity,
     PairTests,
+    SearchRest,
     compare_lengths,
     compare_widths,
     distinguish_body_from_hands,
@@ -514,6 +515,7 @@ class Pointer:
         self._histories = tuple(_History() for _ in self.views)
         self._pending: deque[_Pending] = deque()
         self._identity = Identity()
+        self._rest = SearchRest()
         self._targets = rig.things
 
     @property
@@ -593,10 +595,11 @@ class Pointer:
         self._follow(frames)
         distinguish_body_from_hands(self.views, bodies)
         self._reject_table_pattern(frames)
+        rests = self._rest.update(self.views, frames)
         for view, frame in zip(self.views, frames, strict=True):
             view.update_from_other_views([other for other in self.views if other is not view])
-            view.observe(frame)
-        if any(view.is_searching for view in self.views):
+            view.observe(frame, rests=rests)
+        if not rests and any(view.is_searching for view in self.views):
             find_hand(self.views, frames)
         for view, frame in zip(self.views, frames, strict=True):
             view.settle()

@@ -97,6 +97,9 @@ def test_a_hand_that_nobody_has_confirmed_moves_nothing():
         assert stage.robot.position == pytest.approx(before)
         assert stage.guard.newest_fix.reason == STRANGER
         assert sum(line.startswith(STRANGER) for line in stage.said) == 1
+        assert stage.session.sees_stranger
+        stage.show([0.4, 0.1], Hand(1, is_presented=True))
+        assert not stage.session.sees_stranger
 
 
 def test_a_hand_held_up_to_its_template_is_followed():

@@ -17,6 +17,8 @@ import click
 import guidance_scene
 import numpy as np
 import pytest
+import rosbridge_rig
+import so101_rig
 from guidance_scene import NAMES, draw_marker
 from guided_process import (
     BY_HAND,
@@ -34,6 +36,7 @@ from xarm_stand_in import ControlBox
 from fingerpost.cli import main
 from fingerpost.config import Rig
 from fingerpost.robot import Pose, Robot, open_robot, registry
+from fingerpost.robot.emulator.feetech import calibration_file
 from fingerpost.robot.emulator.gcode import MarlinController, UarmController, make_dexarm
 from fingerpost.robot.emulator.ports import ArmTime, Emulator, PtyPort
 
@@ -67,7 +70,7 @@ def test_every_command_line_can_be_read(page, line):
 
 
 def test_every_page_leads_from_cable_to_pick_and_place():
-    for page in ("scorbot", "uarm-and-marlin", "ur", "xarm"):
+    for page in ("scorbot", "so101", "uarm-and-marlin", "ur", "xarm", "ros"):
         kinds = [line[1] for line in shell_commands(page)]
         assert kinds[-3:] == ["plane", "follow", "pick"]
         assert "home" in kinds
@@ -82,13 +85,15 @@ def test_every_link_leads_somewhere(page):
         assert f"({page}.md)" in TEXTS["index"]
 
 
-@pytest.mark.parametrize("option", ["acl", "ur", "xarm"])
-def test_the_tables_options_are_the_drivers(option):
-    page = {"acl": "scorbot"}.get(option, option)
+@pytest.mark.parametrize("option", ["acl", "rosbridge", "so101", "ur", "xarm"])
+def test_the_tables_options_are_the_drivers(option, tmp_path):
+    (tmp_path / "arm.json").write_bytes(calibration_file())
+    always = {"so101": f"calibration={tmp_path}/arm.json&"}.get(option, "")
+    page = {"acl": "scorbot", "rosbridge": "ros"}.get(option, option)
     options = re.findall(r"^\| `(\w+=[^`]+)` \|", TEXTS[page], re.MULTILINE)
     assert len(options) >= 4
     for one in options:
-        assert open_robot(f"{option}://somewhere?{one}").status().state == "disconnected"
+        assert open_robot(f"{option}://somewhere?{always}{one}").status().state == "disconnected"
 
 
 def test_the_cameras_of_the_page_load(tmp_path):
@@ -156,7 +161,7 @@ class Stage:
         return draw
 
 
-def go_through(page, device, port, stage, folder, options=(), *, changes=None):
+def go_through(page, device, port, stage, folder, options=(), *, changes=None, without=None):
     """Run every command of a page that names the device; returns what each has said."""
     said = []
     with JpegStreams([stage.film_of(view) for view in range(2)], SHOWN_FPS) as streams:
@@ -168,6 +173,8 @@ def go_through(page, device, port, stage, folder, options=(), *, changes=None):
             scheme = device.partition(":")[0]
             if any("://" in argument and not argument.startswith(scheme) for argument in line):
                 continue  # of another arm
+            if line[1] == without:
+                continue
             arguments = [argument.replace(device, port) for argument in line[1:]]
             arguments = [(changes or {}).get(argument, argument) for argument in arguments]
             moves = line[1] in ("plane", "follow", "pick")
@@ -274,6 +281,33 @@ def test_the_page_of_the_gcode_arms(name, film, tmp_path, monkeypatch):
         assert strange == []
 
 
+def test_the_so101s_page(film, tmp_path, monkeypatch):
+    monkeypatch.setattr(guidance_scene, "ROBOT_ORIGIN_MM", np.array([-15.0, 213.0, 0.0]))
+    with so101_rig.so101_rig(tmp_path, home=False, time_scale=1.0) as rig:
+        stage = Stage(rig.true_m, film)
+        device = "so101:///dev/ttyACM0?calibration=arm.json"
+        # The servos share this process with the cameras, which take its interpreter for a while.
+        port = f"so101://{rig.emulator.address}?calibration=arm.json&reply_s=1"
+        said = go_through("so101", device, port, stage, tmp_path, without="follow")
+        assert [kind for kind, _ in said] == ["home", "plane", "pick"]
+        assert said[0][1].startswith("x 0.2104 m")
+        assert "9 of 9 places" in said[1][1]
+        assert "1 picked and placed" in said[2][1]
+
+
+def test_the_page_of_ros(film, tmp_path):
+    with rosbridge_rig.rosbridge_rig(home=False, time_scale=1.0) as rig:
+        stage = Stage(rig.true_m, film)
+        device = "rosbridge://10.0.0.5:9090?frame=base_link"
+        services = "&".join(f"{key}={value}" for key, value in rosbridge_rig.GRIPPER.items())
+        port = f"rosbridge://{rig.emulator.address}?frame=base_link&{services}"
+        said = go_through("ros", device, port, stage, tmp_path, without="follow")
+        assert [kind for kind, _ in said] == ["home", "plane", "pick"]
+        assert said[0][1].startswith("x 0.3000 m")
+        assert "9 of 9 places" in said[1][1]
+        assert "1 picked and placed" in said[2][1]
+
+
 @pytest.fixture
 def stand_ins(monkeypatch):
     """The vendors' libraries of processes that are started from now on are stand-ins."""
@@ -291,7 +325,7 @@ def test_the_urs_page(film, tmp_path, monkeypatch, stand_ins):
         assert [kind for kind, _ in said] == ["home", "plane", "follow", "pick"]
         assert said[0][1].splitlines()[-1].startswith("x 0.3000 m")
         assert "9 of 9 places" in said[1][1]
-        assert "1 picked and placed" in said[3][1]
+        assert "1 picked and placed" in said[2][1]
         assert set(controller.outputs) == {0}
         end_s = time.monotonic() + 5.0
         while controller.program is not Program.STOPPED:  # none is left that nobody feeds
@@ -308,5 +342,5 @@ def test_the_xarms_page(film, tmp_path, monkeypatch, stand_ins):
         assert [kind for kind, _ in said] == ["home", "plane", "follow", "pick"]
         assert said[0][1].startswith("x 0.3000 m")  # and nothing of the library
         assert "9 of 9 places" in said[1][1]
-        assert "1 picked and placed" in said[3][1]
+        assert "1 picked and placed" in said[2][1]
         assert box.gripper.position() == 850

@@ -25,6 +25,13 @@ def ask(address, command, wait_s=0.3):
         return port.read(200)
 
 
+def test_rosbridge_is_served_on_a_tcp_port_alone(tmp_path):
+    with make_emulator("rosbridge", tcp_port=0) as emulator:
+        assert emulator.address.startswith("127.0.0.1:")
+    with pytest.raises(InvalidInputError, match="rosbridge has no serial line; tcp_port is right"):
+        make_emulator("rosbridge", link=tmp_path / "x")
+
+
 @pytest.mark.parametrize(
     ("name", "command", "answer"),
     [
@@ -32,6 +39,7 @@ def ask(address, command, wait_s=0.3):
         ("marlin", b"N0 M110 N0*125\n", b"ok\n"),
         ("dexarm", b"N0 M110 N0*125\n", b"ok\n"),
         ("uarm", b"#1 M17\n", b"$1 ok\n"),
+        ("so101", b"\xff\xff\x01\x02\x01\xfb", b"\xff\xff\x01\x02\x00\xfc"),
     ],
 )
 def test_every_controller_answers_on_its_port(name, command, answer):

@@ -262,7 +262,8 @@ def test_queued_motions_follow_each_other_and_an_abort_drops_them():
 
 def test_every_built_in_has_a_name():
     assert set(registry.BUILT_IN) <= set(robot_names())
-    assert {"acl", "uarm", "marlin", "dexarm", "ur", "xarm", "sim"} == set(registry.BUILT_IN)
+    gcode, streamed = {"uarm", "marlin", "dexarm"}, {"so100", "so101", "rosbridge"}
+    assert {"acl", "ur", "xarm", "sim"} | gcode | streamed == set(registry.BUILT_IN)
 
 
 @pytest.mark.parametrize(
@@ -420,7 +421,7 @@ def test_an_arrival_needs_two_readings():
 
 
 def test_what_is_not_emulated_is_refused():
-    with pytest.raises(InvalidInputError, match="acl, dexarm, marlin, uarm"):
+    with pytest.raises(InvalidInputError, match="acl, dexarm, marlin, rosbridge, so101, uarm"):
         make_emulator("puma")
     with pytest.raises(InvalidInputError, match="time_scale"):
         make_emulator("acl", time_scale=0.0)

@@ -7,13 +7,25 @@ import pytest
 from fingerpost.errors import MissingExtraError
 from fingerpost.installation import require
 from fingerpost.robot.extras import require_silently
+from fingerpost.robot.feetech import ServoBus
+from fingerpost.robot.rosbridge import RosbridgeArm
+from fingerpost.robot.serial_line import SerialLine
 from fingerpost.robot.ur import UniversalRobot
 from fingerpost.robot.xarm import Xarm
 
 
 @pytest.mark.parametrize(
     ("module", "make", "extra"),
-    [("rtde_control", UniversalRobot, "ur"), ("xarm.wrapper", Xarm, "xarm")],
+    [
+        ("rtde_control", UniversalRobot, "ur"),
+        ("xarm.wrapper", Xarm, "xarm"),
+        ("websockets.client", RosbridgeArm, "ros"),
+        (
+            "scservo_sdk",
+            lambda address: ServoBus(SerialLine(address), {}, float, reply_s=1),
+            "so101",
+        ),
+    ],
 )
 def test_a_missing_library_is_named_with_the_command_that_installs_it(
     monkeypatch, module, make, extra

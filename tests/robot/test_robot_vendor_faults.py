@@ -1,4 +1,4 @@
-"""Every kind of fault of a vendor's arm, met by moves: a true position or an error of ours.
+"""Every kind of fault of an arm by a vendor's library, met by moves: the truth or an error of ours.
 
 A fault is there before a move, or comes while it is commanded or runs. Nothing hangs, nothing is
 believed that is not so, and afterwards the arm can be used again. FINGERPOST_FAULT_MOVES=8 has
@@ -14,10 +14,15 @@ from types import ModuleType
 
 import numpy as np
 import pytest
+from rosbridge_rig import rosbridge_rig
+from so101_rig import so101_rig
+from test_robot_rosbridge import FAULTS as ROSBRIDGE_FAULTS
+from test_robot_so101 import FAULTS as SO101_FAULTS
 from test_robot_xarm import box as xarm_box  # noqa: F401 - a fixture
 from ur_stand_in import Program, UrController, dashboard, libraries
 
 from fingerpost.robot import ur_dashboard
+from fingerpost.robot.emulator.faults import Fault
 from fingerpost.robot.errors import ConnectionLostError, RobotError
 from fingerpost.robot.protocol import TOOL_DOWN_RAD, Pose
 from fingerpost.robot.ur import UniversalRobot, UrOptions
@@ -34,12 +39,13 @@ NEAR_M = 1.2e-3
 GOAL = Pose(0.3, 0.1, 0.2, pitch_rad=TOOL_DOWN_RAD, roll_rad=0.4, yaw_rad=0.0)
 
 
-def moves(robot, position, fault, mend):
+def moves(robot, position, fault, mend, *, goal=GOAL, near_m=NEAR_M):
     """Move through a fault that comes before the move, or at a time of its own."""
+    first = goal
     outcomes = []
     rng = np.random.default_rng(0)
     for k in range(MOVES):
-        goal = replace(GOAL, y_m=0.1 * (-1) ** k)
+        goal = replace(first, y_m=first.y_m * (-1) ** k)
         meddler = threading.Timer(float(rng.uniform(0.0, 0.3)), fault)
         if k % 2:
             fault()
@@ -48,7 +54,7 @@ def moves(robot, position, fault, mend):
         begin_s = time.monotonic()
         try:
             robot.move_to(goal, speed_m_s=0.5)
-            assert np.linalg.norm(position() - goal.position_m) < NEAR_M
+            assert np.linalg.norm(position() - goal.position_m) < near_m
             outcomes.append("arrived")
         except RobotError as error:
             outcomes.append(type(error).__name__)
@@ -57,7 +63,7 @@ def moves(robot, position, fault, mend):
             meddler.join()
         mend()
         recover(robot)
-        assert robot.pose().distance_m(Pose(*position())) < NEAR_M
+        assert robot.pose().distance_m(Pose(*position())) < near_m
     return outcomes
 
 
@@ -215,5 +221,64 @@ def test_an_xarm_through_faults(kind, xarm_box):  # noqa: F811
     with Xarm("127.0.0.1", XarmOptions(stall_s=0.1)) as robot:
         robot.home()
         outcomes = moves(robot, box.arm.position, lambda: XARM_FAULTS[kind](box, robot), mend)
+    print(kind, outcomes)  # shown by pytest -s
+    assert len(outcomes) == MOVES
+
+
+# SO-101, whose servos have faults of their own beside those of the line.
+
+
+SO101_FAULTS = SO101_FAULTS | {
+    fault.value: (lambda rig, fault=fault: rig.emulator.inject(fault, count=2),)
+    for fault in (Fault.SILENT, Fault.CUT, Fault.GARBAGE, Fault.GARBLED_INPUT)
+}
+
+
+@pytest.mark.parametrize("kind", SO101_FAULTS)
+def test_an_so101_through_faults(kind, tmp_path):
+    with so101_rig(tmp_path, stall_s=0.4, near_m=0.002) as rig:
+        poll = rig.bus.poll
+
+        def mend():
+            rig.bus.poll = poll
+            rig.bus.heal()
+            rig.emulator.heal()
+            rig.emulator.inject(Fault.PLUG)
+
+        outcomes = moves(
+            rig.robot,
+            rig.true_m,
+            lambda: SO101_FAULTS[kind][0](rig),
+            mend,
+            goal=Pose(0.2, 0.06, 0.06, pitch_rad=TOOL_DOWN_RAD, roll_rad=0.0),
+            near_m=0.003,
+        )
+    print(kind, outcomes)  # shown by pytest -s
+    assert len(outcomes) == MOVES
+
+
+# An arm of ROS, whose connection and nodes may fail.
+
+
+ROSBRIDGE_FAULTS = ROSBRIDGE_FAULTS | {
+    "silent for a moment": (lambda rig: rig.emulator.inject(Fault.SILENT, count=3),),
+    "cut": (lambda rig: rig.emulator.inject(Fault.CUT),),
+    "services say no": (lambda rig: rig.emulator.inject(Fault.OUT_OF_RANGE),),
+}
+
+
+@pytest.mark.parametrize("kind", ROSBRIDGE_FAULTS)
+def test_an_arm_of_ros_through_faults(kind):
+    with rosbridge_rig(stall_s=0.4, near_m=0.001) as rig:
+
+        def mend():
+            rig.server.heal()
+            rig.emulator.heal()
+            rig.emulator.inject(Fault.PLUG)
+            time.sleep(0.05)  # the next pose has come
+
+        outcomes = moves(
+            rig.robot, rig.true_m, lambda: ROSBRIDGE_FAULTS[kind][0](rig), mend, near_m=2e-3
+        )
     print(kind, outcomes)  # shown by pytest -s
     assert len(outcomes) == MOVES

@@ -41,6 +41,7 @@ _PLACES = np.linspace(0.08, 0.92, 29)
 _REACH = 0.06  # across a side, as a part of its length
 _STEP_PX = 0.5
 _LEAST_EDGE = 3.0  # [levels a pixel]
+_TRIPLES = 60  # of edge points
 _OFF_PX = 1.0  # an edge that is further off a smooth curve is another one's
 
 
@@ -129,15 +130,18 @@ def bend_of(
     sides = [side for a, b in ends if (side := _edge_along(smooth, a, b)) is not None]
     if len(sides) < LEAST_SIDES:
         return None
+    bent_px = _crookedness_px(sides)
+    if bent_px < BENT_PX:
+        return None
     height, width = still.shape
     lenses = [
         Lens(fx=width, fy=width, cx=(width - 1) / 2, cy=(height - 1) / 2, k1=float(k1))
         for k1 in _K1
     ]
-    off_px = np.array([_crookedness_px(sides, lens) for lens in lenses])
-    best = int(np.nanargmin(off_px))
-    bent_px, left_px = float(off_px[len(_K1) // 2]), float(off_px[best])
-    if bent_px < max(BENT_PX, TIMES_STRAIGHTER * left_px):
+    crooked_px = np.array([_crookedness_px(sides, lens) for lens in lenses])
+    best = int(np.nanargmin(crooked_px))
+    left_px = float(crooked_px[best])
+    if bent_px < TIMES_STRAIGHTER * left_px:
         return None
     off = bent_px, left_px, _off_by_px(lenses[best], plane_points, points_px)
     return Bend(reduction.whole_lens(lenses[best]), *(reduction.factor * px for px in off))
@@ -203,25 +207,32 @@ def _curve(places: Array, at: Array, found: NDArray[np.bool_]) -> Array | None:
         return None
     x, y = places[found], at[found]
     rng = np.random.default_rng(0)  # the same picture gives the same answer
-    best, most = None, 0
-    for _ in range(60):
-        some = rng.choice(len(x), 3, replace=False)
-        parabola = np.polyfit(x[some], y[some], 2)
-        near = np.abs(np.polyval(parabola, x) - y) < _OFF_PX
-        if near.sum() > max(most, 5):
-            most, best = int(near.sum()), np.polyfit(x[near], y[near], 2)
-    return None if best is None else np.asarray(np.polyval(best, places), np.float64)
+    some = np.array([rng.choice(len(x), 3, replace=False) for _ in range(_TRIPLES)])
+    parabolas = np.linalg.solve(_powers(x[some]), y[some][..., None])
+    near = np.abs((_powers(x) @ parabolas)[..., 0] - y) < _OFF_PX
+    counts = near.sum(axis=1)
+    best = near[counts.argmax()]
+    if counts.max() <= 5:
+        return None
+    return np.asarray(np.polyval(np.polyfit(x[best], y[best], 2), places), np.float64)
 
 
-def _crookedness_px(sides: Sequence[Array], lens: Lens) -> float:
+def _powers(x: Array) -> Array:
+    """Return 1, x and x² along a last axis of their own."""
+    return np.asarray(x[..., None] ** np.arange(3))
+
+
+def _crookedness_px(sides: Sequence[Array], lens: Lens | None = None) -> float:
     """Root mean square distance of edges from straight lines after undistortion [px]."""
-    squares, count = 0.0, 0
+    bent = np.concatenate(sides)
+    straight = bent if lens is None else lens.undistort(bent)
+    if not np.isfinite(straight).all():
+        return float("nan")
+    squares, begin = 0.0, 0
     for side in sides:
-        ideal = lens.undistort(side)
-        if not np.isfinite(ideal).all():
-            return float("nan")
+        ideal = straight[begin : begin + len(side)]
+        begin += len(side)
         about = ideal - ideal.mean(axis=0)
         size = float(np.hypot(*np.ptp(ideal, axis=0)) / np.hypot(*np.ptp(side, axis=0)))
         squares += float(np.linalg.svd(about, compute_uv=False)[1] ** 2) / size**2
-        count += len(side)
-    return float(np.sqrt(squares / count))
+    return float(np.sqrt(squares / len(bent)))

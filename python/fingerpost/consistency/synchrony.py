@@ -138,12 +138,14 @@ def lag_between(first: Tips, other: Tips) -> Lag | None:
     lags_s = step_s * np.arange(-none, none + 1)
     if _spread_px(points) < LEAST_SPREAD_PX:
         return None
+    here_px, _ = _distances_px(times_s[None], points, other_s, there, step_s)
+    without_px = float(here_px[0])
+    if not without_px > BETTER_PX:  # no lag can be so much better, or there are too few pairs
+        return None
     off_px, pairs = _distances_px(times_s + lags_s[:, None], points, other_s, there, step_s)
     off_px[pairs < LEAST_SHARE * pairs[none]] = np.nan
-    if not np.isfinite(off_px[none]):
-        return None
     best = int(np.nanargmin(off_px))
-    with_px, without_px = float(off_px[best]), float(off_px[none])
+    with_px = float(off_px[best])
     # A minimum between others that are known, or the lag may be longer still.
     about_px = off_px[max(best - 2, 0) : best + 3]
     if len(about_px) < 5 or not np.isfinite(about_px).all():

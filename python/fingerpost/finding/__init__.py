@@ -19,7 +19,8 @@ in another view is accepted after fewer frames than one that no other view has f
 With a static camera, the learned background is a prior against a hand (`foreground`). A hand that
 is present in the first frames is accepted if its score is high, and followed for good once it has
 moved (`views`). An initial template may lock on to a pattern on the table before any hand has come
-(`first_hand`). `hand_view` holds the state of one view: what it follows, and when it rejects it.
+(`first_hand`). While nothing changes in any view, the search rests (`rest`). `hand_view` holds the
+state of one view: what it follows, and when it rejects it.
 """
 
 from fingerpost.finding.body import distinguish_body_from_hands
@@ -37,6 +38,7 @@ from fingerpost.finding.one_finger import (
 )
 from fingerpost.finding.pairs import Viewpoint, pair_scores, width_ratio
 from fingerpost.finding.pixel_tests import flatness, widening
+from fingerpost.finding.rest import SearchRest
 from fingerpost.finding.search import HandSearch
 from fingerpost.finding.views import find_hand, flatness_of_followed
 
@@ -49,6 +51,7 @@ __all__ = [
     "HandView",
     "Identity",
     "PairTests",
+    "SearchRest",
     "Viewpoint",
     "are_one",
     "are_two",

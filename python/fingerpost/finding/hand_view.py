@@ -432,10 +432,23 @@ class HandView:
         else:
             self._tracker, self._track = waiting, None
 
-    def observe(self, frame: Frame | None) -> None:
+    def is_quiet(self, frame: Frame) -> bool:
+        """Whether a frame shows neither a finger nor foreground that may be a hand.
+
+        The frame is the last one of `view_frame`.
+        """
+        shows_finger = self.shows_finger or self.search.found is not None
+        return not (shows_finger or may_have_come(self.search.background, frame))
+
+    def observe(self, frame: Frame | None, *, rests: bool = False) -> None:
         """Learn the background from the tracker's last frame, and search it if required.
 
-        None stands for a frame that cannot be read.
+        Parameters
+        ----------
+        frame
+            None stands for a frame that cannot be read.
+        rests
+            Whether the search rests: its candidates and trials stay as they are.
         """
         if frame is None:
             return
@@ -444,10 +457,10 @@ class HandView:
         if self._first_hand is None and self._is_table:
             self._release()
         self.search.learn(frame, self.track if self.is_sure else None)
-        if self.is_searching:
-            self.search.update(frame)
-        else:
+        if not self.is_searching:
             self.search.stop()
+        elif not rests:
+            self.search.update(frame)
 
     def _shows_background(self, frame: Frame) -> bool:
         """Whether the followed finger has been background for `BACKGROUND_FRAMES`.

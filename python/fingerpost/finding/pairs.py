@@ -377,14 +377,15 @@ def reaches_farther(
         Whether it leads by more than `MIN_REACH_LEAD` in space, along the mean of the directions to
         their indicated points. False if they are not of one hand or the cameras are unknown.
     """
+    if not all(_colours_agree(*digits) for digits in zip(one, other, strict=True)):
+        return False
     first, second = _on_plane(views, ((one[0], other[0]), (one[1], other[1])))
     tips, (point, _) = _Tips.of(first, second), _meeting(first.line, second.line)
     both = [0, 1], [0, 1]
     place = tips.places[both]
     widths = np.array([width[both] for width in tips.widths])
-    alike = all(_colours_agree(*digits) for digits in zip(one, other, strict=True))
     ahead = np.pad(point[both], ((0, 0), (0, 1))) - place
-    return alike and _is_farther(place, ahead, float(np.exp(np.log(widths).mean())))
+    return _is_farther(place, ahead, float(np.exp(np.log(widths).mean())))
 
 
 def reaches_farther_in_view(one: FingerDetection, other: FingerDetection) -> bool:

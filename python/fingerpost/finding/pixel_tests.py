@@ -46,20 +46,21 @@ def flatness(
         Flatness: 0 for a finger above the plane or outside the second view, 1 for one whose image
         is the same in both views under the homography between them through the plane.
     """
-    flat = np.zeros(len(fingers))
-    for k, finger in enumerate(fingers):
-        e = np.array([np.cos(finger.angle_rad), np.sin(finger.angle_rad)])
-        n = np.array([-e[1], e[0]])
-        # From the tip, in half-widths: inside and outside of left flank, right flank and end.
-        places = _OUTLINE[..., :1] * e + _OUTLINE[..., 1:] * n
-        here = np.array(finger.tip_px) + finger.half_width_px * places
-        a, b = _contrasts(greys[0], here), _contrasts(greys[1], _seen_by_second(views, here))
-        if np.isnan(a).any() or np.isnan(b).any():
-            continue
-        similarity = (a * b).sum(axis=-1) / (np.maximum(a**2, b**2).sum(axis=-1) + NOISE_GREY**2)
-        low, high = FLAT_SIMILARITY_RANGE
-        flat[k] = min(max((similarity.min() - low) / (high - low), 0.0), 1.0)
-    return flat
+    if not fingers:
+        return np.zeros(0)
+    e = np.array([(np.cos(finger.angle_rad), np.sin(finger.angle_rad)) for finger in fingers])
+    e = e[:, None, None, None]
+    n = np.stack([-e[..., 1], e[..., 0]], axis=-1)
+    tips = np.array([finger.tip_px for finger in fingers])[:, None, None, None]
+    half_widths = np.array([finger.half_width_px for finger in fingers])[:, None, None, None, None]
+    # From the tip, in half-widths: inside and outside of left flank, right flank and end.
+    here = tips + half_widths * (_OUTLINE[..., :1] * e + _OUTLINE[..., 1:] * n)
+    a, b = _contrasts(greys[0], here), _contrasts(greys[1], _seen_by_second(views, here))
+    similarity = (a * b).sum(axis=-1) / (np.maximum(a**2, b**2).sum(axis=-1) + NOISE_GREY**2)
+    low, high = FLAT_SIMILARITY_RANGE
+    flat = np.clip((similarity.min(axis=-1) - low) / (high - low), 0.0, 1.0)
+    flat[np.isnan(flat)] = 0.0  # outside either image
+    return np.asarray(flat)
 
 
 def _seen_by_second(views: tuple[PlaneView, PlaneView], places_px: Array) -> Array:
@@ -70,9 +71,9 @@ def _seen_by_second(views: tuple[PlaneView, PlaneView], places_px: Array) -> Arr
 
 
 def _contrasts(grey: NDArray[np.uint8], places_px: Array) -> Array:
-    """Return the grey level inside an outline less that outside."""
-    inside, outside = _shown(grey, places_px)
-    return np.asarray(inside - outside)
+    """Return the grey levels inside outlines (N, 2, 3, 8, 2) less those outside, (N, 3, 8)."""
+    shown = _shown(grey, places_px)
+    return np.asarray(shown[:, 0] - shown[:, 1])
 
 
 def _outline() -> Array:
@@ -222,9 +223,10 @@ def _levels(
 
 def _shown(image: NDArray[np.uint8], places: Array) -> Array:
     """Return the levels of the nearest pixels, NaN outside the image."""
-    x, y = np.moveaxis(np.rint(places), -1, 0)
+    pixels = np.rint(places)
+    x, y = pixels[..., 0], pixels[..., 1]
     inside = (x >= 0) & (y >= 0) & (x < image.shape[1]) & (y < image.shape[0])
-    rows, columns = (np.where(inside, c, 0.0).astype(int) for c in (y, x))
-    levels = np.asarray(image[rows, columns], dtype=float)
+    nearest = np.where(inside[..., None], pixels, 0.0).astype(np.intp)
+    levels = image[nearest[..., 1], nearest[..., 0]].astype(np.float64)
     levels[~inside] = np.nan
     return levels

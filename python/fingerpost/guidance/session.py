@@ -225,6 +225,7 @@ class Session:
         self._seen_s: float | None = None
         self._hand: int | None = None
         self._reported_hand: int | None = None
+        self._sees_stranger = False
 
     @property
     def has_hand(self) -> bool:
@@ -262,6 +263,11 @@ class Session:
     def dwell_progress(self) -> float:
         """How much of the time has passed after which staying selects, 0 to 1."""
         return 0.0 if self._dwell is None or not self._carries else self._dwell.progress
+
+    @property
+    def sees_stranger(self) -> bool:
+        """Whether a hand points that nobody has confirmed to be the operator's."""
+        return self._sees_stranger
 
     @property
     def is_carrying(self) -> bool:
@@ -409,7 +415,8 @@ class Session:
         hand, fix = step.hand, step.fix
         if hand.is_presented:
             self._accept_hand(hand.number)
-        if fix.status is not Status.OK or hand.number == self._hand:
+        self._sees_stranger = fix.status is Status.OK and hand.number != self._hand
+        if not self._sees_stranger:
             return fix
         if self._reported_hand != hand.number:
             self._reported_hand = hand.number

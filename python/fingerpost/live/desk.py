@@ -200,6 +200,7 @@ class Desk:
             "wish": self._wish.value,
             "carries": self._carries,
             "carrying": session.is_carrying,
+            "stranger": session.sees_stranger,
             "dwell": round(session.dwell_progress, 2),
             "why": self._why(session, homed=status.homed),
             "said": self._said,

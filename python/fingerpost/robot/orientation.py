@@ -37,11 +37,46 @@ def pose_angles(robot_from_tool: NDArray[np.float64]) -> tuple[float, float, flo
 
 def rotation_vector(R: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return axis times angle (3,) [rad] of a rotation (3, 3); the angle is in 0 … π."""
-    w, x, y, z = _quaternion(R)
+    w, x, y, z = quaternion(R)
     sine = math.sqrt(x * x + y * y + z * z)
     if sine < 1e-12:
         return 2 * np.array([x, y, z])
     return 2 * math.atan2(sine, w) / sine * np.array([x, y, z])
+
+
+def quaternion(R: NDArray[np.float64]) -> tuple[float, float, float, float]:
+    """Return w ≥ 0, x, y, z of a rotation (3, 3).
+
+    They come from the largest of the four, so that half a turn is exact too.
+    """
+    squares = np.array(
+        [
+            1 + R[0, 0] + R[1, 1] + R[2, 2],
+            1 + R[0, 0] - R[1, 1] - R[2, 2],
+            1 - R[0, 0] + R[1, 1] - R[2, 2],
+            1 - R[0, 0] - R[1, 1] + R[2, 2],
+        ]
+    )
+    rows = np.array(
+        [
+            [squares[0], R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]],
+            [R[2, 1] - R[1, 2], squares[1], R[0, 1] + R[1, 0], R[0, 2] + R[2, 0]],
+            [R[0, 2] - R[2, 0], R[0, 1] + R[1, 0], squares[2], R[1, 2] + R[2, 1]],
+            [R[1, 0] - R[0, 1], R[0, 2] + R[2, 0], R[1, 2] + R[2, 1], squares[3]],
+        ]
+    )
+    q = rows[int(np.argmax(squares))]
+    q = q / np.linalg.norm(q) * (1.0 if q[0] >= 0 else -1.0)
+    return float(q[0]), float(q[1]), float(q[2]), float(q[3])
+
+
+def rotation_from_quaternion(q: tuple[float, float, float, float]) -> NDArray[np.float64]:
+    """Return the rotation (3, 3) of w, x, y, z, of any length but 0; NaN for that."""
+    w, *vector = q
+    sine = math.sqrt(sum(value * value for value in vector))
+    if sine == 0:
+        return np.eye(3) if w != 0 else np.full((3, 3), math.nan)
+    return rotation_matrix(2 * math.atan2(sine, w) / sine * np.array(vector))
 
 
 def rotation_matrix(vector: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -75,26 +110,3 @@ def angle_between(first: NDArray[np.float64], second: NDArray[np.float64]) -> fl
 
 def _about(axis: str, angle: float) -> NDArray[np.float64]:
     return rotation_matrix(angle * np.eye(3)["xyz".index(axis)])
-
-
-def _quaternion(R: NDArray[np.float64]) -> tuple[float, float, float, float]:
-    """Return w ≥ 0, x, y, z; from the largest of the four, so that half a turn is exact too."""
-    squares = np.array(
-        [
-            1 + R[0, 0] + R[1, 1] + R[2, 2],
-            1 + R[0, 0] - R[1, 1] - R[2, 2],
-            1 - R[0, 0] + R[1, 1] - R[2, 2],
-            1 - R[0, 0] - R[1, 1] + R[2, 2],
-        ]
-    )
-    rows = np.array(
-        [
-            [squares[0], R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]],
-            [R[2, 1] - R[1, 2], squares[1], R[0, 1] + R[1, 0], R[0, 2] + R[2, 0]],
-            [R[0, 2] - R[2, 0], R[0, 1] + R[1, 0], squares[2], R[1, 2] + R[2, 1]],
-            [R[1, 0] - R[0, 1], R[0, 2] + R[2, 0], R[1, 2] + R[2, 1], squares[3]],
-        ]
-    )
-    q = rows[int(np.argmax(squares))]
-    q = q / np.linalg.norm(q) * (1.0 if q[0] >= 0 else -1.0)
-    return float(q[0]), float(q[1]), float(q[2]), float(q[3])

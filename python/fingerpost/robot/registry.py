@@ -20,9 +20,11 @@ from fingerpost.errors import FingerpostError, InvalidInputError
 from fingerpost.robot.gcode import GcodeArm, GcodeOptions
 from fingerpost.robot.gcode_dialects import DEXARM, MARLIN, UARM, Dialect
 from fingerpost.robot.protocol import Robot
+from fingerpost.robot.rosbridge import DEFAULT_PORT, RosbridgeArm, RosbridgeOptions
 from fingerpost.robot.scorbot import Scorbot, ScorbotOptions
-from fingerpost.robot.serial_line import check_address
+from fingerpost.robot.serial_line import LAST_PORT, check_address
 from fingerpost.robot.simulated import SimulatedOptions, SimulatedRobot
+from fingerpost.robot.so101 import SO100, SO101, Build, SoArm, SoArmOptions
 from fingerpost.robot.ur import UniversalRobot, UrOptions
 from fingerpost.robot.xarm import Xarm, XarmOptions
 
@@ -188,12 +190,32 @@ def _gcode(name: str, dialect: Dialect) -> RobotFactory:
     return factory
 
 
+def _so_arm(build: Build) -> RobotFactory:
+    def factory(address: str, options: Mapping[str, object]) -> Robot:
+        check_address(address, build.name)
+        return SoArm(address, build, read_options(SoArmOptions, options, build.name))
+
+    return factory
+
+
 def _ur(address: str, options: Mapping[str, object]) -> Robot:
     return UniversalRobot(_host(address, "ur"), read_options(UrOptions, options, "ur"))
 
 
 def _xarm(address: str, options: Mapping[str, object]) -> Robot:
     return Xarm(_host(address, "xarm"), read_options(XarmOptions, options, "xarm"))
+
+
+def _rosbridge(address: str, options: Mapping[str, object]) -> Robot:
+    host, colon, port = address.rpartition(":")
+    if not colon:
+        host, port = address, str(DEFAULT_PORT)
+    if not host or "/" in address or not port.isdecimal() or not 0 < int(port) <= LAST_PORT:
+        raise InvalidInputError(
+            f"rosbridge://{address}: a host and a port are needed; rosbridge://10.0.0.5:9090 is "
+            "right"
+        )
+    return RosbridgeArm(host, int(port), read_options(RosbridgeOptions, options, "rosbridge"))
 
 
 def _simulated(address: str, options: Mapping[str, object]) -> Robot:
@@ -214,7 +236,10 @@ BUILT_IN: dict[str, RobotFactory] = {
     "acl": _scorbot,
     "dexarm": _gcode("dexarm", DEXARM),
     "marlin": _gcode("marlin", MARLIN),
+    "rosbridge": _rosbridge,
     "sim": _simulated,
+    "so100": _so_arm(SO100),
+    "so101": _so_arm(SO101),
     "uarm": _gcode("uarm", UARM),
     "ur": _ur,
     "xarm": _xarm,

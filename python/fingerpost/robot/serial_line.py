@@ -170,6 +170,8 @@ class SerialLine:
         Flow control.
     tap : callable, optional
         Sees every transfer, for logs and tests.
+    is_text : bool
+        What comes is text, in which XON and XOFF are no characters.
 
     Raises
     ------
@@ -178,13 +180,20 @@ class SerialLine:
     """
 
     def __init__(
-        self, url: str, *, baud: int = 9600, flow: Flow = Flow.NONE, tap: Tap | None = None
+        self,
+        url: str,
+        *,
+        baud: int = 9600,
+        flow: Flow = Flow.NONE,
+        tap: Tap | None = None,
+        is_text: bool = True,
     ) -> None:
         check_address(url)
         self.url = url
         self._baud = baud
         self._flow = flow
         self._tap = tap or (lambda _way, _data: None)
+        self._is_text = is_text
         self._port: Any = None  # pyserial has no types
         self._write_lock = threading.Lock()
         self._purgeable = False
@@ -339,7 +348,7 @@ class SerialLine:
 
     def _note_received(self, data: bytes) -> None:
         self._tap("in", data)
-        if self._flow is Flow.XON_XOFF or self._held_back:
+        if not self._is_text or self._flow is Flow.XON_XOFF or self._held_back:
             return
         if XON in data or XOFF in data:
             self._held_back = True

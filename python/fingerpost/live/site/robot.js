@@ -14,7 +14,7 @@ const WISHES = [
 ];
 const ONCE = [
   ["select", "Select", "S", "select what is pointed at"],
-  ["hand", "My hand", "Y", "the hand that is seen is yours"],
+  ["hand", "My hand", "Y", "the hand that is seen is yours: it may move the arm"],
 ];
 
 export class Robot {
@@ -133,6 +133,7 @@ export class Robot {
     this.buttons.carry.disabled = !arm.carries;
     this.buttons.undo.disabled = !arm.carrying;
     this.buttons.select.disabled = !arm.carries;
+    this.buttons.hand.classList.toggle("asks", arm.stranger);
     setText(this.doing, arm.why || (arm.moves ? "moves" : arm.holds ? "stands where it is to be" : "stands"));
     const pose = arm.pose_mm ? ["X", "Y", "Z"].map((axis, k) => `${axis} ${arm.pose_mm[k].toFixed(1).replace("-", "−").padStart(6)}`).join("  ") + " mm" : "pose not read yet";
     setText(this.detail, arm.said ? `${pose}   ${arm.said}` : pose);

@@ -19,6 +19,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from fingerpost.robot.emulator.faults import Fault
+from fingerpost.robot.five_axis import FiveAxis
 from fingerpost.robot.motion import MotionQueue, Path, Vector, straight
 
 BASE_HEIGHT_MM = 358.5
@@ -42,49 +43,25 @@ _NAME = re.compile(r"[A-Z][A-Z0-9]{0,4}")
 _CHECKED_SHARES = np.linspace(0.0, 1.0, 9)
 
 
+_ARM = FiveAxis(
+    shoulder_height=BASE_HEIGHT_MM,
+    shoulder_offset=SHOULDER_OFFSET_MM,
+    upper_arm=UPPER_ARM_MM,
+    forearm=FOREARM_MM,
+    tool=TOOL_MM,
+    ranges_rad=JOINT_LIMITS_RAD,
+)
+
+
 def forward(joints: Vector) -> Vector:
     """Return X, Y, Z [0.1 mm], P, R [0.1°] of joint angles [rad]."""
-    base, shoulder, elbow, wrist, roll = joints
-    pitch = shoulder + elbow + wrist
-    radius = (
-        SHOULDER_OFFSET_MM
-        + UPPER_ARM_MM * math.cos(shoulder)
-        + FOREARM_MM * math.cos(shoulder + elbow)
-        + TOOL_MM * math.cos(pitch)
-    )
-    height = (
-        BASE_HEIGHT_MM
-        + UPPER_ARM_MM * math.sin(shoulder)
-        + FOREARM_MM * math.sin(shoulder + elbow)
-        + TOOL_MM * math.sin(pitch)
-    )
-    return np.array(
-        [
-            10 * radius * math.cos(base),
-            10 * radius * math.sin(base),
-            10 * height,
-            10 * math.degrees(pitch),
-            10 * math.degrees(roll),
-        ]
-    )
+    place = _ARM.place(joints)
+    return np.concatenate([10 * place[:3], 10 * np.degrees(place[3:])])
 
 
 def inverse(units: Vector) -> Vector | None:
     """Return the joint angles [rad] of a position, elbow up; None where the arm cannot be."""
-    x, y, z = units[:3] / 10
-    pitch, roll = np.radians(units[3:] / 10)
-    out = math.hypot(x, y) - TOOL_MM * math.cos(pitch) - SHOULDER_OFFSET_MM
-    up = z - TOOL_MM * math.sin(pitch) - BASE_HEIGHT_MM
-    cosine = (out**2 + up**2 - UPPER_ARM_MM**2 - FOREARM_MM**2) / (2 * UPPER_ARM_MM * FOREARM_MM)
-    if abs(cosine) > 1:
-        return None
-    elbow = -math.acos(cosine)
-    shoulder = math.atan2(up, out) - math.atan2(
-        FOREARM_MM * math.sin(elbow), UPPER_ARM_MM + FOREARM_MM * math.cos(elbow)
-    )
-    joints = np.array([math.atan2(y, x), shoulder, elbow, pitch - shoulder - elbow, roll])
-    inside = (joints >= JOINT_LIMITS_RAD[:, 0]) & (joints <= JOINT_LIMITS_RAD[:, 1])
-    return joints if bool(inside.all()) else None
+    return _ARM.joints_rad(np.concatenate([units[:3] / 10, np.radians(units[3:] / 10)]))
 
 
 def _home_joints() -> Vector:

@@ -27,6 +27,9 @@ class Fault(StrEnum):
     SLOW = "slow"
     GARBLED_INPUT = "garbled-input"
     XOFF = "xoff"
+    OVERHEAT = "overheat"
+    UNDERVOLTAGE = "undervoltage"
+    LOST_SERVO = "lost-servo"
     UNPLUG = "unplug"
     PLUG = "plug"
 

@@ -276,6 +276,15 @@ class TcpPort(Port):
                 self._peer.sendall(data)
 
 
+class HostPort(TcpPort):
+    """A TCP port of a server that is no serial line: its address is `host:port` alone."""
+
+    @property
+    def address(self) -> str:
+        """Host and port."""
+        return super().address.removeprefix("socket://")
+
+
 @dataclass(frozen=True, slots=True)
 class WireEvent:
     """One transfer as the controller's port saw it.

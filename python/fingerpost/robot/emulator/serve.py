@@ -12,10 +12,20 @@ from fingerpost.checks import in_range
 from fingerpost.errors import InvalidInputError
 from fingerpost.robot.emulator.acl import AclController, AclStyle
 from fingerpost.robot.emulator.faults import Fault
+from fingerpost.robot.emulator.feetech import FeetechBus
 from fingerpost.robot.emulator.gcode import MarlinController, UarmController, make_dexarm
-from fingerpost.robot.emulator.ports import ArmTime, Controller, Emulator, PtyPort, TcpPort
+from fingerpost.robot.emulator.ports import (
+    ArmTime,
+    Controller,
+    Emulator,
+    HostPort,
+    Port,
+    PtyPort,
+    TcpPort,
+)
+from fingerpost.robot.emulator.rosbridge import RosbridgeServer
 
-EMULATED = ("acl", "dexarm", "marlin", "uarm")
+EMULATED = ("acl", "dexarm", "marlin", "rosbridge", "so101", "uarm")
 """Controllers that can be emulated, by the names of their drivers."""
 
 HOMING_S = (1e-3, 3600.0)
@@ -47,7 +57,7 @@ def make_emulator(
     link : path, optional
         Where to put the link to the pseudo-terminal; a fresh directory by default.
     tcp_port : int, optional
-        Serve this TCP port of the loopback instead, 0 for a free one.
+        Serve this TCP port of the loopback instead, 0 for a free one; `rosbridge` always does.
     time_scale : float
         Seconds of the arm per second of ours, as for `ArmTime`.
     homing_s : float
@@ -65,20 +75,30 @@ def make_emulator(
     Raises
     ------
     InvalidInputError
-        No such controller, or a value out of its range.
+        No such controller, a value out of its range, or a link to a controller without a serial
+        line.
     """
     homing_s = in_range(homing_s, "homing_s", *HOMING_S)
     controllers: dict[str, Callable[[], Controller]] = {
         "acl": lambda: AclController(AclStyle(echo=echo, homing_s=homing_s)),
         "dexarm": lambda: make_dexarm(homing_s),
         "marlin": lambda: MarlinController(homing_s=homing_s),
+        "rosbridge": RosbridgeServer,
+        "so101": FeetechBus,
         "uarm": UarmController,
     }
     if name not in controllers:
         raise InvalidInputError(f"{name!r} is not emulated; {', '.join(EMULATED)} are")
+    port: Port
+    if name == "rosbridge":
+        if link is not None:
+            raise InvalidInputError(f"{link}: rosbridge has no serial line; tcp_port is right")
+        port = HostPort(port=tcp_port or 0)
+    else:
+        port = PtyPort(link) if tcp_port is None else TcpPort(port=tcp_port)
     return Emulator(
         controllers[name](),
-        PtyPort(link) if tcp_port is None else TcpPort(port=tcp_port),
+        port,
         clock=ArmTime(time_scale),
         rng=_seeded(seed),
     )
