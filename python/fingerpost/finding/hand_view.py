@@ -32,7 +32,8 @@ from fingerpost.finding.length import TemplateExtension, length_px
 from fingerpost.finding.one_finger import PairTests
 from fingerpost.finding.pairs import Viewpoint
 from fingerpost.finding.search import HandSearch
-from fingerpost.finding.trial import Trial
+from fingerpost.finding.tip import TipTest
+from fingerpost.finding.trial import STRIPE_FRAMES, Trial, count_stripes
 from fingerpost.pointing import PlaneView, Status
 from fingerpost.silhouette import Capsule
 
@@ -151,6 +152,8 @@ class HandView:
         agrees best; None if unknown."""
         self._foreshortening: float | None = None
         self._flanks = Flanks()
+        self._tip = TipTest()
+        self._stripe_frames = 0
         self._extension: TemplateExtension | None = None
         self._first_hand: FirstHand | None = None
         self._start: StartPose | None = None
@@ -284,7 +287,8 @@ class HandView:
         """Correction from the line between the visible edges to the finger's axis."""
         axis_correction = self._flanks.axis_correction
         by_width = sigma_from_width_ratio(self.log_width_ratio or 0.0)
-        return axis_correction._replace(sigma=math.hypot(by_width, axis_correction.sigma))
+        sigma = math.hypot(by_width, axis_correction.sigma, self._tip.sigma)
+        return axis_correction._replace(sigma=sigma)
 
     @property
     def hand(self) -> tuple[NDArray[np.float64], NDArray[np.float64], float] | None:
@@ -333,6 +337,10 @@ class HandView:
             self._tracker, self._track = self._extension.update(
                 self._tracker, track, frame, self.search.background
             )
+        self._stripe_frames = count_stripes(self._stripe_frames, frame, self._track)
+        if self._stripe_frames >= STRIPE_FRAMES:
+            self._abandon(had_hand=self.is_sure)
+            return
         if self._first_hand is not None:
             self._first_hand.prove(frame, track.finger_line)
         # A template that jumps from the table to the hand has not moved like a hand.
@@ -503,8 +511,13 @@ class HandView:
 
     def test_flanks(self, frame: Frame | None) -> None:
         """Update the axis correction from a frame."""
-        if frame is not None:
-            self._flanks.update(frame, self.track)
+        if frame is None:
+            return
+        track = self.track
+        self._flanks.update(frame, track)
+        half_width_px = fitted_half_width_px(track) if track is not None else None
+        if track is not None and track.finger_line is not None and half_width_px is not None:
+            self._tip.update(self.search.background, frame, track.finger_line, half_width_px)
 
     def validate(self, others: Sequence[HandView], shared: PairTests) -> None:
         """Reject the followed finger after frames without support by another view.
@@ -601,6 +614,8 @@ class HandView:
         self._flat_frames, self._missed_frames, self._doubtful_frames = 0, 0, 0
         self._extension = None
         self._flanks.forget()
+        self._tip.forget()
+        self._stripe_frames = 0
         self._foreshortening = None
         self._latest.clear()
         self._last_seen = None

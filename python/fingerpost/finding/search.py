@@ -22,7 +22,7 @@ from fingerpost.finding.body import Body
 from fingerpost.finding.finger import Array, FingerDetection, are_near, hand_region
 from fingerpost.finding.length import TemplateExtension
 from fingerpost.finding.pixel_tests import widening
-from fingerpost.finding.trial import Trial, distinct, precedence
+from fingerpost.finding.trial import Trial, count_stripes, distinct, precedence
 
 MAX_TRIALS = 8
 """Greatest number of simultaneous trials in a view; each costs as much as tracking."""
@@ -151,7 +151,8 @@ class HandSearch:
     def start_trial(self, candidate: Candidate, frame: Frame) -> bool:
         """Start a trial at a candidate of this frame; False if there is one already, or no room.
 
-        A candidate is rejected if its fit gives no finger line, or that of an existing trial.
+        A candidate is rejected if its fit gives no finger line, a stripe among stripes, or the line
+        of an existing trial.
         """
         start, half_width_px = candidate.start, candidate.half_width_px
         if self._is_tried(start, half_width_px):
@@ -167,6 +168,7 @@ class HandSearch:
         if (
             line is None
             or self.body.shows_as(line)
+            or count_stripes(0, frame, track) > 0
             or self._is_tried(
                 StartPose(line.tip_px, line.angle_rad, start.length_px), half_width_px
             )

@@ -28,7 +28,7 @@ from fingerpost.finding.finger import (
 from fingerpost.finding.foreground import MIN_FOREGROUND, foreground_part
 from fingerpost.finding.identity import Appearance
 from fingerpost.finding.length import TemplateExtension, length_px
-from fingerpost.finding.pixel_tests import widening
+from fingerpost.finding.pixel_tests import is_stripe, widening
 
 MAX_MISSES = 2
 """Consecutive frames without an accepted fit that end a trial."""
@@ -43,6 +43,28 @@ MOVER_FRAMES = 6
 MOVER_SCORE = 0.5
 """Least number of frames and least finger score of a moving trial with a hand behind it that is
 taken for a hand."""
+
+
+STRIPE_FRAMES = 8
+"""Consecutive frames as a stripe among stripes after which a finger is rejected: a finger beside
+others that is before a table of their brightness looks like one for up to 5."""
+
+
+def count_stripes(before: int, frame: Frame, track: Track | None) -> int:
+    """Count the consecutive frames in which what is tracked is a stripe among stripes.
+
+    Parameters
+    ----------
+    before
+        The count of the frame before.
+    frame, track
+        The frame, and the tracker's result for it; one without a finger line changes nothing.
+    """
+    line = track.finger_line if track is not None else None
+    half_width_px = fitted_half_width_px(track) if track is not None else None
+    if line is None or half_width_px is None:
+        return before
+    return before + 1 if is_stripe(frame, line, half_width_px) else 0
 
 
 def precedence(foreground: float) -> float:
@@ -72,6 +94,8 @@ class Trial:
         Number of frames with an accepted fit; each frame without one halves it.
     misses
         Consecutive frames without an accepted fit.
+    stripe_frames
+        Consecutive frames as a stripe among stripes.
     appearance
         Appearance at the last update of the scores.
     extension
@@ -90,12 +114,14 @@ class Trial:
     extension: TemplateExtension
     frames: int = 1
     misses: int = 0
+    stripe_frames: int = 0
     appearance: Appearance | None = None
 
     @property
     def is_over(self) -> bool:
-        """Whether its tracker has lost the finger."""
-        return self.misses >= MAX_MISSES or self.track.status != "tracking"
+        """Whether its tracker has lost the finger, or follows a stripe."""
+        is_lost = self.misses >= MAX_MISSES or self.track.status != "tracking"
+        return is_lost or self.stripe_frames >= STRIPE_FRAMES
 
     @property
     def has_come(self) -> bool:
@@ -158,6 +184,7 @@ class Trial:
             frame.colour(),
             background=background if self.has_come else None,
         )
+        self.stripe_frames = count_stripes(self.stripe_frames, frame, self.track)
         if self.track.finger_line is None:
             # On a pattern even a good fit is rejected at times; one found anew is weaker evidence.
             self.misses, self.frames = self.misses + 1, self.frames // 2
