@@ -204,7 +204,7 @@ def _variance(levels: Array) -> float:
     return float((fall * np.square(at - mean)).sum() / fall.sum())
 
 
-STRIPE_REACH = np.arange(0.0, 6.01, 0.2)
+STRIPE_REACH = np.arange(0.0, 6.01, 0.4)
 CORE, NEIGHBOUR = STRIPE_REACH < 0.6, (STRIPE_REACH > 1.2) & (STRIPE_REACH < 3.0)
 STRIPE_GAP = 0.4
 """Sample positions from a finger's axis to either side, those of its inside and of what is beside
@@ -233,7 +233,7 @@ def is_stripe(frame: Frame, line: FingerLine, half_width_px: float) -> bool:
     bool
         False as well where the band does not stand out, or the image ends on one side.
     """
-    rows = -np.linspace(1.2, 4.0, 10)
+    rows = -np.linspace(1.2, 4.0, 6)
     sides = [
         _levels(frame, line, half_width_px, rows, side * STRIPE_REACH).mean(axis=0)
         for side in (1.0, -1.0)
