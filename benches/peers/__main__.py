@@ -3,10 +3,11 @@
     python benches/peers [RIG.TOML TRUTH.CSV] [--only NAME ...] [--markdown TABLE.MD]
 
 Without footage, the built-in clip. Each tracker runs in a process of its own, one after the other,
-and a peer in an environment of its own under build/peers, which is made when it is missing; one
-that cannot be installed is named and skipped. Every tracker gives a finger line per view and frame,
-two views' lines are taken to a point by the same reference points, and `score_points` compares it
-with the truth. fingerpost gives its point itself, with a covariance; the peers have none.
+and a peer in an environment of its own under build/peers, which is made when it is missing; what
+is in C++ is compiled there. A peer that cannot be had is named and skipped, with the reason. Every
+tracker gives a finger line per view and frame, two views' lines are taken to a point by the same
+reference points, and `score_points` compares it with the truth. fingerpost gives its point itself,
+with a covariance; the peers have none.
 
 - *available*: frames with a truth that have a point
 - *held*: 95 % ellipses that hold the true point
@@ -38,14 +39,54 @@ CLIP = HERE.parents[1] / "python" / "fingerpost" / "data" / "desk"
 BUILD = HERE.parents[1] / "build" / "peers"
 
 
+class UnavailableError(Exception):
+    """A peer cannot be run here; the message says what would change that."""
+
+
+@dataclass(frozen=True)
+class Native:
+    """A C++ program that a peer starts, and the command that installs what compiling it takes."""
+
+    source: str
+    flags: tuple[str, ...]
+    install: str
+
+    def built(self) -> Path:
+        """Compile the program and return it."""
+        source = HERE / self.source
+        program = BUILD / source.stem
+        command = ["c++", "-O2", str(source), *self.flags, "-o", str(program)]
+        try:
+            subprocess.run(command, check=True, capture_output=True, text=True)
+        except OSError as error:
+            raise UnavailableError(f"no compiler ({error}); `{self.install}`") from error
+        except subprocess.CalledProcessError as error:
+            said = [line for line in error.stderr.splitlines() if "error" in line]
+            reason = said[0].rpartition("error: ")[2] if said else "no reason given"
+            message = f"{source.name} does not compile ({reason}); `{self.install}`"
+            raise UnavailableError(message) from error
+        return program
+
+
 @dataclass(frozen=True)
 class Peer:
-    """A tracker: the program that runs it, its arguments, and the packages that it needs."""
+    """A tracker: the program that runs it, its arguments, and what it needs.
+
+    The program is in Python; `packages` are in its environment, and the path of what is built of
+    `native` is its last argument.
+    """
 
     name: str
     program: str
     arguments: tuple[str, ...] = ()
     packages: tuple[str, ...] = ()
+    native: Native | None = None
+
+    def command(self, job: Path) -> list[str]:
+        """Return the command that runs this peer on a job; make first what it needs."""
+        built = [] if self.native is None else [str(self.native.built())]
+        program = str(HERE / self.program)
+        return [str(self.python()), program, str(job), *self.arguments, *built]
 
     def python(self) -> Path:
         """Return an interpreter with the packages of this peer; make one if there is none."""
@@ -63,6 +104,12 @@ class Peer:
 
 
 MEDIAPIPE = ("mediapipe==0.10.21",)
+VISP = Native(
+    "visp_moving_edges.cpp",
+    # Headers of ViSP include those of OpenCV, which Debian has one folder down.
+    ("-I/usr/include/opencv4", "-lvisp_me", "-lvisp_core"),
+    "apt install --no-install-recommends g++ libvisp-me-dev",
+)
 PEERS = (
     Peer("fingerpost", "ours.py", ("ribbon",)),
     Peer("fingerpost, the paper's model", "ours.py", ("paper",)),
@@ -70,6 +117,7 @@ PEERS = (
     Peer("MediaPipe Hands, full", "mediapipe_hands.py", ("1",), MEDIAPIPE),
     # The package of MediaPipe brings OpenCV with its extra modules.
     Peer("OpenCV rapid", "opencv_rapid.py", (), MEDIAPIPE),
+    Peer("ViSP moving edges", "visp.py", native=VISP),
 )
 
 
@@ -103,11 +151,11 @@ def row_of(peer: Peer, rig_file: Path, truth: Path) -> str:
     job = BUILD / "job.json"
     job.write_text(json.dumps(job_of(rig_file, rig)), encoding="utf-8")
     try:
-        command = [str(peer.python()), str(HERE / peer.program), str(job), *peer.arguments]
-        done = subprocess.run(command, check=True, capture_output=True, text=True)
+        done = subprocess.run(peer.command(job), check=True, capture_output=True, text=True)
+    except UnavailableError as error:
+        return skipped(peer, str(error))
     except subprocess.CalledProcessError as error:
-        reason = (error.stderr.strip().splitlines() or ["no reason given"])[-1]
-        return f"| {peer.name} | skipped: {reason.replace('|', '/')} |" + " |" * 7
+        return skipped(peer, (error.stderr.strip().splitlines() or ["no reason given"])[-1])
     said = json.loads(done.stdout.strip().splitlines()[-1])
     points = BUILD / "points.csv"
     write_points(points, said, rig)
@@ -121,6 +169,11 @@ def row_of(peer: Peer, rig_file: Path, truth: Path) -> str:
         f"{found.rms_of_all:.1f} {unit} | {found.median:.1f} | {found.percentile_95:.1f} | "
         f"{held[0]} | {1e3 * said['pair_s']:.1f} ms | {said['memory_mb']:.0f} MB |"
     )
+
+
+def skipped(peer: Peer, reason: str) -> str:
+    """Return the row of a peer that has no figures."""
+    return f"| {peer.name} | skipped: {reason.replace('|', '/')} |" + " |" * 7
 
 
 def job_of(rig_file: Path, rig: Rig) -> dict[str, Any]:

@@ -3,6 +3,9 @@
 RAPID follows a rigid body of known shape before a calibrated camera. The camera here is a pinhole
 of 60° and the body a flat index finger with a round end, as long and as wide as the template of
 the rig file, which starts at its pose; rotation out of the image stands in for foreshortening.
+
+Results differ from run to run, perhaps because `extractLineBundle` leaves the last places of a
+search line unset when it has fewer pixels than there are places.
 """
 
 from __future__ import annotations

@@ -1,0 +1,59 @@
+"""`benches/peers`: a peer that cannot be had here is skipped, with what would bring it."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+PEERS = Path(__file__).resolve().parents[1] / "benches" / "peers"
+CLIP = PEERS.parents[1] / "python" / "fingerpost" / "data" / "desk"
+INSTALL = "apt install no-such-library-dev"
+
+
+@pytest.fixture
+def peers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    spec = importlib.util.spec_from_file_location("peers", PEERS / "__main__.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    monkeypatch.setitem(sys.modules, "peers", module)  # where dataclasses look for it
+    spec.loader.exec_module(module)
+    monkeypatch.setattr(module, "BUILD", tmp_path)
+    return module
+
+
+def row_of_native(peers: ModuleType, source: Path) -> str:
+    native = peers.Native(str(source), (), INSTALL)
+    peer = peers.Peer("a peer in C++", "visp.py", native=native)
+    return str(peers.row_of(peer, CLIP / "rig.toml", CLIP / "truth.csv"))
+
+
+def test_a_peer_without_its_library_is_skipped_with_the_command(
+    peers: ModuleType, tmp_path: Path
+) -> None:
+    source = tmp_path / "peer.cpp"
+    source.write_text("#include <no/such/library.h>\nint main() {}\n", encoding="utf-8")
+    row = row_of_native(peers, source)
+    assert row.startswith("| a peer in C++ | skipped: ")
+    assert f"`{INSTALL}`" in row
+    assert row.count("|") == 10  # as many columns as the table
+
+
+def test_a_peer_without_a_compiler_is_skipped_with_the_command(
+    peers: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PATH", str(tmp_path))
+    row = row_of_native(peers, tmp_path / "peer.cpp")
+    assert "skipped: no compiler" in row
+    assert f"`{INSTALL}`" in row
+
+
+def test_visp_names_the_package_that_brings_it(peers: ModuleType) -> None:
+    natives = [peer.native for peer in peers.PEERS if peer.native is not None]
+    assert natives
+    assert all(native.install.startswith("apt install ") for native in natives)
+    assert all((PEERS / native.source).is_file() for native in natives)
