@@ -233,7 +233,7 @@ def is_stripe(frame: Frame, line: FingerLine, half_width_px: float) -> bool:
     bool
         False as well where the band does not stand out, or the image ends on one side.
     """
-    rows = -np.linspace(1.2, 4.0, 6)
+    rows = -np.linspace(1.2, 4.0, 5)
     sides = [
         _levels(frame, line, half_width_px, rows, side * STRIPE_REACH).mean(axis=0)
         for side in (1.0, -1.0)
