@@ -325,7 +325,7 @@ def test_the_urs_page(film, tmp_path, monkeypatch, stand_ins):
         assert [kind for kind, _ in said] == ["home", "plane", "follow", "pick"]
         assert said[0][1].splitlines()[-1].startswith("x 0.3000 m")
         assert "9 of 9 places" in said[1][1]
-        assert "1 picked and placed" in said[2][1]
+        assert "1 picked and placed" in said[3][1]
         assert set(controller.outputs) == {0}
         end_s = time.monotonic() + 5.0
         while controller.program is not Program.STOPPED:  # none is left that nobody feeds
@@ -342,5 +342,5 @@ def test_the_xarms_page(film, tmp_path, monkeypatch, stand_ins):
         assert [kind for kind, _ in said] == ["home", "plane", "follow", "pick"]
         assert said[0][1].startswith("x 0.3000 m")  # and nothing of the library
         assert "9 of 9 places" in said[1][1]
-        assert "1 picked and placed" in said[2][1]
+        assert "1 picked and placed" in said[3][1]
         assert box.gripper.position() == 850
