@@ -106,6 +106,8 @@ async def client(address: str, end_s: float, answers: bool, received: list[int])
                 message = await asyncio.wait_for(socket.recv(), 0.5)
             except TimeoutError:
                 continue
+            except websockets.ConnectionClosed:  # the page has ended
+                return
             if isinstance(message, bytes):
                 received.append(len(message))
                 if answers:
