@@ -63,7 +63,9 @@ def moves(robot, position, fault, mend, *, goal=GOAL, near_m=NEAR_M):
             meddler.join()
         mend()
         recover(robot)
-        assert robot.pose().distance_m(Pose(*position())) < near_m
+        # One that is stopped in motion takes a moment to stand; until then the two differ in time.
+        while robot.pose().distance_m(Pose(*position())) >= near_m:
+            assert time.monotonic() - begin_s < LIMIT_S
     return outcomes
 
 
