@@ -19,6 +19,7 @@ import argparse
 import json
 import math
 import os
+import pkgutil
 import re
 import shutil
 import subprocess
@@ -29,6 +30,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -69,33 +71,29 @@ def _nothing(*_: object, **__: object) -> None:
     """Do nothing."""
 
 
-def _pipeline(name: str, value: Callable[..., Any] = _nothing) -> Callable[[], None]:
+def _replaced(place: str, name: str, value: Callable[..., Any] = _nothing) -> Callable[[], None]:
+    """Return what replaces a name of a module or of one of its classes."""
+
     def switch() -> None:
-        from fingerpost import pipeline
-
-        assert hasattr(pipeline, name), name
-        setattr(pipeline, name, value)
-
-    return switch
-
-
-def _view(name: str, value: Callable[..., Any] = _nothing) -> Callable[[], None]:
-    def switch() -> None:
-        from fingerpost.finding import HandView
-
-        assert hasattr(HandView, name), name
-        setattr(HandView, name, value)
+        found = pkgutil.resolve_name(f"fingerpost.{place}")
+        assert hasattr(found, name), name
+        setattr(found, name, value)
 
     return switch
 
 
 PYTHON: dict[str, Callable[[], None]] = {
-    "compare_widths": _pipeline("compare_widths"),
-    "compare_lengths": _pipeline("compare_lengths"),
-    "other_fingers": _pipeline("other_fingers", lambda *_, **__: {}),
-    "test_flanks": _view("test_flanks"),
-    "validate": _view("validate"),
-    "update_from_other_views": _view("update_from_other_views"),
+    "compare_widths": _replaced("pipeline", "compare_widths"),
+    "compare_lengths": _replaced("pipeline", "compare_lengths"),
+    "other_fingers": _replaced("pipeline", "other_fingers", lambda *_, **__: {}),
+    "test_flanks": _replaced("finding:HandView", "test_flanks"),
+    "test_tip": _replaced("finding:HandView", "test_tip"),
+    "is_stripe": _replaced("finding.trial", "is_stripe", lambda *_: False),
+    "SearchRest": _replaced(
+        "pipeline", "SearchRest", lambda: SimpleNamespace(update=lambda *_: False)
+    ),
+    "validate": _replaced("finding:HandView", "validate"),
+    "update_from_other_views": _replaced("finding:HandView", "update_from_other_views"),
 }
 
 # --- clips ----------------------------------------------------------------------------------------

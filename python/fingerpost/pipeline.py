@@ -604,6 +604,7 @@ class Pointer:
         for view, frame in zip(self.views, frames, strict=True):
             view.settle()
             view.test_flanks(frame)
+            view.test_tip(frame)
         compare_widths(self.views)
         shared = PairTests()
         compare_lengths(self.views, shared)

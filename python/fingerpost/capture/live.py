@@ -242,13 +242,16 @@ class LiveSource(Source):
         """What else is to be said of the source in the end, for people."""
         times = "once" if self._stalls == 1 else f"{self._stalls} times"
         stalls = f"sent nothing for {self._timeout_s:g} s and more, {times}"
-        notes = (*self._differences, *(self._stamping.notes if self._stamping else ()))
-        slowness = self._slowness() if self._is_slow else ()
-        return (*notes, *slowness, stalls) if self._stalls else (*notes, *slowness)
+        return (
+            *self._differences,
+            *(self._stamping.notes if self._stamping else ()),
+            *([self._slowness()] if self._is_slow else ()),
+            *([stalls] if self._stalls else ()),
+        )
 
-    def _slowness(self) -> tuple[str, ...]:
+    def _slowness(self) -> str:
         rate = f"sends {1.0 / self.period_s:.2g} pictures a second"
-        return (f"{rate}; more than {1.0 / _OVERDUE_S:.0f} are needed to bring views to one time",)
+        return f"{rate}; more than {1.0 / _OVERDUE_S:.0f} are needed to bring views to one time"
 
     @property
     def due_in_s(self) -> float:
@@ -341,7 +344,7 @@ class LiveSource(Source):
             _log.warning("%s: sends again", self.name)
         if not self._is_slow and frame.index > _LATEST_PERIODS and self.period_s > _OVERDUE_S:
             self._is_slow = True
-            _log.warning("%s: %s", self.name, *self._slowness())
+            _log.warning("%s: %s", self.name, self._slowness())
 
     def _loss(self) -> Loss:
         why = f"no picture has come for {self.silent_s:.1f} s"

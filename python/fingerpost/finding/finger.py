@@ -51,10 +51,10 @@ def followed(track: Track | None) -> list[FingerDetection]:
     return [FingerDetection(line.tip_px, line.angle_rad, half_width_px)]
 
 
-def fitted_half_width_px(track: Track) -> float | None:
+def fitted_half_width_px(track: Track | None) -> float | None:
     """Return the fitted half-width; None without a fit or a half-width in its shape space."""
-    shape = track.shape_vector
-    if shape is None or HALF_WIDTH_NAME not in track.shape_names:
+    shape = track.shape_vector if track is not None else None
+    if track is None or shape is None or HALF_WIDTH_NAME not in track.shape_names:
         return None
     return float(shape[track.shape_names.index(HALF_WIDTH_NAME)])
 
@@ -140,6 +140,25 @@ def measured_line(
         half_width_px * math.exp(correction.log_width_ratio),
         line.stretch_px,
     )
+
+
+def places_about(
+    line: FingerLine, half_width_px: float, along: Array, across: Array
+) -> NDArray[np.float64]:
+    """Return a grid of places about a finger (A, B, 2) [px].
+
+    Parameters
+    ----------
+    line, half_width_px
+        The finger's axis, and half its width [px].
+    along, across
+        (A,) and (B,) Coordinates from the tip in the finger's direction, and along its normal
+        (−sin, cos) [half-widths].
+    """
+    e = np.array([np.cos(line.angle_rad), np.sin(line.angle_rad)])
+    n = np.array([-e[1], e[0]])
+    places = along[:, None, None] * e + across[:, None] * n
+    return np.asarray(line.tip_px + half_width_px * places)
 
 
 def are_near(one: StartPose, other: StartPose, reach_px: float, turn_rad: float) -> bool:

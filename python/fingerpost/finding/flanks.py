@@ -151,7 +151,7 @@ class Flanks:
         """Test a frame, if it is one of those that are tested."""
         self._frames += 1
         line = track.finger_line if track is not None else None
-        half_width_px = fitted_half_width_px(track) if track is not None else None
+        half_width_px = fitted_half_width_px(track)
         if line is None or half_width_px is None:
             return
         self._half_width_px = half_width_px

@@ -6,7 +6,7 @@ import numpy as np
 
 from fingerpost._core import Background, FingerLine, StartPose
 from fingerpost.capture import Frame
-from fingerpost.finding.finger import HALF_WIDTH, Array
+from fingerpost.finding.finger import HALF_WIDTH, Array, places_about
 
 MIN_COME_PART = 0.3
 """Least foreground probability of an initial template's region for which a hand may be there."""
@@ -93,11 +93,8 @@ def foreground_ahead(
     In films it is below 0.1 ahead of nearly every fingertip, and above 0.6 ahead of a contour that
     ends at a dark nail or with a glove.
     """
-    e = np.array([np.cos(line.angle_rad), np.sin(line.angle_rad)])
-    n = np.array([-e[1], e[0]])
-    places = AHEAD[:, None, None] * e + BESIDE_AXIS[:, None] * n
-    places_px = line.tip_px + half_width_px * places
-    return _likely(background, frame, places_px.reshape(-1, 2))
+    places = places_about(line, half_width_px, AHEAD, BESIDE_AXIS)
+    return _likely(background, frame, places.reshape(-1, 2))
 
 
 def _likely(background: Background, frame: Frame, places: Array) -> float:

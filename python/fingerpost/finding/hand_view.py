@@ -63,8 +63,9 @@ FLAT_FRAMES = 5
 """Flatness, and consecutive frames with at least that, after which a moving finger is rejected: it
 is a shadow on the table. Fingers of 22 recordings reach it for one frame at most."""
 
-FLAT_EVERY = 4
-"""Interval between tests of the flatness; every frame is tested after a positive one."""
+TEST_EVERY = 4
+"""Interval between tests of a followed finger for flatness and stripes; every frame is tested after
+a positive one."""
 
 WAITING_FRAMES = 3
 """Frames with a foreground but no hand at the template, after which the whole image is searched. A
@@ -337,7 +338,8 @@ class HandView:
             self._tracker, self._track = self._extension.update(
                 self._tracker, track, frame, self.search.background
             )
-        self._stripe_frames = count_stripes(self._stripe_frames, frame, self._track)
+        if self._stripe_frames > 0 or self._frames % TEST_EVERY == 0:
+            self._stripe_frames = count_stripes(self._stripe_frames, frame, self._track)
         if self._stripe_frames >= STRIPE_FRAMES:
             self._abandon(had_hand=self.is_sure)
             return
@@ -379,7 +381,7 @@ class HandView:
 
     def _learn_appearance(self, frame: Frame, line: FingerLine) -> None:
         """Learn the appearance of a hand that is followed for good."""
-        half_width_px = fitted_half_width_px(self._track) if self._track is not None else None
+        half_width_px = fitted_half_width_px(self._track)
         if half_width_px is not None:
             self._memory.learn(Appearance.of(frame, line, half_width_px), frame.time_s)
 
@@ -399,7 +401,7 @@ class HandView:
 
     def _remember_length(self, tracker: ContourTracker) -> None:
         """Accept a template of the length that was followed until the last frame."""
-        half_width_px = fitted_half_width_px(self._track) if self._track is not None else None
+        half_width_px = fitted_half_width_px(self._track)
         if self._latest and half_width_px is not None:
             self.search.remember_length(length_px(tracker, self._latest[-1]) / half_width_px)
 
@@ -408,7 +410,7 @@ class HandView:
         """Whether the flatness of the followed finger is to be tested with this frame."""
         if self._first_hand is not None and self._first_hand.may_be_flat:
             return True
-        return self._flat_frames > 0 or self._frames % FLAT_EVERY == 0
+        return self._flat_frames > 0 or self._frames % TEST_EVERY == 0
 
     def reject_if_flat(self, flat: float) -> None:
         """Reject the followed finger if it lies in the plane.
@@ -510,14 +512,16 @@ class HandView:
             self.search.stop()
 
     def test_flanks(self, frame: Frame | None) -> None:
-        """Update the axis correction from a frame."""
-        if frame is None:
-            return
-        track = self.track
-        self._flanks.update(frame, track)
-        half_width_px = fitted_half_width_px(track) if track is not None else None
-        if track is not None and track.finger_line is not None and half_width_px is not None:
-            self._tip.update(self.search.background, frame, track.finger_line, half_width_px)
+        """Update the axis correction from a frame's flanks."""
+        if frame is not None:
+            self._flanks.update(frame, self.track)
+
+    def test_tip(self, frame: Frame | None) -> None:
+        """Update the axis correction from what is ahead of the tip in a frame."""
+        line = self.track.finger_line if self.track is not None else None
+        half_width_px = fitted_half_width_px(self.track)
+        if frame is not None and line is not None and half_width_px is not None:
+            self._tip.update(self.search.background, frame, line, half_width_px)
 
     def validate(self, others: Sequence[HandView], shared: PairTests) -> None:
         """Reject the followed finger after frames without support by another view.

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from fingerpost._core import FingerLine
 from fingerpost.capture import Frame
-from fingerpost.finding.finger import Array, FingerDetection
+from fingerpost.finding.finger import Array, FingerDetection, places_about
 from fingerpost.pointing import PlaneView
 
 NOISE_GREY = 4.0
@@ -206,9 +206,8 @@ def _variance(levels: Array) -> float:
 
 STRIPE_REACH = np.arange(0.0, 6.01, 0.4)
 CORE, NEIGHBOUR = STRIPE_REACH < 0.6, (STRIPE_REACH > 1.2) & (STRIPE_REACH < 3.0)
-STRIPE_GAP = 0.4
-"""Sample positions from a finger's axis to either side, those of its inside and of what is beside
-it, and the least distance from there to another stripe [half-widths]."""
+"""Sample positions from a finger's axis to either side [half-widths], and those of its inside and
+of what is beside it."""
 
 MAX_RETURN = 0.3
 """Greatest distance from the finger's own levels at which they return beside it, as a part of that
@@ -245,7 +244,7 @@ def is_stripe(frame: Frame, line: FingerLine, half_width_px: float) -> bool:
 def _returns(differs: Array) -> bool:
     """Whether levels along `STRIPE_REACH` differ from the inside's, and return to them beyond."""
     far = int(np.argmax(np.where(NEIGHBOUR, np.nan_to_num(differs), -1.0)))
-    beyond = differs[STRIPE_REACH[far] + STRIPE_GAP < STRIPE_REACH]
+    beyond = differs[far + 1 :]
     known = beyond[np.isfinite(beyond)]
     if differs[far] < 2.0 * NOISE_GREY or len(known) == 0:
         return False
@@ -262,10 +261,7 @@ def _levels(
     """
     colours = frame.colour()
     image = frame.grey() if colours is None else colours
-    e = np.array([np.cos(line.angle_rad), np.sin(line.angle_rad)])
-    n = np.array([-e[1], e[0]])
-    places = along[:, None, None] * e + across[:, None] * n
-    levels = _shown(image, line.tip_px + half_width_px * places)
+    levels = _shown(image, places_about(line, half_width_px, along, across))
     return levels.reshape(len(along), len(across), -1)
 
 

@@ -61,7 +61,7 @@ def count_stripes(before: int, frame: Frame, track: Track | None) -> int:
         The frame, and the tracker's result for it; one without a finger line changes nothing.
     """
     line = track.finger_line if track is not None else None
-    half_width_px = fitted_half_width_px(track) if track is not None else None
+    half_width_px = fitted_half_width_px(track)
     if line is None or half_width_px is None:
         return before
     return before + 1 if is_stripe(frame, line, half_width_px) else 0

@@ -126,8 +126,13 @@ class RosbridgeLink:
 
     def close(self) -> None:
         """Close the connection; harmless when closed."""
+        self._close("not connected")
+
+    def _close(self, why: str) -> None:
+        # The reason comes first: other threads report it as soon as there is no socket.
+        self._why_closed = why
         line, self._socket = self._socket, None
-        self._responses, self._why_closed = {}, "not connected"
+        self._responses = {}
         if line is not None:
             with suppress(Exception):
                 self._protocol.send_close()
@@ -196,8 +201,8 @@ class RosbridgeLink:
             self._protocol.send_text(msgspec.json.encode(operation))
             self._flush()
         except Exception as error:  # the library has kinds of its own
-            self.close()
-            raise ConnectionLostError(f"{self.url}: the connection is gone: {error}") from error
+            self._close(f"the connection is gone: {error}")
+            raise ConnectionLostError(f"{self.url}: {self._why_closed}") from error
 
     def _flush(self) -> None:
         if (line := self._socket) is not None:
@@ -223,8 +228,7 @@ class RosbridgeLink:
         except Exception as error:
             why = str(error)
         if self._socket is line:
-            self.close()
-            self._why_closed = f"the connection is gone: {why}"
+            self._close(f"the connection is gone: {why}")
             self._on_trouble(ConnectionLostError(f"{self.url}: {self._why_closed}"))
 
     def _take(self, frame: Any) -> None:
