@@ -19,6 +19,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import permutations
 
 import numpy as np
@@ -384,6 +385,12 @@ class Scenery:
         border = _AROUND * (upper - lower)
         return lower - border, (upper - lower + 2.0 * border) / (_PATCH - 1)
 
+    @cached_property
+    def _places(self) -> Array:
+        """The points of the plane that a texture is made of."""
+        lower, step = self._frame()
+        return lower + step * np.moveaxis(np.mgrid[:_PATCH, :_PATCH][::-1], 0, -1)
+
     def _view(self, k: int, points_px: Array) -> PlaneView:
         return PlaneView.from_reference_points(self._plane_points, points_px, None, self._lenses[k])
 
@@ -429,17 +436,17 @@ class Scenery:
             view = self._view(k, points_px)
         except FingerpostError:
             return None
-        lower, step = self._frame()
-        steps = np.stack(np.meshgrid(np.arange(_PATCH), np.arange(_PATCH)), axis=-1)
-        places = view.project(lower + step * steps)
-        last = np.array(self._sizes[k]) - 1.0
+        u, v = np.moveaxis(view.project(self._places).astype(np.float32), -1, 0)
+        right, bottom = np.array(self._sizes[k]) - 1.0
         with np.errstate(invalid="ignore"):  # beyond the horizon there is nothing
-            seen = np.asarray(((places >= 0.0) & (places <= last)).all(axis=-1))
-        u, v = np.moveaxis(np.where(seen[..., None], places, 0.0).astype(np.float32), -1, 0)
-        patch = np.asarray(cv2.remap(self._smooth[k], u, v, cv2.INTER_LINEAR), np.float64)
-        weight = cv2.GaussianBlur(seen.astype(np.float64), (0, 0), _SMOOTH_PATCH)
-        around = cv2.GaussianBlur(np.where(seen, patch, 0.0), (0, 0), _SMOOTH_PATCH)
-        return np.where(seen, patch - around / np.maximum(weight, 1e-6), np.nan)
+            seen = (u >= 0.0) & (v >= 0.0) & (u <= right) & (v <= bottom)
+        u, v = (np.where(seen, one, np.float32(0.0)) for one in (u, v))
+        patch = cv2.remap(self._smooth[k], u, v, cv2.INTER_LINEAR).astype(np.float32)
+        share = seen.astype(np.float32)
+        weight, around = (
+            cv2.GaussianBlur(one, (0, 0), _SMOOTH_PATCH) for one in (share, patch * share)
+        )
+        return np.asarray(np.where(seen, patch - around / np.maximum(weight, 1e-6), np.nan))
 
 
 def _slips() -> Iterator[tuple[str, Callable[[Array, tuple[int, int]], Array]]]:

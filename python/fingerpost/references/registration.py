@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -152,18 +153,27 @@ class PlaneRegistration:
         self._unit_from_px = np.linalg.inv(self._px_from_unit)
         self._first = first.copy()
         self._plane, self._all = _about(first.shape, references_px), np.ones(first.shape, np.uint8)
-        self._choose()
 
-    def _choose(self) -> None:
-        """Choose the pixels of the first image and its pyramid."""
+    # Whether it moves is asked in every frame, by its best pixels; how, of few cameras.
+
+    @cached_property
+    def _finest(self) -> _Level:
+        return _Level(self._first, 0, self._plane, self._lens)
+
+    @cached_property
+    def _registration(self) -> CoreRegistration:
+        reduced = enumerate(_pyramid(self._first)[1:], 1)
         levels = [
-            _Level(picture, halvings, self._plane, self._lens)
-            for halvings, picture in enumerate(_pyramid(self._first))
+            self._finest,
+            *(_Level(picture, halvings, self._plane, self._lens) for halvings, picture in reduced),
         ]
-        self._finest = levels[0]
-        in_core = [level.in_core(self._unit_from_px) for level in levels]
-        self._registration = CoreRegistration(in_core, self._points_px)
-        self._static_test = _Level(self._first, 0, self._all, self._lens, only_spread=True)
+        return CoreRegistration(
+            [level.in_core(self._unit_from_px) for level in levels], self._points_px
+        )
+
+    @cached_property
+    def _static_test(self) -> _Level:
+        return _Level(self._first, 0, self._all, self._lens, only_spread=True)
 
     def apparent_motion_px(self, now: Picture) -> float:
         """Return the apparent motion of the plane, the median over its best pixels [px].
@@ -191,7 +201,8 @@ class PlaneRegistration:
         (u, v), (x, y) = np.round([end_px, other_px]).astype(int).tolist()
         for mask in (self._plane, self._all):
             cv2.line(mask, (u, v), (x, y), 0, max(round(2 * radius_px), 1))
-        self._choose()
+        for chosen in ("_finest", "_registration", "_static_test"):
+            self.__dict__.pop(chosen, None)
 
     def is_static(self, now: Picture, guess: Array, hand: Segment | None = None) -> bool:
         """Whether the plane is static although something else moves.
@@ -281,8 +292,7 @@ class _Level:
             distort = np.linalg.inv(lens.undistort_jacobian(shown_px))
             by_px = (by_px[:, None] @ distort)[:, 0]
         self._by_px = by_px
-        # Of the difference of two smoothed images.
-        self._noise_levels = _noise(picture) / np.sqrt(2.0 * np.pi) / BLUR_PX
+        self._picture = picture
         self._variances = NOISE_LEVELS**2 + (ALIGNED_PX / self._scale) ** 2 * (by_px**2).sum(1)
         self._information = (by_px**2).sum(axis=1) / self._variances
         better = np.argsort(-self._information, kind="stable")[: len(row) // 2]
@@ -291,6 +301,11 @@ class _Level:
         self._some = row[some], column[some]
         self._some_by_px = np.linalg.norm(by_px[some], axis=1)
         self._some_levels = picture[self._some].astype(np.int16)
+
+    @cached_property
+    def _noise_levels(self) -> float:
+        """Standard deviation of the difference of two smoothed images."""
+        return float(_noise(self._picture) / np.sqrt(2.0 * np.pi) / BLUR_PX)
 
     def in_core(self, unit_from_px: Array) -> PlaneLevel:
         """Return the pixels as the core takes them."""

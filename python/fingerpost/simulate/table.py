@@ -34,6 +34,7 @@ VERTICES = 48
 # Clutter keeps this clear of the sheet's edges, for those are reference features.
 SHEET_CLEARANCE_SIDES = 0.03
 GRAIN_CELLS = 1024
+GRAIN_ROWS = 32
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,17 +130,25 @@ class Table:
 
     def _grain_seen(self, camera: Camera, optics: Optics, shape: tuple[int, int]) -> Picture:
         """Grey levels that the wood's grain adds to each cell of a view."""
-        rows, columns = np.mgrid[: shape[0], : shape[1]]
-        pictured = optics.pixels_of_cells(np.stack([columns + 0.5, rows + 0.5], axis=-1))
-        ideal = camera.ideal_everywhere(pictured)
-        plane_from_image = np.linalg.inv(camera.image_from_plane)
-        X = ideal @ plane_from_image[:, :2].T + plane_from_image[:, 2]
-        # The third coordinate is positive below the horizon; above it, take the table's far end.
-        ahead = np.maximum(X[..., 2:], 1e-9)
-        place = (X[..., :2] / ahead - self._low) / (self._high - self._low)
-        texel = (place.clip(0, 1) * (GRAIN_CELLS - 1)).astype(np.float32)
         assert self._grain is not None
-        grain = cv2.remap(self._grain, texel[..., 0], texel[..., 1], cv2.INTER_LINEAR)
+        plane_from_image = np.linalg.inv(camera.image_from_plane)
+        columns, grain = np.arange(shape[1]) + 0.5, np.empty(shape, np.float32)
+        # So few rows at a time that they stay in the processor's caches.
+        for top in range(0, shape[0], GRAIN_ROWS):
+            rows = np.arange(top, min(top + GRAIN_ROWS, shape[0])) + 0.5
+            cells = np.stack(np.broadcast_arrays(columns, rows[:, None]), axis=-1)
+            ideal = camera.ideal_everywhere(optics.pixels_of_cells(cells))
+            X, Y, W = (a * ideal[..., 0] + b * ideal[..., 1] + c for a, b, c in plane_from_image)
+            # The third coordinate is positive below the horizon; above it, take the table's far
+            # end.
+            ahead, size = np.maximum(W, 1e-9), self._high - self._low
+            x_texels, y_texels = (
+                (((x / ahead - low) / far).clip(0, 1) * (GRAIN_CELLS - 1)).astype(np.float32)
+                for x, low, far in zip((X, Y), self._low, size, strict=True)
+            )
+            grain[top : top + len(rows)] = cv2.remap(
+                self._grain, x_texels, y_texels, cv2.INTER_LINEAR
+            )
         return np.asarray(grain * np.float32(self._background.texture_amplitude))
 
 

@@ -236,14 +236,14 @@ impl HandFinder {
     fn search(&mut self, half_width_px: f64) {
         let cell_px = half_width_px / HALF_WIDTH_CELLS;
         let octave = cell_px.log2().floor().clamp(0.0, (self.octaves.len() - 1) as f64) as usize;
-        let level = &mut self.level;
-        level.sample(&self.octaves[octave], self.channels, cell_px / 2_f64.powi(octave as i32));
-        level.orient(self.channels, self.options.min_gradient_grey);
-        for (k, template) in self.templates.iter().enumerate() {
-            level.score(template, k as u8);
-        }
+        let step = cell_px / 2_f64.powi(octave as i32);
+        self.level.search(
+            (&self.octaves[octave], self.channels, step),
+            self.options.min_gradient_grey,
+            &self.templates,
+        );
         let first = self.bands.len();
-        for (x, y, score, angle) in level.peaks() {
+        for (x, y, score, angle) in self.level.peaks() {
             let place = |i: usize| (i as f64 + 0.5) * cell_px - 0.5;
             let tip = Point2::new(place(x), place(y));
             let angle_rad = self.templates[usize::from(angle)].angle_rad;

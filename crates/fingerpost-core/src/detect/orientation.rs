@@ -1,6 +1,12 @@
 //! Search for bands with a round end by the orientations of gradients, at every place, angle and
 //! size.
 
+#![expect(
+    clippy::inline_always,
+    reason = "what is inlined into a function with wider instructions is compiled for them"
+)]
+
+use crate::numeric::simd::{Isa, Work};
 use nalgebra::Vector2;
 use std::f64::consts::PI;
 
@@ -60,6 +66,7 @@ struct Gradients {
 
 impl Gradients {
     /// Starts a row of `cells`: a gradient must be stronger than `least`.
+    #[inline(always)]
     fn clear(&mut self, cells: usize, least: i32) {
         for component in [&mut self.u, &mut self.v] {
             component.clear();
@@ -71,6 +78,7 @@ impl Gradients {
 
     /// Adds a channel by three of its rows: Sobel's operator. Every step is a loop over bytes or
     /// words in a row, which compilers vectorise.
+    #[inline(always)]
     fn add(&mut self, [above, here, below]: [&[u8]; 3]) {
         let rows = || above.iter().zip(here).zip(below);
         let word = |&level: &u8| i16::from(level);
@@ -96,6 +104,7 @@ impl Gradients {
 
     /// Writes the bit of the orientation of each gradient that is stronger than `least`, 0 for the
     /// others. Orientations are bins over half a turn, the first of them about +u.
+    #[inline(always)]
     fn orientations(&self, least: i32, out: &mut [u8]) {
         // Tangents of 11.25°, 33.75°, 56.25° and 78.75°, in 1/1024, and the bins beyond them on
         // either side.
@@ -162,9 +171,50 @@ impl Octave {
     }
 }
 
+/// Scores every template at every cell of a level.
+struct ScoreLevel<'a> {
+    level: &'a mut Level,
+    octave: &'a Octave,
+    channels: usize,
+    step: f64,
+    min_gradient_grey: f64,
+    templates: &'a [BandTemplate],
+}
+
+impl Work for ScoreLevel<'_> {
+    #[inline(always)]
+    fn run(self) {
+        self.level.sample(self.octave, self.channels, self.step);
+        self.level.orient(self.channels, self.min_gradient_grey);
+        for (angle, template) in (0..).zip(self.templates) {
+            self.level.score(template, angle);
+        }
+    }
+}
+
 impl Level {
+    /// Searches an octave, of which a cell has `step` pixels, with every template: afterwards
+    /// [`peaks`](Self::peaks) gives the bands.
+    pub(super) fn search(
+        &mut self,
+        (octave, channels, step): (&Octave, usize, f64),
+        min_gradient_grey: f64,
+        templates: &[BandTemplate],
+    ) {
+        let level = self;
+        Isa::detect().run(ScoreLevel {
+            level,
+            octave,
+            channels,
+            step,
+            min_gradient_grey,
+            templates,
+        });
+    }
+
     /// Resamples an octave at every `step` pixels, bilinearly.
-    pub(super) fn sample(&mut self, octave: &Octave, channels: usize, step: f64) {
+    #[inline(always)]
+    fn sample(&mut self, octave: &Octave, channels: usize, step: f64) {
         (self.width, self.height) = (
             ((octave.width as f64 / step) as usize).max(1),
             ((octave.height as f64 / step) as usize).max(1),
@@ -202,7 +252,8 @@ impl Level {
 
     /// Orientation of the strongest gradient of any channel in each cell, spread over its
     /// neighbours, and the response of each orientation to it.
-    pub(super) fn orient(&mut self, channels: usize, min_gradient_grey: f64) {
+    #[inline(always)]
+    fn orient(&mut self, channels: usize, min_gradient_grey: f64) {
         let (width, height, stride) = (self.width, self.height, self.stride);
         let cells = stride * (height + 2 * MARGIN);
         for plane in [&mut self.orientations, &mut self.spread] {
@@ -242,7 +293,8 @@ impl Level {
     }
 
     /// Scores the template at every cell, and keeps the best angle.
-    pub(super) fn score(&mut self, template: &BandTemplate, angle: u8) {
+    #[inline(always)]
+    fn score(&mut self, template: &BandTemplate, angle: u8) {
         let stride = self.stride as isize;
         let cells = self.best.len();
         let shift = |(dx, dy): (isize, isize)| dy * stride + dx;
@@ -323,6 +375,7 @@ impl Level {
 }
 
 /// Mean of two scores, rounded down; in bytes throughout.
+#[inline(always)]
 fn mean(a: u8, b: u8) -> u8 {
     (a & b) + ((a ^ b) >> 1)
 }
@@ -338,6 +391,7 @@ fn response_bits(bin: usize) -> (u8, u8) {
 }
 
 /// Response of a sample to a set of orientations nearby, given the bits of its own and the next.
+#[inline(always)]
 fn response(set: u8, own: u8, next: u8) -> u8 {
     let nearly = if set & next == 0 { 0 } else { NEARLY_MEETS };
     if set & own == 0 { nearly } else { MEETS }
