@@ -135,7 +135,7 @@ impl PyBackground {
         Ok((light.gain, light.offset_grey))
     }
 
-    /// Part of the telling pixels that have changed.
+    /// Part of the informative pixels that have changed.
     #[getter]
     fn changed_share(slf: &Bound<'_, Self>) -> PyResult<f64> {
         Ok(Self::at_rest(slf)?.0.changed_share())

@@ -187,6 +187,25 @@ class Scenery:
             return 0.0
         return min(0.0 if other is None else _agreement(first, other) for other in others)
 
+    def _may_agree(self, points_px: dict[int, Array]) -> bool:
+        """Whether views show enough texture to agree by `LEAST_AGREEMENT`, whatever it is.
+
+        What is known already is asked first: on a plain table that answers for most mistakes.
+        """
+        chosen = {**dict(enumerate(self._given)), **points_px}
+        order = sorted(chosen, key=lambda k: k in points_px)
+        return all(self._textured(k, chosen[k]) >= LEAST_AGREEMENT * LEAST_CELLS for k in order)
+
+    def _textured(self, k: int, points_px: Array) -> int:
+        """Count the cells in which a view shows a texture of the plane."""
+        patch = self._patch(k, points_px)
+        if patch is None:
+            return 0
+        cells = _cells(patch)
+        counts = np.isfinite(cells).sum(axis=1)
+        has_texture = np.nansum(cells * cells, axis=1) >= _PLAIN_LEVELS**2 * counts
+        return int((has_texture & (2 * counts >= cells.shape[1])).sum())
+
     def bends(self) -> dict[int, Bend]:
         """Return how lenses bend the pictures of views that have none given, by their place."""
         found = {}
@@ -251,6 +270,8 @@ class Scenery:
     ) -> Mistake | None:
         best, most = None, -1.0
         for what, points_px in guesses:
+            if not self._may_agree(points_px):
+                continue
             agreement = self._agreement(points_px)
             score = agreement - SIMPLER * len(points_px)
             if agreement > max(LEAST_AGREEMENT, as_given + BETTER) and score > most + TIE:

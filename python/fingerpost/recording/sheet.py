@@ -8,7 +8,7 @@ they describe to what can be seen, and leaves out the rest.
 from __future__ import annotations
 
 import math
-from functools import cache
+from functools import cache, lru_cache
 from typing import Any, Self
 
 import numpy as np
@@ -250,6 +250,8 @@ def _pieces(pixels: Points, size: NDArray[np.intp]) -> list[Points]:
     """Parts of a line that can be seen: broken at NaN, cut outside the border (Liang, Barsky)."""
     if len(pixels) < 2:
         return []
+    if _is_on_sheet(pixels, size):
+        return [pixels]
     start, step = pixels[:-1], np.diff(pixels, axis=0)
     # Along a segment, the parameters at which it crosses the two sides of each axis. One that runs
     # along an axis crosses them at ±∞, or nowhere (NaN) exactly on a side, which counts as outside.
@@ -267,6 +269,11 @@ def _pieces(pixels: Points, size: NDArray[np.intp]) -> list[Points]:
     return [np.concatenate([first[run], last[run[-1:]]]) for run in runs]
 
 
+def _is_on_sheet(pixels: Points, size: NDArray[np.intp]) -> bool:
+    """Whether there is nothing to cut: false for NaN."""
+    return bool((pixels >= -_BORDER_PX).all() and (pixels <= size + _BORDER_PX).all())
+
+
 def _dashed(piece: Points, dash: float, gap: float) -> list[Points]:
     """Cut a line into dashes, each bent as the line is."""
     run = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(piece, axis=0).T))])
@@ -277,6 +284,8 @@ def _dashed(piece: Points, dash: float, gap: float) -> list[Points]:
 
 def _clipped(polygon: Points, size: NDArray[np.intp]) -> Points:
     """Cut a polygon to the sheet (Sutherland and Hodgman 1974); empty if NaN is in it."""
+    if _is_on_sheet(polygon, size):
+        return polygon
     if not np.isfinite(polygon).all():
         return np.empty((0, 2))
     for axis in (0, 1):
@@ -309,6 +318,7 @@ _IN_ASCII = str.maketrans(
     }
 )
 _REGULAR, _BOLD = 400, 600
+_WIDTHS = 4096  # kept of the words of the last pictures
 
 
 @cache
@@ -335,9 +345,13 @@ def _write(
 
 
 def _text_width(words: str, height_px: int, bold: bool) -> float:
+    return _width_in(_typeface(), words, height_px, bold)
+
+
+@lru_cache(_WIDTHS)
+def _width_in(face: Any, words: str, height_px: int, bold: bool) -> float:
     import cv2
 
-    face = _typeface()
     if face is not None:
         weight = _BOLD if bold else _REGULAR
         with uninterrupted():

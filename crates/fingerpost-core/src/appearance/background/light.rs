@@ -23,9 +23,9 @@ const TUKEY_MAD: f32 = 4.685 * 1.4826;
 const MOVED_FRAMES: usize = 3;
 /// Least change of the background over four pixels, around a pixel that shows a motion of the
 /// camera \[grey levels\].
-const TELLING_GREY: f32 = 12.0;
+const INFORMATIVE_GREY: f32 = 12.0;
 /// Least number of such pixels; with fewer, all pixels are used.
-const TELLING_LEAST: usize = 60;
+const MIN_INFORMATIVE: usize = 60;
 /// Least gradient of the background at the pixels used to measure the displacement
 /// \[grey levels / px\].
 const STEEP_GREY_PX: f64 = 4.0;
@@ -58,7 +58,7 @@ impl Background {
                 self.pairs.push((level, now));
             }
         }
-        if self.pairs.len() < TELLING_LEAST {
+        if self.pairs.len() < MIN_INFORMATIVE {
             return;
         }
         self.ratios.clear();
@@ -98,7 +98,7 @@ impl Background {
             return;
         }
         let reach = CELL_PX;
-        let (mut telling, mut changed_telling, mut all, mut changed) =
+        let (mut informative, mut changed_informative, mut all, mut changed) =
             (0_usize, 0_usize, 0_usize, 0_usize);
         for (x, y) in Self::grid(size) {
             let i = y * size.0 + x;
@@ -112,15 +112,15 @@ impl Background {
                 && (level(i + reach) - level(i - reach))
                     .abs()
                     .max((level(i + reach * size.0) - level(i - reach * size.0)).abs())
-                    > TELLING_GREY
+                    > INFORMATIVE_GREY
             {
-                telling += 1;
-                changed_telling += has_changed;
+                informative += 1;
+                changed_informative += has_changed;
             }
         }
         let share = |part: usize, whole: usize| part as f64 / whole.max(1) as f64;
-        self.changed_share = if telling >= TELLING_LEAST {
-            share(changed_telling, telling)
+        self.changed_share = if informative >= MIN_INFORMATIVE {
+            share(changed_informative, informative)
         } else {
             share(changed, all)
         };
@@ -171,7 +171,7 @@ impl Background {
                 self.slopes.push(Slope { by_px, residual, per_most });
             }
         }
-        if self.slopes.len() < TELLING_LEAST {
+        if self.slopes.len() < MIN_INFORMATIVE {
             return;
         }
         let least = (self.options.noise_grey / DETERMINED_PX).powi(2);
