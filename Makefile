@@ -64,11 +64,16 @@ help: ## list the targets
 demo: $(if $(wildcard $(STAMPS)/extension),$(STAMPS)/extension,$(STAMPS)/installed) ## the main job with nothing plugged in: pictures, a table, a summary
 	$(BIN)/fingerpost demo
 
-# What Rust's tests need and what Python's need are built apart, and so at one time. A file's tests
-# stay in one process: they share footage. Robots' tests wait half of their time.
-test: ## every check there is, in both languages
-	$(MAKE) --no-print-directory --jobs 2 lint test-rust instructions
-	$(BIN)/python -m pytest --numprocesses 4 --dist loadfile --no-loadscope-reorder
+# A file's tests stay in one process: they share footage. Robots' tests wait half of their time, in
+# which Rust's checks are made; these may be read while they are, and are printed if they fail.
+RUST_LOG := $(CARGO_TARGET_DIR)/rust-checks.log
+
+test: $(STAMPS)/extension lint-python ## every check there is, in both languages
+	@echo "Rust's checks go on meanwhile: $(RUST_LOG)"
+	@nice $(MAKE) --no-print-directory lint-rust test-rust instructions >$(RUST_LOG) 2>&1 & rust=$$!; \
+	$(BIN)/python -m pytest --numprocesses 4 --dist loadfile --no-loadscope-reorder; python=$$?; \
+	wait $$rust || { cat $(RUST_LOG); exit 1; }; \
+	exit $$python
 
 lint: lint-rust lint-python ## formats, lints, types, documentation links, stubs
 

@@ -32,6 +32,7 @@ from house import (
 PYTHON_GROUPS = {
     "errors": "errors",
     "checks": "checks",
+    "contours": "core",
     "homography": "geometry",
     "lens": "geometry",
     "silhouette": "geometry",
@@ -102,7 +103,7 @@ PYTHON_RULES = {
     "pipeline": _PIPELINE,
     "application": _PIPELINE | {"application"},
     "cli": _PIPELINE | {"application", "cli", "front"},
-    "core": {"errors"},
+    "core": {"core", "errors"},
     "front": _PIPELINE | {"application"},
 }
 
@@ -123,7 +124,7 @@ RUST_RULES = {
     "geometry": {"error"},
     "image": {"error"},
     "appearance": {"error", "image", "numeric"},
-    "detect": {"error", "image", "appearance", "geometry"},
+    "detect": {"error", "image", "appearance", "geometry", "numeric"},
     "plane": {"error", "image", "numeric"},
     "solve": {"error", "geometry", "numeric"},
     "measure": {"error", "geometry", "image", "appearance", "numeric"},
