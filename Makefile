@@ -64,13 +64,14 @@ help: ## list the targets
 demo: $(if $(wildcard $(STAMPS)/extension),$(STAMPS)/extension,$(STAMPS)/installed) ## the main job with nothing plugged in: pictures, a table, a summary
 	$(BIN)/fingerpost demo
 
-# A file's tests stay in one process: they share footage. Robots' tests wait half of their time, in
-# which Rust's checks are made; these may be read while they are, and are printed if they fail.
+# A file's tests stay in one process: they share footage. Rust's checks are made beside the building
+# of the extension and the tests, of which robots' wait half of their time.
 RUST_LOG := $(CARGO_TARGET_DIR)/rust-checks.log
 
-test: $(STAMPS)/extension lint-python ## every check there is, in both languages
-	@echo "Rust's checks go on meanwhile: $(RUST_LOG)"
+test: $(STAMPS)/rust $(STAMPS)/python ## every check there is, in both languages
+	@mkdir -p $(CARGO_TARGET_DIR); echo "Rust's checks go on meanwhile: $(RUST_LOG)"
 	@nice $(MAKE) --no-print-directory lint-rust test-rust instructions >$(RUST_LOG) 2>&1 & rust=$$!; \
+	$(MAKE) --no-print-directory lint-python && \
 	$(BIN)/python -m pytest --numprocesses 4 --dist loadfile --no-loadscope-reorder; python=$$?; \
 	wait $$rust || { cat $(RUST_LOG); exit 1; }; \
 	exit $$python

@@ -28,8 +28,8 @@ Array = NDArray[np.float64]
 SHORTEST_FLANK_PX = 10.0
 """A finger whose flanks are shorter in the image has no direction that a tracker could tell."""
 
-# Poses are computed to this share of the largest error that counts.
-_RADIUS_STEPS = 60
+# Bisections of a radius: to 10⁻⁷ of its greatest value.
+_RADIUS_STEPS = 24
 # Directions over which the error's distribution is averaged: exact to five digits for 20 : 1.
 _TURNS = 64
 
