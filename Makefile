@@ -64,17 +64,11 @@ help: ## list the targets
 demo: $(if $(wildcard $(STAMPS)/extension),$(STAMPS)/extension,$(STAMPS)/installed) ## the main job with nothing plugged in: pictures, a table, a summary
 	$(BIN)/fingerpost demo
 
-# A file's tests stay in one process: they share footage. Rust's checks are made beside the building
-# of the extension and the tests, of which robots' wait half of their time.
-RUST_LOG := $(CARGO_TARGET_DIR)/rust-checks.log
-
-test: $(STAMPS)/rust $(STAMPS)/python ## every check there is, in both languages
-	@mkdir -p $(CARGO_TARGET_DIR); echo "Rust's checks go on meanwhile: $(RUST_LOG)"
-	@nice $(MAKE) --no-print-directory lint-rust test-rust instructions >$(RUST_LOG) 2>&1 & rust=$$!; \
-	$(MAKE) --no-print-directory lint-python && \
-	$(BIN)/python -m pytest --numprocesses 4 --dist loadfile --no-loadscope-reorder; python=$$?; \
-	wait $$rust || { cat $(RUST_LOG); exit 1; }; \
-	exit $$python
+# What Rust's tests need and what Python's need are built apart, and so at one time. A file's tests
+# stay in one process: they share footage.
+test: ## every check there is, in both languages
+	$(MAKE) --no-print-directory --jobs 2 lint test-rust instructions
+	$(BIN)/python -m pytest --numprocesses 3 --dist loadfile
 
 lint: lint-rust lint-python ## formats, lints, types, documentation links, stubs
 

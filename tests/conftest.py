@@ -2,7 +2,6 @@
 
 import os
 import signal
-from collections import Counter
 
 from hypothesis import HealthCheck, settings
 
@@ -20,9 +19,3 @@ settings.load_profile("untimed")
 signal.signal(signal.SIGINT, signal.default_int_handler)
 for number in (signal.SIGHUP, signal.SIGQUIT):
     signal.signal(number, signal.SIG_DFL)
-
-
-def pytest_collection_modifyitems(items):
-    """Begin with the files of few tests: they take longest, and no worker shall end with one."""
-    tests = Counter(item.path for item in items)
-    items.sort(key=lambda item: (tests[item.path], str(item.path)))

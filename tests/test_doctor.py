@@ -425,7 +425,9 @@ def test_live_views_are_read_together_and_not_called_late(clean):
     with first, last:
         steps = list(look([first, last], 12))
     assert len(steps) == 12
-    diagnosis = examine(rig, list(zip(*steps, strict=True)))
+    # A busy machine may have a view miss a step, which holds up no other.
+    seen = [[one for one in own if isinstance(one, Frame)] for own in zip(*steps, strict=True)]
+    diagnosis = examine(rig, seen)
     assert [f for f in diagnosis.findings if f.check is Check.TIMING] == []
     assert [reading.frames_per_s for reading in diagnosis.readings] == pytest.approx([30.0, 30.0])
 

@@ -47,7 +47,7 @@ def test_with_physics_the_robot_defines_the_plane_and_the_block_is_placed(tmp_pa
     rig = Rig.load(tmp_path / "rig.toml")
     assert rig.robot is not None
     assert all(view.reference_covariances_px2 is not None for view in rig.views)
-    assert_written(tmp_path, summary.frames)
+    assert shown_frames(tmp_path) > summary.frames  # the hand is away in some
     assert summary.problem == ""
     assert not summary.shortened
     assert summary.placed_mm < 10.0
@@ -61,12 +61,17 @@ def test_with_physics_the_robot_defines_the_plane_and_the_block_is_placed(tmp_pa
 
 
 def assert_written(folder, frames):
+    assert shown_frames(folder) == frames
+
+
+def shown_frames(folder):
+    """Count the frames of the video that a demo has written beside all else."""
     assert {path.name for path in folder.iterdir()} == FILES
     video = cv2.VideoCapture(str(folder / "overlay.mp4"))
-    assert video.get(cv2.CAP_PROP_FRAME_COUNT) == frames
     picture = cv2.imread(str(folder / "summary.png"))
     assert picture.shape[1] > 2 * picture.shape[0]
     assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 1000
+    return int(video.get(cv2.CAP_PROP_FRAME_COUNT))
 
 
 def test_the_command_says_in_one_line_what_is_missing(tmp_path, no_mujoco):

@@ -67,7 +67,8 @@ def look(sources: Sequence[Source], count: int) -> Iterator[tuple[Frame | Loss |
     Yields
     ------
     tuple of Frame, Loss or None
-        One entry per source; None where a recording has ended.
+        One entry per source; None where a recording has ended, or a live view has nothing of
+        that time.
 
     Raises
     ------
