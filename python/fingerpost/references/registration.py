@@ -11,7 +11,7 @@ moves relative to it.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -141,7 +141,6 @@ class PlaneRegistration:
         lens: Lens | None = None,
     ) -> None:
         references_px = np.array(reference_points_px, np.float64).reshape(-1, 2)
-        self._lens = lens
         height_px, width_px = first.shape
         # Accuracy is required at the reference points, clipped to the vicinity of the image.
         near_px = np.clip(references_px, -width_px, 2 * width_px)
@@ -151,29 +150,14 @@ class PlaneRegistration:
             [[width_px / 2, 0, width_px / 2], [0, width_px / 2, height_px / 2], [0, 0, 1]]
         )
         self._unit_from_px = np.linalg.inv(self._px_from_unit)
-        self._first = first.copy()
-        self._plane, self._all = _about(first.shape, references_px), np.ones(first.shape, np.uint8)
-
-    # Whether it moves is asked in every frame, by its best pixels; how, of few cameras.
-
-    @cached_property
-    def _finest(self) -> _Level:
-        return _Level(self._first, 0, self._plane, self._lens)
-
-    @cached_property
-    def _registration(self) -> CoreRegistration:
-        reduced = enumerate(_pyramid(self._first)[1:], 1)
-        levels = [
-            self._finest,
-            *(_Level(picture, halvings, self._plane, self._lens) for halvings, picture in reduced),
-        ]
-        return CoreRegistration(
-            [level.in_core(self._unit_from_px) for level in levels], self._points_px
+        self._chosen = _Chosen(
+            first.copy(),
+            _about(first.shape, references_px),
+            np.ones(first.shape, np.uint8),
+            lens,
+            self._points_px,
+            self._unit_from_px,
         )
-
-    @cached_property
-    def _static_test(self) -> _Level:
-        return _Level(self._first, 0, self._all, self._lens, only_spread=True)
 
     def apparent_motion_px(self, now: Picture) -> float:
         """Return the apparent motion of the plane, the median over its best pixels [px].
@@ -185,7 +169,7 @@ class PlaneRegistration:
         now
             (H, W) Grey levels of an image of the first one's size.
         """
-        return self._finest.apparent_motion_px(now)
+        return self._chosen.finest.apparent_motion_px(now)
 
     def forget(self, hand: Segment) -> None:
         """Exclude a region of the first image from the plane.
@@ -199,10 +183,9 @@ class PlaneRegistration:
 
         end_px, other_px, radius_px = hand
         (u, v), (x, y) = np.round([end_px, other_px]).astype(int).tolist()
-        for mask in (self._plane, self._all):
+        for mask in (self._chosen.plane, self._chosen.everything):
             cv2.line(mask, (u, v), (x, y), 0, max(round(2 * radius_px), 1))
-        for chosen in ("_finest", "_registration", "_static_test"):
-            self.__dict__.pop(chosen, None)
+        self._chosen = replace(self._chosen)  # pixels of the hand may have been chosen
 
     def is_static(self, now: Picture, guess: Array, hand: Segment | None = None) -> bool:
         """Whether the plane is static although something else moves.
@@ -219,7 +202,7 @@ class PlaneRegistration:
         hand
             Region of a hand in the present image, if known.
         """
-        return self._static_test.is_static(_smooth(now), guess, hand)
+        return self._chosen.static_test.is_static(_smooth(now), guess, hand)
 
     def align(self, now: Picture, guess: Array, hand: Segment | None = None) -> PlaneMotion | None:
         """Register the present image; None where too little of the plane is visible.
@@ -234,7 +217,7 @@ class PlaneRegistration:
             Region of a hand in the present image, if known.
         """
         smooth = [_blurred(picture) for picture in _pyramid(now)]
-        registered = self._registration.align(smooth, guess, hand)
+        registered = self._chosen.registration.align(smooth, guess, hand)
         return None if registered is None else self._judged(registered)
 
     def _judged(self, registered: RegisteredPlane) -> PlaneMotion | None:
@@ -255,6 +238,49 @@ class PlaneRegistration:
         by_entries = transfer_jacobian_by_entries(motion.now_from_first, self._points_px)
         covariances = by_entries @ motion.covariance @ np.swapaxes(by_entries, 1, 2)
         return float(np.sqrt(np.trace(covariances, axis1=1, axis2=2).max()))
+
+
+@dataclass(frozen=True, eq=False)
+class _Chosen:
+    """The chosen pixels of the first image, each level when it is first asked for.
+
+    Whether the plane moves is asked in every frame, by the best pixels of the finest level; how it
+    moves, only of a camera that does.
+
+    Attributes
+    ----------
+    first
+        (H, W) Grey levels of the first image.
+    plane, everything
+        (H, W) Masks of the plane, and of what shows whether a camera moves, without hands.
+    lens, points_px, unit_from_px
+        As of the registration.
+    """
+
+    first: Picture
+    plane: Picture
+    everything: Picture
+    lens: Lens | None
+    points_px: Array
+    unit_from_px: Array
+
+    @cached_property
+    def finest(self) -> _Level:
+        """The level at full resolution."""
+        return _Level(self.first, 0, self.plane, self.lens)
+
+    @cached_property
+    def registration(self) -> CoreRegistration:
+        """The core's registration of all levels."""
+        reduced = enumerate(_pyramid(self.first)[1:], 1)
+        others = [_Level(picture, k, self.plane, self.lens) for k, picture in reduced]
+        levels = [level.in_core(self.unit_from_px) for level in (self.finest, *others)]
+        return CoreRegistration(levels, self.points_px)
+
+    @cached_property
+    def static_test(self) -> _Level:
+        """Pixels spread over the whole image."""
+        return _Level(self.first, 0, self.everything, self.lens, only_spread=True)
 
 
 class _Level:
