@@ -135,6 +135,9 @@ FIRST_MM, SECOND_MM = (120.0, 220.0), (160.0, 300.0)
 SHOWN_FPS = 15
 """What the cameras show of it, which is half the work of 30."""
 
+PATIENT = ("--operator-timeout", "5", "--max-age", "1")
+"""A busy machine that shows no picture for a second is not what these pages are about."""
+
 
 @pytest.fixture(scope="module")
 def film(tmp_path_factory):
@@ -180,7 +183,7 @@ def go_through(page, device, port, stage, folder, options=(), *, changes=None, w
             moves = line[1] in ("plane", "follow", "pick")
             stage.hand = line[1] in ("follow", "pick")
             stage.frames_of_hand = 0
-            by_hand = BY_HAND if line[1] in ("follow", "pick") else ()
+            by_hand = (*BY_HAND, *PATIENT) if line[1] in ("follow", "pick") else ()
             with Guided(
                 *(*arguments, *(options if moves else ()), *(("--arm",) * moves), *by_hand),
                 cwd=folder,
