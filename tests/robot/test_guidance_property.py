@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import assume, given
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from robot_rig import ManualClock
 from scipy.spatial import ConvexHull
@@ -105,6 +105,7 @@ def good_enough(plane, fix, now_s):
     return bool(ellipse.semi_axes[0] <= TOLERANCE_M)
 
 
+@settings(max_examples=100)
 @given(scenes, st.sampled_from([1, 10, 40]))
 def test_no_command_leaves_the_region_or_passes_the_gate(fields, count):
     drawn = list(draw_actions(np.random.default_rng(fields["seed"]), count))
