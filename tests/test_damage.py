@@ -181,7 +181,7 @@ import cv2, numpy
 _, first = cv2.VideoCapture("a film.mpg").read()
 print(numpy.corrcoef(first.ravel(), numpy.load("first.npy").ravel())[0, 1])
 """
-"""In a process of its own: where a decoder fails, an old picture in its memory would pass for one."""
+"""In a process of its own: an old picture in a decoder's memory would pass for one."""
 
 
 def test_interlaced_video_is_read_or_refused_with_the_remedy_and_never_black(tmp_path):

@@ -260,17 +260,10 @@ def normalising_similarity(points: ArrayLike) -> NDArray[np.float64]:
 
 def _multiply(matrix: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Homogeneous images ``y = matrix·(x, y, 1)``, (..., 3)."""
-    if matrix.ndim > 2:
-        y = matrix[..., 0] * points[..., :1]
-        y += matrix[..., 1] * points[..., 1:]
-        y += matrix[..., 2]
-        return np.asarray(y)
-    # Component by component, each in one piece: many points take a fifth of the time.
-    columns = matrix.T.reshape(3, 3, *(1,) * (points.ndim - 1))
-    y = columns[0] * points[..., 0]
-    y += columns[1] * points[..., 1]
-    y += columns[2]
-    return np.asarray(y.transpose(*range(1, y.ndim), 0))
+    y = matrix[..., 0] * points[..., :1]
+    y += matrix[..., 1] * points[..., 1:]
+    y += matrix[..., 2]
+    return np.asarray(y)
 
 
 def _apply(matrix: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -203,8 +203,8 @@ class Scenery:
             return 0
         cells = _cells(patch)
         counts = np.isfinite(cells).sum(axis=1)
-        has_texture = np.nansum(cells * cells, axis=1) >= _PLAIN_LEVELS**2 * counts
-        return int((has_texture & (2 * counts >= cells.shape[1])).sum())
+        is_plain = _is_plain(np.nansum(cells * cells, axis=1), counts)
+        return int((~is_plain & (2 * counts >= cells.shape[1])).sum())
 
     def bends(self) -> dict[int, Bend]:
         """Return how lenses bend the pictures of views that have none given, by their place."""
@@ -536,10 +536,15 @@ def _correlations(first: Array, second: Array) -> Array:
         np.where(both, one - mean[:, None], 0.0) for one, mean in zip((a, b), means, strict=True)
     )
     squares = np.stack([(a * a).sum(axis=1), (b * b).sum(axis=1)])
-    is_plain = squares < _PLAIN_LEVELS**2 * counts
+    is_plain = _is_plain(squares, counts)
     scales = np.sqrt(np.where(is_plain, 1.0, squares).prod(axis=0))
     found = np.where(is_plain.any(axis=0), 0.0, (a * b).sum(axis=1) / scales)
     return np.where(is_plain.all(axis=0) | (2 * counts < both.shape[1]), np.nan, found)
+
+
+def _is_plain(squares: Array, counts: NDArray[np.intp]) -> NDArray[np.bool_]:
+    """Whether cells have no texture, by the sums of their squared levels and numbers of pixels."""
+    return np.asarray(squares < _PLAIN_LEVELS**2 * counts)
 
 
 def _cells(patch: Array) -> Array:
