@@ -21,10 +21,12 @@ use super::band::{
 };
 use super::orientation::{
     ANGLES, BandTemplate, CAP_SAMPLES, HALF_WIDTH_CELLS, LEVEL_RATIO, Level, MEETS, Octave,
+    ScoreLevel,
 };
 use crate::appearance::background::{Background, ForegroundMap};
 use crate::geometry::template::Thumb;
 use crate::image::frame::Frame;
+use crate::numeric::simd::Isa;
 use crate::{Error, Result};
 use nalgebra::Point2;
 use std::f64::consts::TAU;
@@ -236,12 +238,14 @@ impl HandFinder {
     fn search(&mut self, half_width_px: f64) {
         let cell_px = half_width_px / HALF_WIDTH_CELLS;
         let octave = cell_px.log2().floor().clamp(0.0, (self.octaves.len() - 1) as f64) as usize;
-        let step = cell_px / 2_f64.powi(octave as i32);
-        self.level.search(
-            (&self.octaves[octave], self.channels, step),
-            self.options.min_gradient_grey,
-            &self.templates,
-        );
+        Isa::detect().run(ScoreLevel {
+            level: &mut self.level,
+            octave: &self.octaves[octave],
+            channels: self.channels,
+            step: cell_px / 2_f64.powi(octave as i32),
+            min_gradient_grey: self.options.min_gradient_grey,
+            templates: &self.templates,
+        });
         let first = self.bands.len();
         for (x, y, score, angle) in self.level.peaks() {
             let place = |i: usize| (i as f64 + 0.5) * cell_px - 0.5;

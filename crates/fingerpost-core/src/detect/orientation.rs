@@ -6,7 +6,7 @@
     reason = "what is inlined into a function with wider instructions is compiled for them"
 )]
 
-use crate::numeric::simd::{Isa, Work};
+use crate::numeric::simd::Work;
 use nalgebra::Vector2;
 use std::f64::consts::PI;
 
@@ -171,14 +171,14 @@ impl Octave {
     }
 }
 
-/// Scores every template at every cell of a level.
-struct ScoreLevel<'a> {
-    level: &'a mut Level,
-    octave: &'a Octave,
-    channels: usize,
-    step: f64,
-    min_gradient_grey: f64,
-    templates: &'a [BandTemplate],
+/// Scores every template at every cell of a level, of which one has `step` pixels of an octave.
+pub(super) struct ScoreLevel<'a> {
+    pub(super) level: &'a mut Level,
+    pub(super) octave: &'a Octave,
+    pub(super) channels: usize,
+    pub(super) step: f64,
+    pub(super) min_gradient_grey: f64,
+    pub(super) templates: &'a [BandTemplate],
 }
 
 impl Work for ScoreLevel<'_> {
@@ -193,25 +193,6 @@ impl Work for ScoreLevel<'_> {
 }
 
 impl Level {
-    /// Searches an octave, of which a cell has `step` pixels, with every template: afterwards
-    /// [`peaks`](Self::peaks) gives the bands.
-    pub(super) fn search(
-        &mut self,
-        (octave, channels, step): (&Octave, usize, f64),
-        min_gradient_grey: f64,
-        templates: &[BandTemplate],
-    ) {
-        let level = self;
-        Isa::detect().run(ScoreLevel {
-            level,
-            octave,
-            channels,
-            step,
-            min_gradient_grey,
-            templates,
-        });
-    }
-
     /// Resamples an octave at every `step` pixels, bilinearly.
     #[inline(always)]
     fn sample(&mut self, octave: &Octave, channels: usize, step: f64) {
