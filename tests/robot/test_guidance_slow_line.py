@@ -306,6 +306,32 @@ def test_a_stop_that_fails_is_not_told_as_one_that_stopped_the_arm(stop, why):
         stop_unplugged()
 
 
+def test_a_stop_that_turns_out_to_have_failed_is_told_as_well():
+    def pull_the_plug_on_a_stop():
+        with hidden_hand() as (rig, guard, session, said):
+            stop, seen, failed = rig.robot.stop, threading.Event(), False
+
+            def stop_unplugged():
+                nonlocal failed
+                if not failed:
+                    failed = True
+                    assert seen.wait(5.0)
+                    rig.emulator.inject(Fault.UNPLUG)
+                stop()
+
+            rig.robot.stop = stop_unplugged
+            stopper = threading.Thread(target=lambda: session.press("x"))
+            stopper.start()
+            takes(rig, session, lambda: "stopped: stopped by key" in " ".join(said))
+            seen.set()
+            stopper.join()
+            assert not guard.armed
+            takes(rig, session, lambda: "the arm may still move" in " ".join(said))
+
+    with pytest.raises(ConnectionLostError):
+        pull_the_plug_on_a_stop()
+
+
 def test_a_fault_after_the_last_frame_is_raised_all_the_same():
     def end_with_a_fault():
         with hidden_hand() as (rig, _, session, _said):

@@ -211,6 +211,20 @@ def test_a_stop_that_raises_is_repeated_until_it_has_gone_through(way, failures)
         rig.guard.enter()
 
 
+def test_whoever_sees_that_it_is_disarmed_can_tell_why(monkeypatch):
+    with failing_rig() as rig:
+        rig.start_moving(Presence.FIX)
+        seen, stop = [], rig.robot.stop
+
+        def stop_looking():
+            seen.append((rig.guard.armed, rig.guard.why_stopped))
+            stop()
+
+        monkeypatch.setattr(rig.robot, "stop", stop_looking)
+        rig.guard.halt("enough")
+        assert seen == [(False, "enough")]
+
+
 @pytest.mark.parametrize("error", ERRORS, ids=lambda error: type(error).__name__)
 def test_a_stop_may_raise_anything(error):
     with failing_rig() as rig:

@@ -218,7 +218,7 @@ class Session:
         self._machine: PickPlace | None = None
         self._paused = False
         self._quit = False
-        self._reported_disarmed = False
+        self._reported_stop: str | None = None
         self._last: FollowReport | None = None
         self._making_way = False
         self._is_out_of_the_way = False
@@ -327,6 +327,7 @@ class Session:
                 self._guard.arm()
                 with nullcontext() if holds_key else self._guard.attended():
                     self._guard.enter()
+                self._reported_stop = None
                 return
             except (NotArmedError, StoppedError):
                 self._say_stopped()
@@ -550,7 +551,7 @@ class Session:
         except (NotReadyError, StoppedError) as error:
             self._say(f"not armed: {error}")
             return False
-        self._reported_disarmed = False
+        self._reported_stop = None
         self._say("armed")
         return True
 
@@ -574,9 +575,8 @@ class Session:
         if self._quit:
             return
         self._paused = True
-        if not self._reported_disarmed:
+        if self._why_stopped != self._reported_stop:  # a stop may turn out to have failed
             self._say_stopped()
-            self._reported_disarmed = True
 
     def _say_stopped(self) -> None:
         """Say why the arm has been stopped.
@@ -586,10 +586,14 @@ class Session:
         NotArmedError
             There are no keys to arm it again.
         """
-        why = self._guard.why_stopped or "never armed"
+        why = self._reported_stop = self._why_stopped
         if not self._keys:
             raise NotArmedError(f"stopped: {why}")
         self._say(f"stopped: {why}{self._key_help}")
+
+    @property
+    def _why_stopped(self) -> str:
+        return self._guard.why_stopped or "never armed"
 
     # What the worker does.
 
@@ -625,7 +629,7 @@ class Session:
             return  # the next step says so
         finally:
             self._is_homing = False
-        self._reported_disarmed = False
+        self._reported_stop = None
         self._say("homed" if disarmings is None else f"armed   {CONTINUE_KEY} continues")
 
     def _make_way(self) -> None:

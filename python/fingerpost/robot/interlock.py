@@ -102,10 +102,11 @@ class Interlock:
 
     def stop(self, command: str, reason: str, *, disarm: bool) -> None:
         """Stop the arm; a stop that fails disarms, and is repeated by `repeat`."""
+        self._cause = (command, reason)
+        self._why_stopped = reason  # known before anyone sees that commands may not pass
         if disarm:
             self._disarm()
         self._last_stop = next(self._numbers)
-        self._cause = (command, reason)
         self._report(self._send())
 
     def stop_again(self) -> None:
