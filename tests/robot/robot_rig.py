@@ -7,9 +7,11 @@ import threading
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from unittest import mock
 
 import numpy as np
 
+from fingerpost.robot import arm
 from fingerpost.robot.acl import ABORT
 from fingerpost.robot.emulator.acl import AclController, AclStyle
 from fingerpost.robot.emulator.ports import ArmTime, Emulator, Port, PtyPort
@@ -24,6 +26,17 @@ STALL_S = 0.05
 
 REPLY_S = 0.2
 """Time-out of one answer, in our time: short, so that silence costs tests little."""
+
+
+PATIENCE_S = 1.0
+"""What a driver adds to the time of a motion, in our time: five seconds of an arm whose time runs
+this fast would be less than a crowded machine may leave a thread waiting."""
+
+
+def patience() -> contextlib.AbstractContextManager[object]:
+    """Give a driver `PATIENCE_S` where it gives an arm at its own pace some seconds."""
+    span_s = PATIENCE_S * TIME_SCALE
+    return mock.patch.multiple(arm, MOVE_MARGIN_S=span_s, READING_TIMEOUT_S=span_s)
 
 
 def fast_options(**options: object) -> ScorbotOptions:
@@ -120,11 +133,6 @@ class Rig:
     def plugged(self) -> bool:
         """Whether the cable is in."""
         return bool(self.port.descriptors())
-
-    @property
-    def stops(self) -> int:
-        """Stops that the controller has seen."""
-        return self.controller.aborts
 
     @property
     def stop_bytes(self) -> bytes:

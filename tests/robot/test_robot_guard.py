@@ -12,7 +12,7 @@ import pytest
 from guard_rig import CENTRE, PATIENT, PLANE, REGION, TIE, fix_at, guard_rig
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from robot_rig import TIME_SCALE, ManualClock, fast_options, scorbot_rig
+from robot_rig import TIME_SCALE, ManualClock, fast_options, patience, scorbot_rig
 
 from fingerpost.errors import InvalidInputError, RecordingError
 from fingerpost.pointing import Status
@@ -648,7 +648,7 @@ def scorbot_guard(**options):
         roll_rad=0.0,
     )
     region = SafeRegion([[0, 0], [120, 0], [120, 400], [0, 400]], 0.01, 0.2)
-    with scorbot_rig(options=fast_options(**options)) as rig:
+    with patience(), scorbot_rig(options=fast_options(**options)) as rig:
         guard_options = GuardOptions(operator_timeout_s=1e6, max_fix_age_s=1e6)
         guard = Guard(rig.robot, plane, region, guard_options, clock=rig.clock)
         guard.arm()
