@@ -5,6 +5,7 @@ import itertools
 import json
 import os
 import re
+import signal
 import subprocess
 import sys
 import threading
@@ -14,8 +15,9 @@ import cv2
 import numpy as np
 import pytest
 from click.testing import CliRunner, Result
-from mcap.reader import make_reader
-from mcap_protobuf.decoder import DecoderFactory
+from live_server import served
+from patience import wait_until
+from recordings import messages
 
 from fingerpost.capture import Frame, Loss, open_source, open_views, read_views
 from fingerpost.cli import main
@@ -62,17 +64,6 @@ def recording(rig_file, tmp_path_factory):
     done = invoked("run", rig_file, "--record", path, "--points", tables[0], "--tracks", tables[1])
     assert done.exit_code == 0, done.output
     return path
-
-
-def messages(path: Path):
-    with path.open("rb") as file:
-        reader = make_reader(file, validate_crcs=True, decoder_factories=[DecoderFactory()])
-        for schema, channel, message in reader.iter_messages():
-            if channel.message_encoding == "json":
-                yield channel.topic, schema.name, message, json.loads(message.data)
-            else:
-                decoder = DecoderFactory().decoder_for(channel.message_encoding, schema)
-                yield channel.topic, schema.name, message, decoder(message.data)
 
 
 def about(*views: str, is_live: bool = False) -> About:
@@ -163,6 +154,19 @@ def test_what_was_recorded_alone_replays_as_its_run_would(recording, rig_file, t
     assert done.exit_code == 0, done.output
     assert "recorded ones" not in done.stdout
     assert (tmp_path / "p.csv").read_bytes() == recording.with_name("p.csv").read_bytes()
+
+
+def test_a_session_on_the_page_replays_as_it_was_shown(recording, rig_file, tmp_path):
+    path, tables = tmp_path / "live.mcap", [tmp_path / "p.csv", tmp_path / "t.csv"]
+    with served(rig_file, "--record", path) as running:
+        wait_until(lambda: path.exists() and "whole" in invoked("info", path).output)
+        running.process.send_signal(signal.SIGINT)
+        running.end()
+    done = invoked("replay", path, "--points", tables[0], "--tracks", tables[1])
+    assert done.exit_code == 0, done.output
+    assert f"all {FRAMES} fixes are the recorded ones, to the last bit" in done.output
+    for table, of_run in zip(tables, ("p.csv", "t.csv"), strict=True):
+        assert table.read_bytes() == recording.with_name(of_run).read_bytes()
 
 
 def test_other_options_stand_beside_the_recorded_fixes(recording, tmp_path):

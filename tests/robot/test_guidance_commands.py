@@ -5,6 +5,7 @@ import re
 import socket
 import subprocess
 import sys
+from collections import defaultdict
 
 import numpy as np
 import pytest
@@ -22,6 +23,8 @@ from guided_process import (
     robot_xy,
     write_rig,
 )
+from recordings import messages as recorded_messages
+from scipy.spatial.transform import Rotation
 
 FAST = ("--speed", "0.3")
 OPTIONS = (*FAST, *BY_HAND)
@@ -34,11 +37,11 @@ def rig(hand_film, tmp_path):
 
 
 def test_the_arm_follows_the_hand_and_every_command_has_its_fix(rig, tmp_path):
-    log = tmp_path / "commands.csv"
+    log, recording = tmp_path / "commands.csv", tmp_path / "session.mcap"
     with EmulatedArm() as arm, socket.socket(type=socket.SOCK_DGRAM) as receiver:
         receiver.bind(("127.0.0.1", 0))
         address = f"osc://127.0.0.1:{receiver.getsockname()[1]}"
-        options = ("--log", log, "--publish", address, *OPTIONS)
+        options = ("--log", log, "--record", recording, "--publish", address, *OPTIONS)
         with Guided("follow", rig, "--url", arm.url, "--arm", *options) as guided:
             assert guided.end() == 0, guided.said()
         assert b"/fingerpost/status" in receiver.recv(1 << 16)
@@ -58,6 +61,39 @@ def test_the_arm_follows_the_hand_and_every_command_has_its_fix(rig, tmp_path):
         assert float(row["fix_cov_xx"]) > 0
     ends = [[float(moves[k][f"fix_{axis}"]) for axis in "xy"] for k in (0, -1)]
     np.testing.assert_allclose(ends, [robot_xy(FIRST_MM), robot_xy(SECOND_MM)], atol=0.008)
+    assert_recorded(recording, rows, there)
+
+
+def assert_recorded(recording, rows, there):
+    """The recording holds the log's commands, and the arm's states and poses with the steps."""
+    topics = defaultdict(list)
+    for topic, schema, message, content in recorded_messages(recording):
+        topics[topic, schema].append((message.log_time, content))
+    recorded = [row for _, row in topics["/robot/command", "fingerpost.CommandRow"]]
+    assert [
+        {name: "" if value is None else str(value) for name, value in row.items()}
+        for row in recorded
+    ] == rows
+    states = [row for _, row in topics["/robot/state", "fingerpost.ArmRow"]]
+    fixes = [row for _, row in topics["/fix", "fingerpost.PointRow"]]
+    assert [row["time_s"] for row in states] == [row["time_s"] for row in fixes]
+    assert {row["state"] for row in states} >= {"moving", "idle"}
+    assert all(row["homed"] and row["armed"] for row in states)
+    poses = topics["/robot/pose", "foxglove.PoseInFrame"]
+    assert len(poses) == len(states)
+    assert all(
+        of_pose == of_fix
+        for (of_pose, _), (of_fix, _) in zip(
+            poses, topics["/fix", "fingerpost.PointRow"], strict=True
+        )
+    )
+    last = poses[-1][1]
+    assert last.frame_id == "robot"
+    position, q = last.pose.position, last.pose.orientation
+    np.testing.assert_allclose([position.x, position.y, position.z], there.position_m, atol=0.01)
+    # The gripper's x axis, its approach direction, points down.
+    turned = Rotation.from_quat([q.x, q.y, q.z, q.w]).apply([1.0, 0.0, 0.0])
+    np.testing.assert_allclose(turned, [0.0, 0.0, -1.0], atol=1e-3)
 
 
 def test_json_lines_tell_lag_and_goal(rig):

@@ -210,7 +210,7 @@ def follow(
                     raise click.UsageError("--speed: live views come at their own pace")
                 frames = at_speed(frames, asked.speed)
             if asked.record is not None:
-                recorder = open_recorder(asked.record, rig, sources, asked.images)
+                recorder = open_recorder(asked.record, rig, sources, asked.images, is_live=is_live)
                 recorders.append(stack.enter_context(recorder))
                 takers.append(recorder.take)
                 frames = recorder.watch(frames)

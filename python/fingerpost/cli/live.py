@@ -4,25 +4,23 @@ from __future__ import annotations
 
 import ipaddress
 import webbrowser
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
+from fingerpost.cli.beside import Beside
 from fingerpost.cli.endings import ending_as_interrupted
 from fingerpost.cli.live_arm import desk_of, page_arm_options, refuse_without_arm
 from fingerpost.cli.live_views import hush_streams
 from fingerpost.cli.operators import operator_called, operator_option
-from fingerpost.cli.publishing import Publishing, publish_option
+from fingerpost.cli.outputs import keep_apart, rig_files
+from fingerpost.cli.publishing import publish_option
+from fingerpost.cli.recorder import check_recording, record_options
 from fingerpost.installation import need_opencv
 from fingerpost.signals import ending_at_once
-
-if TYPE_CHECKING:
-    from fingerpost.config import Rig
-    from fingerpost.pipeline import Step
 
 _LARGEST_PORT = 65535
 
@@ -59,6 +57,7 @@ def _address(_context: click.Context, _parameter: click.Parameter, given: str) -
 @click.option("--open", "opens", is_flag=True, help="Open the page in a browser.")
 @operator_option
 @publish_option
+@record_options
 @page_arm_options
 def live(
     named: tuple[str, ...],
@@ -67,6 +66,8 @@ def live(
     opens: bool,
     operator: str | None,
     publish: list[str],
+    record: Path | None,
+    images: str | None,
     **given: Any,
 ) -> None:
     """See where a hand points, in a browser, while it points.
@@ -93,6 +94,10 @@ def live(
     rig = None if rig_file is None else Rig.load(rig_file)
     sources = () if rig_file is not None else _sources(named)
     known = operator_called(operator)
+    if record is not None:
+        check_recording(record)
+    read = () if rig_file is None or rig is None else rig_files(rig_file, rig)
+    keep_apart({"--log": given["log"], "--record": record}, read)
     with ExitStack() as stack:
         desk = None
         if not given["arm"]:
@@ -100,7 +105,9 @@ def live(
         elif rig_file is None or rig is None:
             raise click.UsageError("--arm needs RIG.TOML: one that `fingerpost robot plane` wrote")
         else:
-            desk = desk_of(rig_file, rig, given, stack)
+            desk = desk_of(rig, given)
+        log = given["log"]
+        beside = Beside(stack, publish=publish, record=record, images=images, log=log)
         stack.enter_context(ending_as_interrupted())
         page = stack.enter_context(Page(host, port))
         click.echo(page.address)
@@ -110,15 +117,8 @@ def live(
             rig_file, learned = set_up(page, Path.cwd(), sources)
             rig, known = Rig.load(rig_file), known or learned
         hush_streams(rig.sources)
-        begin = partial(_publishing, stack, publish, rig)
-        operate(page, rig, rig_file.name, known, begin if publish else None, desk)
+        operate(page, rig, rig_file.name, known, beside, desk)
         page.wait()
-
-
-def _publishing(
-    stack: ExitStack, urls: Sequence[str], rig: Rig, is_live: bool
-) -> Callable[[Step], None]:
-    return Publishing(stack, urls, rig, is_live=is_live).take
 
 
 def _is_source(name: str) -> bool:

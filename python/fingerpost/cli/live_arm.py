@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from contextlib import ExitStack
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 from click.core import ParameterSource
 
-from fingerpost.cli.arming import grouped, moving_options, open_log, stopping_signals
-from fingerpost.cli.outputs import keep_apart, rig_files
+from fingerpost.cli.arming import grouped, moving_options, stopping_signals
 from fingerpost.cli.robot_guide import carrying, carrying_options, following_options, guided_arm
 
 if TYPE_CHECKING:
@@ -49,17 +46,15 @@ def refuse_without_arm(given: Mapping[str, Any]) -> None:
             )
 
 
-def desk_of(rig_file: Path, rig: Rig, given: Mapping[str, Any], stack: ExitStack) -> GuidingDesk:
+def desk_of(rig: Rig, given: Mapping[str, Any]) -> GuidingDesk:
     """Return the place from which the page guides the arm of a rig; nothing moves.
 
     Parameters
     ----------
-    rig_file, rig
-        The rig, with a [robot] table.
+    rig
+        With a [robot] table.
     given
         The values of `page_arm_options`.
-    stack
-        Closes the log.
 
     Raises
     ------
@@ -69,13 +64,11 @@ def desk_of(rig_file: Path, rig: Rig, given: Mapping[str, Any], stack: ExitStack
     from fingerpost.guidance import robot_of
     from fingerpost.live import OPERATOR_TIMEOUT_S, GuidingDesk
 
-    keep_apart({"--log": given["log"]}, rig_files(rig_file, rig))
     given = {**given, "operator_timeout_s": OPERATOR_TIMEOUT_S}
     carry = None if given["follow_only"] else carrying(given)
     arm = guided_arm(robot_of(rig), given, carry, dwells=carry is not None)
     return GuidingDesk(
         arm,
         lambda: arm.robot.home(timeout_s=given["homing_timeout"]),
-        on_record=open_log(stack, given["log"]),
         signals=stopping_signals(),
     )

@@ -46,7 +46,7 @@ def record(
     with ending_at_once():
         need_opencv()
         from fingerpost.admission import Admission
-        from fingerpost.capture import open_views, read_views
+        from fingerpost.capture import SourceKind, open_views, read_views
         from fingerpost.config import Rig
         from fingerpost.pipeline import at_most
 
@@ -62,7 +62,10 @@ def record(
         with ending_as_interrupted(), ExitStack() as stack:
             line = stack.enter_context(status_line())
             sources = stack.enter_context(open_views(rig.sources, rig.readings))
-            recorder = stack.enter_context(open_recorder(recording, rig, sources, images))
+            is_live = sources[0].kind is SourceKind.LIVE
+            recorder = stack.enter_context(
+                open_recorder(recording, rig, sources, images, is_live=is_live)
+            )
             frames = at_most(read_views(sources, give_up_after_s=give_up_after_s), max_frames)
             for seen in recorder.watch(frames):
                 admission.admit(seen)

@@ -12,13 +12,20 @@ import click
 from fingerpost.errors import InvalidInputError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from fingerpost.capture import Source
     from fingerpost.config import Rig
     from fingerpost.recording.session import Recorder
 
 SUFFIX = ".mcap"
+
+_record = click.option(
+    "--record",
+    metavar="R.MCAP",
+    type=click.Path(path_type=Path),
+    help="Record frames and fixes; `fingerpost replay` gives the same again.",
+)
 
 images_option = click.option(
     "--images",
@@ -27,6 +34,11 @@ images_option = click.option(
     "quality 95.  [default: png, jpeg of live views]",
 )
 """Gives a command the parameter `images`."""
+
+
+def record_options(command: Callable[..., None]) -> Callable[..., None]:
+    """Give a command the parameters `record` and `images`."""
+    return _record(images_option(command))
 
 
 def check_recording(path: Path) -> None:
@@ -41,7 +53,9 @@ def check_recording(path: Path) -> None:
         raise InvalidInputError(f"{path}: a recording's name ends in {SUFFIX}")
 
 
-def open_recorder(path: Path, rig: Rig, sources: Sequence[Source], images: str | None) -> Recorder:
+def open_recorder(
+    path: Path, rig: Rig, sources: Sequence[Source], images: str | None, *, is_live: bool
+) -> Recorder:
     """Begin to record the views of a rig.
 
     Parameters
@@ -54,6 +68,8 @@ def open_recorder(path: Path, rig: Rig, sources: Sequence[Source], images: str |
         Of its views, open.
     images
         "png" or "jpeg", for images that are neither; None for what suits the sources.
+    is_live
+        Whether times are the machine's clock's; steps are dropped rather than waited for then.
 
     Raises
     ------
@@ -64,11 +80,9 @@ def open_recorder(path: Path, rig: Rig, sources: Sequence[Source], images: str |
     """
     from msgspec import structs
 
-    from fingerpost.capture import SourceKind
     from fingerpost.recording.session import About, Images, Recorder
 
     check_recording(path)
-    is_live = sources[0].kind is SourceKind.LIVE
     views = tuple(view.recorded_as(f"{path.name}#{view.name}") for view in rig.views)
     about = About(
         version=version("fingerpost"),

@@ -19,16 +19,17 @@ from fingerpost.cli.arming import (
     home,
     laid_over,
     need_consent,
-    open_log,
     say,
     seconds,
     show_homing,
     stopping_signals,
 )
+from fingerpost.cli.beside import BESIDE, Beside
 from fingerpost.cli.endings import ending_orderly
 from fingerpost.cli.live_views import give_up_option, hush_streams
 from fingerpost.cli.outputs import keep_apart, rig_files
-from fingerpost.cli.publishing import Publishing, publish_option
+from fingerpost.cli.publishing import publish_option
+from fingerpost.cli.recorder import check_recording, record_options
 from fingerpost.errors import CaptureError
 
 if TYPE_CHECKING:
@@ -102,6 +103,7 @@ _guiding_options = grouped(
         click.option("--max-frames", metavar="N", type=click.IntRange(1, MOST_FRAMES)),
         give_up_option,
         publish_option,
+        record_options,
         click.option("--json", "as_json", is_flag=True, help="Print JSON lines."),
         arming_options,
     ]
@@ -213,7 +215,10 @@ def _guide(given: Mapping[str, Any], carry: PickPlaceOptions | None) -> None:
     from fingerpost.pipeline import Pointer, at_most, steps
 
     rig = Rig.load(given["rig_file"])
-    keep_apart({"--log": given["log"]}, rig_files(given["rig_file"], rig))
+    written = {"--log": given["log"], "--record": given["record"]}
+    keep_apart(written, rig_files(given["rig_file"], rig))
+    if given["record"] is not None:
+        check_recording(given["record"])
     table = robot_of(rig)
     attendance = Attendance(given["attendance"])
     has_keys = has_terminal()
@@ -232,18 +237,18 @@ def _guide(given: Mapping[str, Any], carry: PickPlaceOptions | None) -> None:
     pointer = Pointer(rig, moving=arm.guard.body)
     need_consent(given["arm"], "robot follow" if carry is None else "robot pick")
     with ExitStack() as stack:
-        on_record = open_log(stack, given["log"])
+        beside = Beside(stack, **{name: given[name] for name in BESIDE})
         stack.enter_context(ending_orderly())
         hush_streams(rig.sources)
         sources = stack.enter_context(open_views(rig.sources, rig.readings))
         # Recordings are played as if they were live, with times of the machine's clock.
-        published = Publishing(stack, given["publish"], rig, is_live=True)
+        stack.enter_context(beside.begun(rig, sources, is_live=True, arm=arm))
         give_up_after_s = given["give_up_after_s"]
         frames: Iterator[Sequence[Frame | Loss | None]]
         frames = read_views(sources, give_up_after_s=give_up_after_s)
         timeout_s = given["homing_timeout"]
         connected = arm.connected(
-            on_record=on_record,
+            on_record=beside.on_record,
             home=lambda robot: home(robot, timeout_s),
             signals=stopping_signals(),
         )
@@ -253,16 +258,19 @@ def _guide(given: Mapping[str, Any], carry: PickPlaceOptions | None) -> None:
                 stack.enter_context(Keys(session.press, session.leave))
             if sources[0].kind is SourceKind.RECORDED:
                 frames = at_speed(frames, stamped=True)
-            taken = steps(pointer, at_most(frames, given["max_frames"]))
+            frames = beside.watch(at_most(frames, given["max_frames"]))
+            taken = steps(pointer, frames)
             if attendance is Attendance.HAND:
                 taken = attended_at_first(arm.guard, taken)
             try:
                 with session:
                     session.begin()
                     for step in guided(session, taken):
-                        published.take(step)
+                        beside.take(step)
             finally:
                 _report(session, as_json=given["as_json"])
+                for note in beside.notes():
+                    say(note)
     if carry is not None and not session.done:
         blocks = f"{session.report.blocks} of {given['blocks']} blocks"
         raise CaptureError(f"the views ended with {blocks} picked and placed")

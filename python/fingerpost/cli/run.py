@@ -10,7 +10,7 @@ import click
 from fingerpost.cli.following import Following, follow, following_options
 from fingerpost.cli.live_views import give_up_option
 from fingerpost.cli.outputs import keep_apart, rig_files
-from fingerpost.cli.recorder import images_option
+from fingerpost.cli.recorder import record_options
 from fingerpost.installation import need_opencv
 from fingerpost.signals import ending_at_once
 
@@ -19,13 +19,7 @@ from fingerpost.signals import ending_at_once
 @click.argument("rig_file", metavar="RIG.TOML", type=click.Path(path_type=Path))
 @following_options
 @give_up_option
-@click.option(
-    "--record",
-    metavar="R.MCAP",
-    type=click.Path(path_type=Path),
-    help="Record frames and fixes; `fingerpost replay` gives the same again.",
-)
-@images_option
+@record_options
 def run(rig_file: Path, **asked: Any) -> None:
     """Track a hand in every view of a rig and tell where on the plane it points.
 

@@ -33,6 +33,7 @@ from fingerpost.guidance.plane import (
     places_to_visit,
     spread_places,
 )
+from fingerpost.guidance.recorded import ArmRecording
 from fingerpost.guidance.session import KEY_HELP, Activity, Session, SessionReport
 from fingerpost.guidance.setup import guard_of, held_down, plane_of, region_of, robot_of
 from fingerpost.guidance.worker import Jobs, Turns, Worker
@@ -41,6 +42,7 @@ __all__ = [
     "KEY_HELP",
     "Activity",
     "Agreement",
+    "ArmRecording",
     "Attendance",
     "CommandLog",
     "ContourFinder",

@@ -5,29 +5,58 @@ from __future__ import annotations
 import csv
 import io
 import os
+from dataclasses import astuple, dataclass, fields
 from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
 from fingerpost.errors import RecordingError
 from fingerpost.robot import CommandRecord
 
-COLUMNS = (
-    "time_s",
-    "command",
-    "detail",
-    "outcome",
-    "x_m",
-    "y_m",
-    "z_m",
-    "fix_time_s",
-    "fix_status",
-    "fix_x",
-    "fix_y",
-    "fix_cov_xx",
-    "fix_cov_xy",
-    "fix_cov_yy",
-)
+
+@dataclass(frozen=True, slots=True)
+class CommandRow:
+    """One command: a row of the log.
+
+    Attributes
+    ----------
+    time_s
+        When, by the guard's clock [s].
+    command, detail, outcome
+        As a `CommandRecord`'s.
+    x_m, y_m, z_m
+        The goal of a motion, in the robot's frame [m]; None for other commands.
+    fix_time_s, fix_status, fix_x, fix_y, fix_cov_xx, fix_cov_xy, fix_cov_yy
+        The fix that caused it, in seconds and plane units; None without one, or without a point.
+    """
+
+    time_s: float
+    command: str
+    detail: str
+    outcome: str
+    x_m: float | None = None
+    y_m: float | None = None
+    z_m: float | None = None
+    fix_time_s: float | None = None
+    fix_status: str | None = None
+    fix_x: float | None = None
+    fix_y: float | None = None
+    fix_cov_xx: float | None = None
+    fix_cov_xy: float | None = None
+    fix_cov_yy: float | None = None
+
+    @classmethod
+    def of(cls, record: CommandRecord) -> Self:
+        """Return a record's row."""
+        pose, fix = record.pose, record.fix
+        goal = (None,) * 3 if pose is None else (pose.x_m, pose.y_m, pose.z_m)
+        cause: tuple[Any, ...] = ()
+        if fix is not None:
+            point = (None, None) if fix.point is None else fix.point.tolist()
+            Σ = fix.covariance
+            covariance = (None,) * 3 if Σ is None else (Σ.item(0, 0), Σ.item(0, 1), Σ.item(1, 1))
+            cause = (fix.time_s, fix.status.value, *point, *covariance)
+        return cls(record.time_s, record.command, record.detail, record.outcome, *goal, *cause)
 
 
 class CommandLog:
@@ -55,11 +84,11 @@ class CommandLog:
             self._descriptor = os.open(self._path, flags, 0o644)
         except OSError as error:
             raise self._failure(error) from error
-        self._write(COLUMNS)
+        self._write(tuple(column.name for column in fields(CommandRow)))
 
     def __call__(self, record: CommandRecord) -> None:
         """Write a record."""
-        self._write(_cells(record))
+        self._write(astuple(CommandRow.of(record)))
 
     def __enter__(self) -> Self:
         return self
@@ -82,15 +111,3 @@ class CommandLog:
 
     def _failure(self, error: OSError) -> RecordingError:
         return RecordingError(f"{self._path}: cannot be written: {error.strerror}")
-
-
-def _cells(record: CommandRecord) -> tuple[object, ...]:
-    pose, fix = record.pose, record.fix
-    goal = ("", "", "") if pose is None else (pose.x_m, pose.y_m, pose.z_m)
-    cause: tuple[object, ...] = ("",) * 7
-    if fix is not None:
-        point = ("", "") if fix.point is None else tuple(map(float, fix.point))
-        Σ = fix.covariance
-        covariance = ("", "", "") if Σ is None else (float(Σ[0, 0]), float(Σ[0, 1]), float(Σ[1, 1]))
-        cause = (fix.time_s, fix.status.value, *point, *covariance)
-    return (record.time_s, record.command, record.detail, record.outcome, *goal, *cause)

@@ -235,8 +235,6 @@ class GuidingDesk:
         The arm.
     home
         Homes it.
-    on_record
-        Called with every command of the guard.
     signals
         That halt the arm; in the main thread only.
     """
@@ -246,28 +244,33 @@ class GuidingDesk:
         arm: GuidedArm,
         home: Callable[[], None],
         *,
-        on_record: RecordCallback | None = None,
         signals: Sequence[signal.Signals] = (),
     ) -> None:
         self.arm = arm
         self.desk = Desk(arm.guard, arm.robot, carries=arm.options.carry is not None)
-        self._home, self._on_record, self._signals = home, on_record, signals
+        self._home, self._signals = home, signals
 
     @contextmanager
-    def guiding(self, post: Callable[[dict[str, Any]], None]) -> Iterator[Session]:
+    def guiding(
+        self,
+        post: Callable[[dict[str, Any]], None],
+        on_record: RecordCallback | None = None,
+    ) -> Iterator[Session]:
         """Connect the arm and give the session that takes the steps of the views.
 
         Parameters
         ----------
         post
             Called with what the page shows of the arm, from a thread.
+        on_record
+            Called with every command of the guard.
 
         Raises
         ------
         RobotError
             The arm's.
         """
-        with self.arm.connected(on_record=self._on_record, signals=self._signals):
+        with self.arm.connected(on_record=on_record, signals=self._signals):
             session = self.arm.session(
                 attendance=Attendance.KEY,
                 blocks=MOST_BLOCKS,

@@ -3,21 +3,56 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager, ExitStack, contextmanager
+from typing import Protocol
 
-from fingerpost.capture import Frame, Loss, SourceKind, at_speed, open_views, read_views
+from fingerpost.capture import (
+    Frame,
+    Loss,
+    Source,
+    SourceKind,
+    at_speed,
+    open_views,
+    read_views,
+)
 from fingerpost.config import Rig
 from fingerpost.errors import FingerpostError
-from fingerpost.guidance import guided
+from fingerpost.guidance import GuidedArm, guided
 from fingerpost.live.desk import GuidingDesk
 from fingerpost.live.page import Page
 from fingerpost.live.scene import RigScene
 from fingerpost.operators import Operator
 from fingerpost.pipeline import Pointer, Step, steps
+from fingerpost.robot import CommandRecord
+from fingerpost.robot.guard import RecordCallback
 from fingerpost.silhouette import Capsule
 
 Frames = Iterator[Sequence[Frame | Loss | None]]
+
+
+class Beside(Protocol):
+    """What goes on beside the page, as publishing and recording do."""
+
+    def begun(
+        self, rig: Rig, sources: Sequence[Source], *, is_live: bool, arm: GuidedArm | None = None
+    ) -> AbstractContextManager[None]:
+        """Begin, with a rig's views open and the arm that the page guides; go on as a block does.
+
+        `is_live` says whether times are the machine's clock's.
+        """
+
+    def watch(self, frames: Frames) -> Frames:
+        """Pass on the frames of all views."""
+
+    def take(self, step: Step) -> None:
+        """Take what was made of frames."""
+
+    def on_record(self, record: CommandRecord) -> None:
+        """Take a command to the arm."""
+
+    def notes(self) -> list[str]:
+        """Return what is to be said in the end, for people."""
 
 
 def operate(
@@ -25,7 +60,7 @@ def operate(
     rig: Rig,
     title: str,
     operator: Operator | None = None,
-    begin: Callable[[bool], Callable[[Step], None]] | None = None,
+    beside: Beside | None = None,
     desk: GuidingDesk | None = None,
 ) -> None:
     """Show a rig's run on the page, to the end of its sources.
@@ -40,9 +75,8 @@ def operate(
         What the page calls the rig.
     operator
         Whose habit of pointing is subtracted from the points.
-    begin
-        Called before the first step with whether times are the machine's, as those of cameras are;
-        what it returns takes every step as well.
+    beside
+        What goes on beside it.
     desk
         Of an arm that the page guides; recordings are then played as if live.
 
@@ -73,16 +107,25 @@ def operate(
                     frames=min(counts, default=None),
                 )
                 page.open_rig(scene)
-                take = None if begin is None else begin(is_live)
                 frames: Frames = page.allowed(iter(read_views(sources)))
                 if desk is not None and is_recorded:
                     frames = at_speed(frames, stamped=True)
-                with _guided(page, steps(pointer, frames), desk) as taken:
+                with ExitStack() as stack:
+                    if beside is not None:
+                        arm = None if desk is None else desk.arm
+                        stack.enter_context(beside.begun(rig, sources, is_live=is_live, arm=arm))
+                        frames = beside.watch(frames)
+                    taken = steps(pointer, frames)
+                    if desk is not None:
+                        on_record = None if beside is None else beside.on_record
+                        taken = stack.enter_context(_guided(page, taken, desk, on_record))
                     for step in taken:
                         page.show(step)
-                        if take is not None:
-                            take(step)
-                for note in [*pointer.notes(), *(s.damage for s in sources if s.damage)]:
+                        if beside is not None:
+                            beside.take(step)
+                damage = [source.damage for source in sources if source.damage]
+                notes = [] if beside is None else beside.notes()
+                for note in [*pointer.notes(), *damage, *notes]:
                     page.note(note)
         except FingerpostError as error:
             page.end(str(error))
@@ -92,13 +135,10 @@ def operate(
 
 @contextmanager
 def _guided(
-    page: Page, taken: Iterator[Step], desk: GuidingDesk | None
+    page: Page, taken: Iterator[Step], desk: GuidingDesk, on_record: RecordCallback | None
 ) -> Iterator[Iterator[Step]]:
-    """Have the steps guide an arm, where there is one, before they are shown."""
-    if desk is None:
-        yield taken
-        return
-    with desk.guiding(page.show_arm) as session, page.guiding(desk.desk.obey):
+    """Have the steps guide an arm before they are shown."""
+    with desk.guiding(page.show_arm, on_record) as session, page.guiding(desk.desk.obey):
         yield guided(session, taken)
 
 

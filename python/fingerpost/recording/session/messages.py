@@ -19,9 +19,13 @@ from foxglove_schemas_protobuf.LinePrimitive_pb2 import LinePrimitive
 from foxglove_schemas_protobuf.Point2_pb2 import Point2
 from foxglove_schemas_protobuf.Point3_pb2 import Point3
 from foxglove_schemas_protobuf.PointsAnnotation_pb2 import PointsAnnotation
+from foxglove_schemas_protobuf.Pose_pb2 import Pose
+from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
+from foxglove_schemas_protobuf.Quaternion_pb2 import Quaternion
 from foxglove_schemas_protobuf.SceneEntity_pb2 import SceneEntity
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from foxglove_schemas_protobuf.TextAnnotation_pb2 import TextAnnotation
+from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
 from google.protobuf.timestamp_pb2 import Timestamp
 from numpy.typing import NDArray
 
@@ -53,6 +57,21 @@ def stamp(time_ns: int) -> Timestamp:
 def compressed_image(view: str, time_ns: int, data: bytes, image_format: str) -> CompressedImage:
     """Return an image; `image_format` is "jpeg" or "png"."""
     return CompressedImage(timestamp=stamp(time_ns), frame_id=view, data=data, format=image_format)
+
+
+def pose_in(
+    frame: str,
+    time_ns: int,
+    position_m: Sequence[float],
+    orientation: Sequence[float],
+) -> PoseInFrame:
+    """Return a pose in a frame: position x, y, z [m] and quaternion x, y, z, w."""
+    (x, y, z), (qx, qy, qz, qw) = position_m, orientation
+    return PoseInFrame(
+        timestamp=stamp(time_ns),
+        frame_id=frame,
+        pose=Pose(position=Vector3(x=x, y=y, z=z), orientation=Quaternion(x=qx, y=qy, z=qz, w=qw)),
+    )
 
 
 def calibration(

@@ -47,6 +47,7 @@ from fingerpost.recording.session.messages import (
     compressed_image,
     drawn_over,
     plane_scene,
+    pose_in,
 )
 from fingerpost.recording.session.recordable import RecordableStep, Seen
 from fingerpost.recording.session.stream import RecordingStream
@@ -117,6 +118,9 @@ class Recorder:
         self._calibrated: set[str] = set()
         self._writer: Any = Writer(self._stream)  # type: ignore[arg-type]
         self._queue: queue.Queue[Callable[[], None] | None] = queue.Queue(_WAITING)
+        # Put from signals' handlers as well, which must not wait for a lock of the code they
+        # interrupt.
+        self._rows: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._steps = self._taken = 0
         self._dropped = 0
         self._failure: RecordingError | None = None
@@ -147,6 +151,36 @@ class Recorder:
         """
         self._taken += 1
         self._put(lambda: self._write_step(step))
+
+    def note(self, topic: str, row: object, time_s: float) -> None:
+        """Record what stands beside the steps, such as a command to a robot; never waits.
+
+        From any thread, and from a signal's handler.
+
+        Parameters
+        ----------
+        topic
+            Its topic.
+        row
+            A dataclass of numbers, words and None.
+        time_s
+            When, by the clock of the frames [s].
+        """
+        step = self._steps
+        self._rows.put(lambda: self._write_json(topic, type(row), row, self._ns(time_s), step))
+
+    def note_pose(
+        self,
+        topic: str,
+        frame: str,
+        position_m: Sequence[float],
+        orientation: Sequence[float],
+        time_s: float,
+    ) -> None:
+        """Record a pose in a frame: position x, y, z [m] and quaternion x, y, z, w; as `note`."""
+        step, time_ns = self._steps, self._ns(time_s)
+        message = pose_in(frame, time_ns, position_m, orientation)
+        self._rows.put(lambda: self._write_message(topic, message, time_ns, step))
 
     def notes(self) -> list[str]:
         """Return what is to be said of the recording, for people; nothing if it holds all."""
@@ -233,12 +267,18 @@ class Recorder:
         while True:
             with contextlib.suppress(queue.Empty):
                 entry = self._queue.get(timeout=max(due_s - self._clock(), 0.0))
+                self._write_rows()
                 if entry is None:
                     return
                 entry()
             if self._clock() >= due_s:
+                self._write_rows()
                 self._writer.flush()
                 due_s = self._clock() + _FLUSH_S
+
+    def _write_rows(self) -> None:
+        while not self._rows.empty():
+            self._rows.get()()
 
     def _begin(self, rig_text: str) -> None:
         self._writer.start(library=f"fingerpost {self._about.version}")

@@ -1,0 +1,124 @@
+"""What commands that guide or show do beside that: publish fixes, record, keep the log."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from fingerpost.cli.arming import open_log
+from fingerpost.cli.publishing import Publishing
+from fingerpost.cli.recorder import open_recorder
+
+if TYPE_CHECKING:
+    from fingerpost.capture import Frame, Loss, Source
+    from fingerpost.config import Rig
+    from fingerpost.guidance import ArmRecording, GuidedArm
+    from fingerpost.pipeline import Step
+    from fingerpost.recording.session import Recorder
+    from fingerpost.robot import CommandRecord
+    from fingerpost.robot.guard import RecordCallback
+
+    Frames = Iterator[Sequence[Frame | Loss | None]]
+
+
+BESIDE = ("publish", "record", "images", "log")
+"""The options of a command that a `Beside` takes."""
+
+
+class Beside:
+    """What goes on beside the main loop of a command.
+
+    Parameters
+    ----------
+    stack
+        Closes the log.
+    publish
+        Addresses.
+    record, images
+        The recording, if there is to be one, and as `open_recorder`.
+    log
+        The log of commands, if there is to be one.
+
+    Raises
+    ------
+    RecordingError
+        The log cannot be written.
+    """
+
+    def __init__(
+        self,
+        stack: ExitStack,
+        *,
+        publish: Sequence[str],
+        record: Path | None,
+        images: str | None,
+        log: Path | None,
+    ) -> None:
+        self._publish, self._record, self._images = publish, record, images
+        self._log: RecordCallback | None = open_log(stack, log)
+        self._published: Publishing | None = None
+        self._recorder: Recorder | None = None
+        self._of_arm: ArmRecording | None = None
+
+    @contextmanager
+    def begun(
+        self,
+        rig: Rig,
+        sources: Sequence[Source],
+        *,
+        is_live: bool,
+        arm: GuidedArm | None = None,
+    ) -> Iterator[None]:
+        """Publish and record as long as the block lasts.
+
+        Parameters
+        ----------
+        rig, sources
+            The rig, and its views' sources, open.
+        is_live
+            Whether times are the machine's clock's; nobody is waited for then.
+        arm
+            The arm that is guided, if any: its state and its commands are recorded.
+
+        Raises
+        ------
+        FingerpostError
+            A recording that exists or cannot be written, or what is not installed.
+        """
+        with ExitStack() as stack:
+            self._published = Publishing(stack, self._publish, rig, is_live=is_live)
+            if self._record is not None:
+                recorder = open_recorder(self._record, rig, sources, self._images, is_live=is_live)
+                self._recorder = stack.enter_context(recorder)
+                if arm is not None:
+                    from fingerpost.guidance import ArmRecording
+
+                    self._of_arm = ArmRecording(arm, self._recorder)
+            yield
+
+    def watch(self, frames: Frames) -> Frames:
+        """Pass on the frames of all views, and record them."""
+        return frames if self._recorder is None else self._recorder.watch(frames)
+
+    def take(self, step: Step) -> None:
+        """Publish and record what was made of frames."""
+        if self._published is not None:
+            self._published.take(step)
+        if self._recorder is not None:
+            self._recorder.take(step)
+        if self._of_arm is not None:
+            self._of_arm.take(step.fix.time_s)
+
+    def on_record(self, record: CommandRecord) -> None:
+        """Keep a command: in the log first, which stops the arm when it fails."""
+        if self._log is not None:
+            self._log(record)
+        if self._of_arm is not None:
+            self._of_arm.on_record(record)
+
+    def notes(self) -> list[str]:
+        """Return what is to be said in the end, for people."""
+        taken = (self._published, self._recorder)
+        return [note for one in taken if one is not None for note in one.notes()]

@@ -1,0 +1,97 @@
+"""A guided arm in a recording of the views: its state with every step, and every command."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from fingerpost.guidance.guided_arm import GuidedArm
+from fingerpost.guidance.log import CommandRow
+from fingerpost.robot import CommandRecord, Pose
+
+if TYPE_CHECKING:
+    from fingerpost.recording.session import Recorder
+
+STATE_TOPIC, POSE_TOPIC, COMMAND_TOPIC = "/robot/state", "/robot/pose", "/robot/command"
+ROBOT_FRAME = "robot"
+
+
+@dataclass(frozen=True, slots=True)
+class ArmRow:
+    """How an arm stood at the time of a step.
+
+    Attributes
+    ----------
+    time_s
+        Of the step [s].
+    state
+        The driver's: `moving`, `idle`, `fault` and the like.
+    homed, armed, moves
+        Whether it is homed; whether commands may pass; whether one that passed may still run.
+    why_stopped
+        Why the guard stopped it last; empty if it never did.
+    x_m, y_m, z_m
+        Where the gripper was read last, in the robot's frame [m]; None before.
+    """
+
+    time_s: float
+    state: str
+    homed: bool
+    armed: bool
+    moves: bool
+    why_stopped: str
+    x_m: float | None = None
+    y_m: float | None = None
+    z_m: float | None = None
+
+
+class ArmRecording:
+    """Adds an arm to a recording.
+
+    Parameters
+    ----------
+    arm
+        Connected, while steps are taken.
+    recorder
+        Of the views.
+    """
+
+    def __init__(self, arm: GuidedArm, recorder: Recorder) -> None:
+        self._arm, self._recorder = arm, recorder
+
+    def take(self, time_s: float) -> None:
+        """Record the arm's state at the time of a step [s]; never waits."""
+        guard, status = self._arm.guard, self._arm.robot.status()
+        pose = guard.pose
+        row = ArmRow(
+            time_s,
+            status.state.value,
+            status.homed,
+            guard.armed,
+            guard.busy,
+            guard.why_stopped,
+            *(() if pose is None else (pose.x_m, pose.y_m, pose.z_m)),
+        )
+        self._recorder.note(STATE_TOPIC, row, time_s)
+        if pose is not None:
+            position_m = (pose.x_m, pose.y_m, pose.z_m)
+            self._recorder.note_pose(POSE_TOPIC, ROBOT_FRAME, position_m, _quaternion(pose), time_s)
+
+    def on_record(self, record: CommandRecord) -> None:
+        """Record a command; from any thread, and from a signal's handler."""
+        time_s = record.time_s if math.isfinite(record.time_s) else self._arm.guard.time_s
+        self._recorder.note(COMMAND_TOPIC, CommandRow.of(record), time_s)
+
+
+def _quaternion(pose: Pose) -> tuple[float, float, float, float]:
+    """Return R = Rz(yaw) · Ry(−pitch) · Rx(roll) as x, y, z, w; angles not set count as 0."""
+    roll, pitch, yaw = pose.roll_rad or 0.0, pose.pitch_rad or 0.0, pose.yaw_rad or 0.0
+    halves = (0.5 * roll, -0.5 * pitch, 0.5 * yaw)
+    (cr, cp, cy), (sr, sp, sy) = map(math.cos, halves), map(math.sin, halves)
+    return (
+        sr * cp * cy - cr * sp * sy,
+        cr * sp * cy + sr * cp * sy,
+        cr * cp * sy - sr * sp * cy,
+        cr * cp * cy + sr * sp * sy,
+    )
