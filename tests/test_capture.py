@@ -618,6 +618,25 @@ def test_a_camera_that_sends_nothing_is_lost_and_comes_back(caplog, monkeypatch)
         assert source.notes == (f"sent nothing for {PATIENCE_S:g} s and more, once",)
 
 
+def test_a_camera_is_lost_while_its_pictures_have_another_size(caplog):
+    device = HandFedDevice()
+    size = slice(None)
+    device.retrieve = lambda: (True, np.ascontiguousarray(painted(device._number)[size]))
+    device.feed(1)
+    with live(device) as source:
+        seen = [next(source)]
+        for size in (slice(100), slice(100), slice(None)):
+            device.feed(1)
+            seen.append(next(source))
+    why = "160 × 100 px have come where 160 × 120 px came first"
+    assert [getattr(entry, "why", "") for entry in seen] == ["", why, why, ""]
+    assert [record.getMessage() for record in caplog.records] == [
+        f"camera 0: {why}",
+        "camera 0: 160 × 120 px again",
+    ]
+    assert source.damage == ""
+
+
 def test_a_camera_that_is_slow_by_nature_is_not_overdue():
     device = HandFedDevice()
     device.feed(1)

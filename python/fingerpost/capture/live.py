@@ -215,6 +215,7 @@ class LiveSource(Source):
         self._stalls = 0
         self._is_slow = False
         self._is_lost = False
+        self._has_other_size = False
         self._reader = threading.Thread(
             target=self._run, args=(source,), name=f"capture {self.name}", daemon=True
         )
@@ -345,6 +346,22 @@ class LiveSource(Source):
         if not self._is_slow and frame.index > _LATEST_PERIODS and self.period_s > _OVERDUE_S:
             self._is_slow = True
             _log.warning("%s: %s", self.name, self._slowness())
+
+    def _of_one_size(self, frame: Frame) -> Frame | Loss:
+        seen = super()._of_one_size(frame)
+        is_other = isinstance(seen, Loss)
+        if is_other != self._has_other_size:
+            self._has_other_size = is_other
+            height, width = frame.image.shape[:2]
+            again = seen.why if isinstance(seen, Loss) else f"{width} × {height} px again"
+            _log.warning("%s: %s", self.name, again)
+        return seen
+
+    def _other_size(self, frame: Frame, first: tuple[int, int]) -> Loss:
+        """Lose a frame: the camera may be set back, or its place be taken by the right one."""
+        height, width = frame.image.shape[:2]
+        why = f"{width} × {height} px have come where {first[1]} × {first[0]} px came first"
+        return Loss(frame.index, frame.time_s, why)
 
     def _loss(self) -> Loss:
         why = f"no picture has come for {self.silent_s:.1f} s"

@@ -178,7 +178,7 @@ class Source(ABC):
         self.losses = 0
         self._sound = 0
         self._detail = ""  # of the first loss: what its decoder says, or which file it is
-        self._shape: tuple[int, ...] | None = None
+        self._shape: tuple[int, int] | None = None
         self._filled = False
 
     @property
@@ -215,8 +215,8 @@ class Source(ABC):
         Raises
         ------
         CaptureError
-            The size of a frame differs from the first one's, the source fails, or a recording has
-            ended without a single picture that is sound. A `SourceError` if the crop that was asked
+            The size of a recorded frame differs from the first one's, the source fails, or a
+            recording has ended without a single picture that is sound. A `SourceError` if the crop that was asked
             for reaches beyond the picture.
         """
         try:
@@ -225,9 +225,9 @@ class Source(ABC):
             self.refuse_unsound()
             raise
         if isinstance(seen, Frame):
-            self._refuse_other_size(seen)
-            if self._has_been_filled(seen.image):
-                seen = Loss(seen.index, seen.time_s, DAMAGED)
+            seen = self._of_one_size(seen)
+        if isinstance(seen, Frame) and self._has_been_filled(seen.image):
+            seen = Loss(seen.index, seen.time_s, DAMAGED)
         if isinstance(seen, Frame):
             self._sound += 1
             seen = self._arranged(seen)
@@ -254,16 +254,21 @@ class Source(ABC):
         except InvalidInputError as error:
             raise SourceError(f"{self.name}: {error}") from error
 
-    def _refuse_other_size(self, frame: Frame) -> None:
-        shape = frame.image.shape[:2]
+    def _of_one_size(self, frame: Frame) -> Frame | Loss:
+        """Return a frame of the first one's size, or what is there in place of another one."""
+        height, width = frame.image.shape[:2]
+        shape = height, width
         if self._shape is None:
             self._shape = shape
-        elif shape != self._shape:
-            raise CaptureError(
-                f"{self._place(frame.index)}: {shape[1]} x {shape[0]} pixels, "
-                f"the first frame has {self._shape[1]} x {self._shape[0]}; "
-                "all frames of a view must have one size"
-            )
+        return frame if shape == self._shape else self._other_size(frame, self._shape)
+
+    def _other_size(self, frame: Frame, first: tuple[int, int]) -> Loss:
+        """Refuse a frame of another shape than the first one's."""
+        height, width = frame.image.shape[:2]
+        raise CaptureError(
+            f"{self._place(frame.index)}: {width} x {height} pixels, "
+            f"the first frame has {first[1]} x {first[0]}; all frames of a view must have one size"
+        )
 
     def _has_been_filled(self, image: NDArray[np.uint8]) -> bool:
         """Tell whether a picture ends in what decoders fill in, where sound ones do not."""
