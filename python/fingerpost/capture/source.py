@@ -216,8 +216,8 @@ class Source(ABC):
         ------
         CaptureError
             The size of a recorded frame differs from the first one's, the source fails, or a
-            recording has ended without a single picture that is sound. A `SourceError` if the crop that was asked
-            for reaches beyond the picture.
+            recording has ended without a single picture that is sound. A `SourceError` if the crop
+            that was asked for reaches beyond the picture.
         """
         try:
             seen = self._next_frame()
