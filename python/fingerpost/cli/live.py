@@ -11,7 +11,6 @@ from typing import Any
 
 import click
 
-from fingerpost.cli.beside import Beside
 from fingerpost.cli.endings import ending_as_interrupted
 from fingerpost.cli.live_arm import desk_of, page_arm_options, refuse_without_arm
 from fingerpost.cli.live_views import hush_streams
@@ -19,6 +18,7 @@ from fingerpost.cli.operators import operator_called, operator_option
 from fingerpost.cli.outputs import keep_apart, rig_files
 from fingerpost.cli.publishing import publish_option
 from fingerpost.cli.recorder import check_recording, record_options
+from fingerpost.cli.session_outputs import SessionOutputs
 from fingerpost.installation import need_opencv
 from fingerpost.signals import ending_at_once
 
@@ -107,7 +107,7 @@ def live(
         else:
             desk = desk_of(rig, given)
         log = given["log"]
-        beside = Beside(stack, publish=publish, record=record, images=images, log=log)
+        outputs = SessionOutputs(stack, publish=publish, record=record, images=images, log=log)
         stack.enter_context(ending_as_interrupted())
         page = stack.enter_context(Page(host, port))
         click.echo(page.address)
@@ -117,7 +117,7 @@ def live(
             rig_file, learned = set_up(page, Path.cwd(), sources)
             rig, known = Rig.load(rig_file), known or learned
         hush_streams(rig.sources)
-        operate(page, rig, rig_file.name, known, beside, desk)
+        operate(page, rig, rig_file.name, known, outputs, desk)
         page.wait()
 
 

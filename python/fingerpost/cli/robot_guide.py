@@ -24,12 +24,12 @@ from fingerpost.cli.arming import (
     show_homing,
     stopping_signals,
 )
-from fingerpost.cli.beside import BESIDE, Beside
 from fingerpost.cli.endings import ending_orderly
 from fingerpost.cli.live_views import give_up_option, hush_streams
 from fingerpost.cli.outputs import keep_apart, rig_files
 from fingerpost.cli.publishing import publish_option
 from fingerpost.cli.recorder import check_recording, record_options
+from fingerpost.cli.session_outputs import OUTPUT_OPTIONS, SessionOutputs
 from fingerpost.errors import CaptureError
 
 if TYPE_CHECKING:
@@ -237,18 +237,18 @@ def _guide(given: Mapping[str, Any], carry: PickPlaceOptions | None) -> None:
     pointer = Pointer(rig, moving=arm.guard.body)
     need_consent(given["arm"], "robot follow" if carry is None else "robot pick")
     with ExitStack() as stack:
-        beside = Beside(stack, **{name: given[name] for name in BESIDE})
+        outputs = SessionOutputs(stack, **{name: given[name] for name in OUTPUT_OPTIONS})
         stack.enter_context(ending_orderly())
         hush_streams(rig.sources)
         sources = stack.enter_context(open_views(rig.sources, rig.readings))
         # Recordings are played as if they were live, with times of the machine's clock.
-        stack.enter_context(beside.begun(rig, sources, is_live=True, arm=arm))
+        stack.enter_context(outputs.opened(rig, sources, is_live=True, arm=arm))
         give_up_after_s = given["give_up_after_s"]
         frames: Iterator[Sequence[Frame | Loss | None]]
         frames = read_views(sources, give_up_after_s=give_up_after_s)
         timeout_s = given["homing_timeout"]
         connected = arm.connected(
-            on_record=beside.on_record,
+            on_record=outputs.on_record,
             home=lambda robot: home(robot, timeout_s),
             signals=stopping_signals(),
         )
@@ -258,7 +258,7 @@ def _guide(given: Mapping[str, Any], carry: PickPlaceOptions | None) -> None:
                 stack.enter_context(Keys(session.press, session.leave))
             if sources[0].kind is SourceKind.RECORDED:
                 frames = at_speed(frames, stamped=True)
-            frames = beside.watch(at_most(frames, given["max_frames"]))
+            frames = outputs.watch(at_most(frames, given["max_frames"]))
             taken = steps(pointer, frames)
             if attendance is Attendance.HAND:
                 taken = attended_at_first(arm.guard, taken)
@@ -266,10 +266,10 @@ def _guide(given: Mapping[str, Any], carry: PickPlaceOptions | None) -> None:
                 with session:
                     session.begin()
                     for step in guided(session, taken):
-                        beside.take(step)
+                        outputs.take(step)
             finally:
                 _report(session, as_json=given["as_json"])
-                for note in beside.notes():
+                for note in outputs.notes():
                     say(note)
     if carry is not None and not session.done:
         blocks = f"{session.report.blocks} of {given['blocks']} blocks"

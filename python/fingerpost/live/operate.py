@@ -31,10 +31,10 @@ from fingerpost.silhouette import Capsule
 Frames = Iterator[Sequence[Frame | Loss | None]]
 
 
-class Beside(Protocol):
-    """What goes on beside the page, as publishing and recording do."""
+class SessionOutputs(Protocol):
+    """Publishes and records what the page shows; `fingerpost.cli.session_outputs` has one."""
 
-    def begun(
+    def opened(
         self, rig: Rig, sources: Sequence[Source], *, is_live: bool, arm: GuidedArm | None = None
     ) -> AbstractContextManager[None]:
         """Begin, with a rig's views open and the arm that the page guides; go on as a block does.
@@ -60,7 +60,7 @@ def operate(
     rig: Rig,
     title: str,
     operator: Operator | None = None,
-    beside: Beside | None = None,
+    outputs: SessionOutputs | None = None,
     desk: GuidingDesk | None = None,
 ) -> None:
     """Show a rig's run on the page, to the end of its sources.
@@ -75,8 +75,8 @@ def operate(
         What the page calls the rig.
     operator
         Whose habit of pointing is subtracted from the points.
-    beside
-        What goes on beside it.
+    outputs
+        Publish and record the run.
     desk
         Of an arm that the page guides; recordings are then played as if live.
 
@@ -111,20 +111,20 @@ def operate(
                 if desk is not None and is_recorded:
                     frames = at_speed(frames, stamped=True)
                 with ExitStack() as stack:
-                    if beside is not None:
+                    if outputs is not None:
                         arm = None if desk is None else desk.arm
-                        stack.enter_context(beside.begun(rig, sources, is_live=is_live, arm=arm))
-                        frames = beside.watch(frames)
+                        stack.enter_context(outputs.opened(rig, sources, is_live=is_live, arm=arm))
+                        frames = outputs.watch(frames)
                     taken = steps(pointer, frames)
                     if desk is not None:
-                        on_record = None if beside is None else beside.on_record
+                        on_record = None if outputs is None else outputs.on_record
                         taken = stack.enter_context(_guided(page, taken, desk, on_record))
                     for step in taken:
                         page.show(step)
-                        if beside is not None:
-                            beside.take(step)
+                        if outputs is not None:
+                            outputs.take(step)
                 damage = [source.damage for source in sources if source.damage]
-                notes = [] if beside is None else beside.notes()
+                notes = [] if outputs is None else outputs.notes()
                 for note in [*pointer.notes(), *damage, *notes]:
                     page.note(note)
         except FingerpostError as error:

@@ -111,7 +111,7 @@ function showMessage() {
   else if (state && !state.playing && rig?.live && !state.ended) words = "Stopped: no picture is looked at. P goes on.";
   else if (state?.ended && rig?.live) words = `Ended: ${state.ended}`;
   else if (state && !state.controls) words = "Another page has the control; C takes it over.";
-  else if (state?.ended && state.shown >= state.total - 1) words = `${state.ended}; P plays it again.`.replace(/^./, (c) => c.toUpperCase());
+  else if (state?.ended && !state.playing && state.shown >= state.total - 1) words = `${state.ended}; P plays it again.`.replace(/^./, (c) => c.toUpperCase());
   else if (state?.notes.length) words = state.notes.at(-1);
   else if (rig) words = rig.title;
   setText($("message"), words);

@@ -1,4 +1,4 @@
-"""What commands that guide or show do beside that: publish fixes, record, keep the log."""
+"""Outputs of `live`, `robot follow` and `robot pick`: published fixes, a recording, a log."""
 
 from __future__ import annotations
 
@@ -23,23 +23,25 @@ if TYPE_CHECKING:
     Frames = Iterator[Sequence[Frame | Loss | None]]
 
 
-BESIDE = ("publish", "record", "images", "log")
-"""The options of a command that a `Beside` takes."""
+OUTPUT_OPTIONS = ("publish", "record", "images", "log")
+"""Options of a command that are parameters of `SessionOutputs`."""
 
 
-class Beside:
-    """What goes on beside the main loop of a command.
+class SessionOutputs:
+    """Publishes fixes, records the session and logs the commands to an arm.
 
     Parameters
     ----------
     stack
         Closes the log.
     publish
-        Addresses.
-    record, images
-        The recording, if there is to be one, and as `open_recorder`.
+        URLs that fixes are published to.
+    record
+        File of the recording; None records nothing.
+    images
+        Format of recorded images, as of `open_recorder`.
     log
-        The log of commands, if there is to be one.
+        File of the log of commands; None keeps none.
 
     Raises
     ------
@@ -63,7 +65,7 @@ class Beside:
         self._of_arm: ArmRecording | None = None
 
     @contextmanager
-    def begun(
+    def opened(
         self,
         rig: Rig,
         sources: Sequence[Source],
