@@ -65,10 +65,11 @@ demo: $(if $(wildcard $(STAMPS)/extension),$(STAMPS)/extension,$(STAMPS)/install
 	$(BIN)/fingerpost demo
 
 # What Rust's tests need and what Python's need are built apart, and so at one time. A file's tests
-# stay in one process: they share footage.
+# stay in one process: they share footage. Files keep their order: tests of robots, which mostly
+# wait, come first and beside one another, and small files come last.
 test: ## every check there is, in both languages
 	$(MAKE) --no-print-directory --jobs 2 lint test-rust instructions
-	$(BIN)/python -m pytest --numprocesses 3 --dist loadfile
+	$(BIN)/python -m pytest --numprocesses 3 --dist loadfile --no-loadscope-reorder
 
 lint: lint-rust lint-python ## formats, lints, types, documentation links, stubs
 
