@@ -9,9 +9,12 @@ A recording is an MCAP file (https://mcap.dev) of these parts, so that common vi
 - `/VIEW/image`, foxglove.CompressedImage, whose bytes decode to the very pixels that were followed
   where they were passed through or are PNG; `/VIEW/calibration`, foxglove.CameraCalibration;
 - of a run that followed hands: `/VIEW/annotations`, foxglove.ImageAnnotations; `/VIEW/track` and
-  `/fix`, JSON with the columns of the tables; `/plane`, foxglove.SceneUpdate in plane units.
+  `/fix`, JSON with the columns of the tables; `/plane`, foxglove.SceneUpdate in plane units;
+- of one that guided an arm: `/robot/pose`, foxglove.PoseInFrame; `/robot/state` and
+  `/robot/command`, JSON (`fingerpost.guidance.arm_recording`).
 
-All messages of a step have one log time, and its number as their sequence. The library reads files
+All messages of a step have one log time, and its number as their sequence; commands to an arm have
+their own time. The library reads files
 from their end, where the index is; what a crash leaves has none. `Records` reads from the start, up
 to the last byte that can be understood, within a chunk that was cut as well.
 """

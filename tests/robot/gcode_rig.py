@@ -53,6 +53,11 @@ class Rig:
         return bool(self.port.descriptors())
 
     @property
+    def stops(self) -> int:
+        """Stops that the controller has acted on."""
+        return self.controller.stops
+
+    @property
     def stop_bytes(self) -> bytes:
         """What a stop is known by on the line."""
         return b"\x18" if isinstance(self.controller, UarmController) else b"M410"

@@ -135,6 +135,11 @@ class Rig:
         return bool(self.port.descriptors())
 
     @property
+    def stops(self) -> int:
+        """Stops that the controller has seen."""
+        return self.controller.aborts
+
+    @property
     def stop_bytes(self) -> bytes:
         """What a stop is known by on the line."""
         return ABORT[:1]

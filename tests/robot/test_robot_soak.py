@@ -3,22 +3,20 @@
 import os
 
 import pytest
-from robot_rig import CrowdedError, best_of_three
 from soak import ARMS, LIMIT_S, soak
 
 MOVES = int(os.environ.get("FINGERPOST_SOAK_MOVES", "200"))
 
 
 @pytest.mark.parametrize("arm", ARMS)
-@best_of_three
 def test_no_hang_no_wrong_position_and_every_stop_in_time(arm):
     report = soak(MOVES, seed=20_941, arm=arm)
     assert report.wrong_positions == []
     assert report.not_stopped == []
+    # A crowded machine delays a thread now and then; `best_of_three` says why this is no defect.
+    assert len(report.late_stops) <= report.stops / 5
     assert report.slowest_call_s < LIMIT_S
     # The faults did happen, and most moves arrived all the same.
     assert sum(report.faults.values()) > MOVES / 10
     assert report.arrived > MOVES / 3
     assert sum(report.errors.values()) > 0
-    if len(report.late_stops) > report.stops / 5:
-        raise CrowdedError(f"{len(report.late_stops)} of {report.stops} stops were late")

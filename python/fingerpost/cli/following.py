@@ -22,9 +22,9 @@ from fingerpost.cli.live_status import LiveStatus
 from fingerpost.cli.live_views import hush_streams
 from fingerpost.cli.operators import operator_called, operator_option
 from fingerpost.cli.progress import StatusLine, status_line, watched
-from fingerpost.cli.publishing import Publishing, prints_fixes, publish_option
-from fingerpost.cli.recorder import open_recorder
+from fingerpost.cli.publishing import prints_fixes, publish_option
 from fingerpost.cli.run_summary import RunSummary, source_notes
+from fingerpost.cli.session_outputs import SessionOutputs
 
 if TYPE_CHECKING:
     import numpy as np
@@ -34,7 +34,6 @@ if TYPE_CHECKING:
     from fingerpost.config import Rig
     from fingerpost.pipeline import Pointer, Step
     from fingerpost.recording import TableWriter, TrackRow
-    from fingerpost.recording.session import Recorder
 
 _OVERLAY_TRAIL = 40  # points that the plan shows behind the newest one
 
@@ -183,9 +182,8 @@ def follow(
     pointer = asked.pointer(rig)
     hush_streams(rig.sources)
     summary = RunSummary()
+    outputs = SessionOutputs(publish=asked.publish, record=asked.record, images=asked.images)
     sources: list[Source] = []
-    recorders: list[Recorder] = []
-    published: list[Publishing] = []
     started_s = time.monotonic()
     try:
         with ending_as_interrupted(), ExitStack() as stack:
@@ -199,9 +197,6 @@ def follow(
             takers = _takers(stack, pointer, rig.plane.unit, asked, is_live)
             if asked.events is not None:
                 takers.append(event_taker(stack, rig, asked.events, asked.dwell_s))
-            if asked.publish:
-                published.append(Publishing(stack, asked.publish, rig, is_live=is_live))
-                takers.append(published[0].take)
             frames: Iterator[Sequence[Frame | Loss | None]] = at_most(
                 read_views(sources, give_up_after_s=asked.give_up_after_s), asked.max_frames
             )
@@ -209,11 +204,9 @@ def follow(
                 if is_live:
                     raise click.UsageError("--speed: live views come at their own pace")
                 frames = at_speed(frames, asked.speed)
-            if asked.record is not None:
-                recorder = open_recorder(asked.record, rig, sources, asked.images, is_live=is_live)
-                recorders.append(stack.enter_context(recorder))
-                takers.append(recorder.take)
-                frames = recorder.watch(frames)
+            stack.enter_context(outputs.opened(rig, sources, is_live=is_live))
+            takers.append(outputs.take)
+            frames = outputs.watch(frames)
             if take is not None:
                 takers.append(take)
             if line is not None:
@@ -230,9 +223,7 @@ def follow(
                 for taker in takers:
                     taker(step)
     finally:
-        notes = [*source_notes(rig.sources, sources), *pointer.notes()]
-        notes += [note for recorder in recorders for note in recorder.notes()]
-        notes += [note for one in published for note in one.notes()]
+        notes = [*source_notes(rig.sources, sources), *pointer.notes(), *outputs.notes()]
         if asked.prints_lines:
             lines = [json.dumps({"notes": notes})] if notes else []
         elif summary.frames:

@@ -11,13 +11,14 @@ from typing import Any
 
 import click
 
+from fingerpost.cli.arming import open_log
 from fingerpost.cli.endings import ending_as_interrupted
 from fingerpost.cli.live_arm import desk_of, page_arm_options, refuse_without_arm
 from fingerpost.cli.live_views import hush_streams
 from fingerpost.cli.operators import operator_called, operator_option
 from fingerpost.cli.outputs import keep_apart, rig_files
 from fingerpost.cli.publishing import publish_option
-from fingerpost.cli.recorder import check_recording, record_options
+from fingerpost.cli.recorder import record_options
 from fingerpost.cli.session_outputs import SessionOutputs
 from fingerpost.installation import need_opencv
 from fingerpost.signals import ending_at_once
@@ -94,8 +95,6 @@ def live(
     rig = None if rig_file is None else Rig.load(rig_file)
     sources = () if rig_file is not None else _sources(named)
     known = operator_called(operator)
-    if record is not None:
-        check_recording(record)
     read = () if rig_file is None or rig is None else rig_files(rig_file, rig)
     keep_apart({"--log": given["log"], "--record": record}, read)
     with ExitStack() as stack:
@@ -106,8 +105,8 @@ def live(
             raise click.UsageError("--arm needs RIG.TOML: one that `fingerpost robot plane` wrote")
         else:
             desk = desk_of(rig, given)
-        log = given["log"]
-        outputs = SessionOutputs(stack, publish=publish, record=record, images=images, log=log)
+        log = open_log(stack, given["log"])
+        outputs = SessionOutputs(publish=publish, record=record, images=images, log=log)
         stack.enter_context(ending_as_interrupted())
         page = stack.enter_context(Page(host, port))
         click.echo(page.address)

@@ -20,10 +20,19 @@ if TYPE_CHECKING:
 
 SUFFIX = ".mcap"
 
+
+def _named(_context: click.Context, _parameter: click.Parameter, path: Path | None) -> Path | None:
+    """Refuse, before anything is opened, a name that is not a recording's."""
+    if path is not None:
+        check_recording(path)
+    return path
+
+
 _record = click.option(
     "--record",
     metavar="R.MCAP",
     type=click.Path(path_type=Path),
+    callback=_named,
     help="Record frames and fixes; `fingerpost replay` gives the same again.",
 )
 

@@ -19,6 +19,7 @@ from fingerpost.cli.arming import (
     home,
     laid_over,
     need_consent,
+    open_log,
     say,
     seconds,
     show_homing,
@@ -28,8 +29,8 @@ from fingerpost.cli.endings import ending_orderly
 from fingerpost.cli.live_views import give_up_option, hush_streams
 from fingerpost.cli.outputs import keep_apart, rig_files
 from fingerpost.cli.publishing import publish_option
-from fingerpost.cli.recorder import check_recording, record_options
-from fingerpost.cli.session_outputs import OUTPUT_OPTIONS, SessionOutputs
+from fingerpost.cli.recorder import record_options
+from fingerpost.cli.session_outputs import SessionOutputs
 from fingerpost.errors import CaptureError
 
 if TYPE_CHECKING:
@@ -217,8 +218,6 @@ def _guide(given: Mapping[str, Any], carry: PickPlaceOptions | None) -> None:
     rig = Rig.load(given["rig_file"])
     written = {"--log": given["log"], "--record": given["record"]}
     keep_apart(written, rig_files(given["rig_file"], rig))
-    if given["record"] is not None:
-        check_recording(given["record"])
     table = robot_of(rig)
     attendance = Attendance(given["attendance"])
     has_keys = has_terminal()
@@ -237,7 +236,12 @@ def _guide(given: Mapping[str, Any], carry: PickPlaceOptions | None) -> None:
     pointer = Pointer(rig, moving=arm.guard.body)
     need_consent(given["arm"], "robot follow" if carry is None else "robot pick")
     with ExitStack() as stack:
-        outputs = SessionOutputs(stack, **{name: given[name] for name in OUTPUT_OPTIONS})
+        outputs = SessionOutputs(
+            publish=given["publish"],
+            record=given["record"],
+            images=given["images"],
+            log=open_log(stack, given["log"]),
+        )
         stack.enter_context(ending_orderly())
         hush_streams(rig.sources)
         sources = stack.enter_context(open_views(rig.sources, rig.readings))

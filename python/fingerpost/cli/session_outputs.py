@@ -1,4 +1,4 @@
-"""Outputs of `live`, `robot follow` and `robot pick`: published fixes, a recording, a log."""
+"""What commands that follow a hand share: published fixes, a recording, the log of commands."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from fingerpost.cli.arming import open_log
 from fingerpost.cli.publishing import Publishing
 from fingerpost.cli.recorder import open_recorder
 
@@ -23,17 +22,11 @@ if TYPE_CHECKING:
     Frames = Iterator[Sequence[Frame | Loss | None]]
 
 
-OUTPUT_OPTIONS = ("publish", "record", "images", "log")
-"""Options of a command that are parameters of `SessionOutputs`."""
-
-
 class SessionOutputs:
     """Publishes fixes, records the session and logs the commands to an arm.
 
     Parameters
     ----------
-    stack
-        Closes the log.
     publish
         URLs that fixes are published to.
     record
@@ -41,25 +34,19 @@ class SessionOutputs:
     images
         Format of recorded images, as of `open_recorder`.
     log
-        File of the log of commands; None keeps none.
-
-    Raises
-    ------
-    RecordingError
-        The log cannot be written.
+        The log of commands, of `open_log`; None keeps none.
     """
 
     def __init__(
         self,
-        stack: ExitStack,
         *,
         publish: Sequence[str],
         record: Path | None,
         images: str | None,
-        log: Path | None,
+        log: RecordCallback | None = None,
     ) -> None:
         self._publish, self._record, self._images = publish, record, images
-        self._log: RecordCallback | None = open_log(stack, log)
+        self._log = log
         self._published: Publishing | None = None
         self._recorder: Recorder | None = None
         self._of_arm: ArmRecording | None = None
@@ -90,7 +77,8 @@ class SessionOutputs:
             A recording that exists or cannot be written, or what is not installed.
         """
         with ExitStack() as stack:
-            self._published = Publishing(stack, self._publish, rig, is_live=is_live)
+            if self._publish:
+                self._published = Publishing(stack, self._publish, rig, is_live=is_live)
             if self._record is not None:
                 recorder = open_recorder(self._record, rig, sources, self._images, is_live=is_live)
                 self._recorder = stack.enter_context(recorder)
@@ -111,7 +99,7 @@ class SessionOutputs:
         if self._recorder is not None:
             self._recorder.take(step)
         if self._of_arm is not None:
-            self._of_arm.take(step.fix.time_s)
+            self._of_arm.take(step)
 
     def on_record(self, record: CommandRecord) -> None:
         """Keep a command: in the log first, which stops the arm when it fails."""

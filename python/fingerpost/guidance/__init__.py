@@ -5,6 +5,7 @@ guard of a rig with a [robot] table. Nothing here knows a command line.
 """
 
 from fingerpost.guidance.agreement import Agreement, Sightings, ViewTie, agree, need_certainty
+from fingerpost.guidance.arm_recording import ArmRecording
 from fingerpost.guidance.attendance import Attendance, attended_at_first
 from fingerpost.guidance.errors import (
     GripperNotFoundError,
@@ -33,7 +34,6 @@ from fingerpost.guidance.plane import (
     places_to_visit,
     spread_places,
 )
-from fingerpost.guidance.recorded import ArmRecording
 from fingerpost.guidance.session import KEY_HELP, Activity, Session, SessionReport
 from fingerpost.guidance.setup import guard_of, held_down, plane_of, region_of, robot_of
 from fingerpost.guidance.worker import Jobs, Turns, Worker

@@ -31,8 +31,8 @@ from fingerpost.silhouette import Capsule
 Frames = Iterator[Sequence[Frame | Loss | None]]
 
 
-class SessionOutputs(Protocol):
-    """Publishes and records what the page shows; `fingerpost.cli.session_outputs` has one."""
+class Outputs(Protocol):
+    """Publishes and records what the page shows; `fingerpost.cli.session_outputs` has them."""
 
     def opened(
         self, rig: Rig, sources: Sequence[Source], *, is_live: bool, arm: GuidedArm | None = None
@@ -60,7 +60,7 @@ def operate(
     rig: Rig,
     title: str,
     operator: Operator | None = None,
-    outputs: SessionOutputs | None = None,
+    outputs: Outputs | None = None,
     desk: GuidingDesk | None = None,
 ) -> None:
     """Show a rig's run on the page, to the end of its sources.

@@ -7,7 +7,7 @@ pixels from the corner of the first one, fingerpost from its centre.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -62,8 +62,8 @@ def compressed_image(view: str, time_ns: int, data: bytes, image_format: str) ->
 def pose_in(
     frame: str,
     time_ns: int,
-    position_m: Sequence[float],
-    orientation: Sequence[float],
+    position_m: Iterable[float],
+    orientation: Iterable[float],
 ) -> PoseInFrame:
     """Return a pose in a frame: position x, y, z [m] and quaternion x, y, z, w."""
     (x, y, z), (qx, qy, qz, qw) = position_m, orientation

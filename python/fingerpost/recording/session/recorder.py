@@ -152,7 +152,7 @@ class Recorder:
         self._taken += 1
         self._put(lambda: self._write_step(step))
 
-    def note(self, topic: str, row: object, time_s: float) -> None:
+    def add_row(self, topic: str, row: object, time_s: float, step: int = 0) -> None:
         """Record what stands beside the steps, such as a command to a robot; never waits.
 
         From any thread, and from a signal's handler.
@@ -165,20 +165,22 @@ class Recorder:
             A dataclass of numbers, words and None.
         time_s
             When, by the clock of the frames [s].
+        step
+            The number of the step that it belongs to, if it does to one.
         """
-        step = self._steps
         self._rows.put(lambda: self._write_json(topic, type(row), row, self._ns(time_s), step))
 
-    def note_pose(
+    def add_pose(
         self,
         topic: str,
         frame: str,
-        position_m: Sequence[float],
-        orientation: Sequence[float],
+        position_m: Iterable[float],
+        orientation: Iterable[float],
         time_s: float,
+        step: int = 0,
     ) -> None:
-        """Record a pose in a frame: position x, y, z [m] and quaternion x, y, z, w; as `note`."""
-        step, time_ns = self._steps, self._ns(time_s)
+        """Record a pose in a frame: position x, y, z [m], quaternion x, y, z, w; as `add_row`."""
+        time_ns = self._ns(time_s)
         message = pose_in(frame, time_ns, position_m, orientation)
         self._rows.put(lambda: self._write_message(topic, message, time_ns, step))
 

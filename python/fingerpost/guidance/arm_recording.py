@@ -11,6 +11,7 @@ from fingerpost.guidance.log import CommandRow
 from fingerpost.robot import CommandRecord, Pose
 
 if TYPE_CHECKING:
+    from fingerpost.pipeline import Step
     from fingerpost.recording.session import Recorder
 
 STATE_TOPIC, POSE_TOPIC, COMMAND_TOPIC = "/robot/state", "/robot/pose", "/robot/command"
@@ -31,8 +32,6 @@ class ArmRow:
         Whether it is homed; whether commands may pass; whether one that passed may still run.
     why_stopped
         Why the guard stopped it last; empty if it never did.
-    x_m, y_m, z_m
-        Where the gripper was read last, in the robot's frame [m]; None before.
     """
 
     time_s: float
@@ -41,9 +40,6 @@ class ArmRow:
     armed: bool
     moves: bool
     why_stopped: str
-    x_m: float | None = None
-    y_m: float | None = None
-    z_m: float | None = None
 
 
 class ArmRecording:
@@ -60,28 +56,22 @@ class ArmRecording:
     def __init__(self, arm: GuidedArm, recorder: Recorder) -> None:
         self._arm, self._recorder = arm, recorder
 
-    def take(self, time_s: float) -> None:
-        """Record the arm's state at the time of a step [s]; never waits."""
-        guard, status = self._arm.guard, self._arm.robot.status()
-        pose = guard.pose
+    def take(self, step: Step) -> None:
+        """Record the arm's state and its last pose at the time of a step; never waits."""
+        guard, status, time_s = self._arm.guard, self._arm.robot.status(), step.fix.time_s
         row = ArmRow(
-            time_s,
-            status.state.value,
-            status.homed,
-            guard.armed,
-            guard.busy,
-            guard.why_stopped,
-            *(() if pose is None else (pose.x_m, pose.y_m, pose.z_m)),
+            time_s, status.state.value, status.homed, guard.armed, guard.busy, guard.why_stopped
         )
-        self._recorder.note(STATE_TOPIC, row, time_s)
-        if pose is not None:
-            position_m = (pose.x_m, pose.y_m, pose.z_m)
-            self._recorder.note_pose(POSE_TOPIC, ROBOT_FRAME, position_m, _quaternion(pose), time_s)
+        self._recorder.add_row(STATE_TOPIC, row, time_s, step.index)
+        if (pose := guard.pose) is not None:
+            self._recorder.add_pose(
+                POSE_TOPIC, ROBOT_FRAME, pose.position_m, _quaternion(pose), time_s, step.index
+            )
 
     def on_record(self, record: CommandRecord) -> None:
         """Record a command; from any thread, and from a signal's handler."""
         time_s = record.time_s if math.isfinite(record.time_s) else self._arm.guard.time_s
-        self._recorder.note(COMMAND_TOPIC, CommandRow.of(record), time_s)
+        self._recorder.add_row(COMMAND_TOPIC, CommandRow.of(record), time_s)
 
 
 def _quaternion(pose: Pose) -> tuple[float, float, float, float]:
