@@ -628,11 +628,12 @@ def test_a_camera_is_lost_while_its_pictures_have_another_size(caplog):
         for _ in rows[1:]:
             device.feed(1)
             seen.append(next(source))
-    why = "160 × 100 px have come where 160 × 120 px came first"
+    why = "its pictures have another size than the first"
     assert [getattr(entry, "why", "") for entry in seen] == ["", why, why, ""]
     assert [record.getMessage() for record in caplog.records] == [
-        f"camera 0: {why}",
-        "camera 0: 160 × 120 px again",
+        "camera 0: 160 × 100 px, where the first picture has 160 × 120: "
+        "lost until that size is back",
+        "camera 0: its first size again",
     ]
     assert source.damage == ""
 

@@ -31,7 +31,7 @@ from fingerpost.capture.as_sent import as_sent, picture_of
 from fingerpost.capture.raw import STDIN, RawStream, StreamEndedError, raw_format
 from fingerpost.capture.remote import is_url, masked
 from fingerpost.capture.settings import CameraSettings, Control
-from fingerpost.capture.source import Frame, Loss, Source, SourceKind
+from fingerpost.capture.source import OTHER_SIZE, Frame, Loss, Source, SourceKind
 from fingerpost.checks import opencv_path
 from fingerpost.errors import CaptureError
 from fingerpost.signals import leave_behind
@@ -349,19 +349,25 @@ class LiveSource(Source):
 
     def _of_one_size(self, frame: Frame) -> Frame | Loss:
         seen = super()._of_one_size(frame)
-        is_other = isinstance(seen, Loss)
-        if is_other != self._has_other_size:
-            self._has_other_size = is_other
-            height, width = frame.image.shape[:2]
-            again = seen.why if isinstance(seen, Loss) else f"{width} × {height} px again"
-            _log.warning("%s: %s", self.name, again)
+        if self._has_other_size and isinstance(seen, Frame):
+            self._has_other_size = False
+            _log.warning("%s: its first size again", self.name)
         return seen
 
     def _other_size(self, frame: Frame, first: tuple[int, int]) -> Loss:
-        """Lose a frame: the camera may be set back, or its place be taken by the right one."""
-        height, width = frame.image.shape[:2]
-        why = f"{width} × {height} px have come where {first[1]} × {first[0]} px came first"
-        return Loss(frame.index, frame.time_s, why)
+        """Lose a frame: the camera may be set back, or the right one be plugged in again."""
+        if not self._has_other_size:
+            self._has_other_size = True
+            height, width = frame.image.shape[:2]
+            _log.warning(
+                "%s: %d × %d px, where the first picture has %d × %d: lost until that size is back",
+                self.name,
+                width,
+                height,
+                first[1],
+                first[0],
+            )
+        return Loss(frame.index, frame.time_s, OTHER_SIZE)
 
     def _loss(self) -> Loss:
         why = f"no picture has come for {self.silent_s:.1f} s"

@@ -93,6 +93,9 @@ DAMAGED = "its picture is damaged"
 UNDECODABLE = "its picture cannot be decoded"
 """What is said of a picture that its decoder makes nothing of."""
 
+OTHER_SIZE = "its pictures have another size than the first"
+"""What is said of a live view's picture that the rig's pixels do not fit."""
+
 SAME_GREY = 3
 """A grey picture's channels differ by no more than this once a video has been decoded [levels]."""
 
