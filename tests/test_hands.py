@@ -1,4 +1,4 @@
-"""Hands as they are: what is at the tip, or along the finger, and unlike it."""
+"""Fingers beside stripes, and fingers with dark nails."""
 
 import csv
 from pathlib import Path
@@ -16,15 +16,18 @@ from fingerpost.finding.foreground import foreground_ahead
 from fingerpost.finding.pixel_tests import is_stripe
 from fingerpost.finding.tip import SHORT_SIGMA, TipTest
 from fingerpost.pipeline import Pointer
+from fingerpost.simulate import Background as Scenery
+from fingerpost.simulate import Hand, SimulatedRig, figure_eight, pointing_session
+from fingerpost.simulated_rig_file import rig_from_simulation
 
 CLIP = Path(fp.__file__).parent / "data" / "desk"
-TABLE, SKIN, NAIL = 90, 170, 30
+TABLE, FINGER, NAIL = 90, 170, 30
 HALF_WIDTH_PX = 8.0
 RIGHTWARDS = SimpleNamespace(tip_px=(200.0, 120.0), angle_rad=0.0)
 
 
-def band(ends_at=200, half_width_px=HALF_WIDTH_PX, middle=120.0, of=SKIN, on=None):
-    """Grey levels of a band along u that ends at a column."""
+def band(ends_at=200, half_width_px=HALF_WIDTH_PX, middle=120.0, of=FINGER, on=None):
+    """Return grey levels of a band along u that ends at column `ends_at`."""
     v, u = np.mgrid[0:240, 0:320].astype(float)
     grey = np.full(v.shape, TABLE, np.uint8) if on is None else on.copy()
     grey[(np.abs(v - middle) < half_width_px) & (u < ends_at)] = of
@@ -42,18 +45,42 @@ for row in range(-5, 6):
     STRIPES = band(middle=120.0 + 2 * HALF_WIDTH_PX * row, of=light, on=STRIPES)
 
 
+EDGE = 130
+"""Grey level of the table beside a striped glove, between those of its stripes."""
+
+
+def at_the_edge(on=EDGE):
+    """Return stripes above the axis, and below it one that is narrower and then the table."""
+    grey = band(of=EDGE)
+    for row in range(-6, 1):
+        grey = band(middle=120.0 + 16.0 * row, of=200 if row % 2 == 0 else 60, on=grey)
+    grey[128:138, :200] = 60
+    grey[138:] = on
+    return grey
+
+
 @pytest.mark.parametrize(
     ("grey", "expected"),
     [
         (STRIPES, True),
         (band(), False),
         (band(middle=100.0, on=band()), False),
-        (band(ends_at=170, half_width_px=40.0, of=SKIN - 30, on=band()), False),
+        (band(ends_at=170, half_width_px=40.0, of=FINGER - 30, on=band()), False),
         (np.full((240, 320), TABLE, np.uint8), False),
+        (at_the_edge(), True),
+        (at_the_edge(on=60), False),
     ],
-    ids=["stripes", "one finger", "two fingers", "before the palm", "nothing"],
+    ids=[
+        "stripes",
+        "one finger",
+        "two fingers",
+        "before the palm",
+        "nothing",
+        "edge of stripes",
+        "spread fingers",
+    ],
 )
-def test_a_stripe_among_stripes_is_told_from_a_finger(grey, expected):
+def test_a_stripe_among_stripes_is_distinguished_from_a_finger(grey, expected):
     assert is_stripe(frame(grey), RIGHTWARDS, HALF_WIDTH_PX) is expected
 
 
@@ -64,7 +91,7 @@ def learned():
     return background
 
 
-def test_a_finger_that_goes_on_ahead_of_its_tip_is_surer_of_its_axis_once_it_does_not():
+def test_the_axis_sigma_is_raised_while_the_finger_extends_beyond_the_tip():
     background, test = learned(), TipTest()
     nail = frame(band(ends_at=200, on=band(ends_at=218, of=NAIL)))
     whole = frame(band())
@@ -86,7 +113,7 @@ def test_an_unknown_background_changes_nothing():
 
 
 def followed(rig, frames):
-    """Points, covariances, and the tips and angles of both views, by frame."""
+    """Return the fixes and both views' finger lines, by frame."""
     pointer, fixes, tips = Pointer(rig), [], []
     for seen in frames:
         (step,) = pointer.update(seen)
@@ -95,13 +122,20 @@ def followed(rig, frames):
     return fixes, tips
 
 
-def test_ellipses_hold_for_dark_nails():
+@pytest.fixture(scope="module")
+def clip():
+    """Return the rig, the true points, the frames and both views' finger lines of the clip."""
     rig = Rig.load(CLIP / "rig.toml")
     with (CLIP / "truth.csv").open(newline="") as file:
         truth = np.array([(float(row["x"]), float(row["y"])) for row in csv.DictReader(file)])
     with open_views(rig.sources, rig.readings) as sources:
         frames = [list(seen) for seen in read_views(sources)]
     _, tips = followed(rig, frames)
+    return rig, truth, frames, tips
+
+
+def test_ellipses_have_coverage_with_dark_nails(clip):
+    rig, truth, frames, tips = clip
     painted = []
     for seen, fingers in zip(frames, tips, strict=True):
         views = []
@@ -123,3 +157,43 @@ def test_ellipses_hold_for_dark_nails():
     ]
     assert len(ok) >= 70
     assert np.mean(held) >= 0.85
+
+
+STRIPE_PX = 14.0
+
+
+def striped_hand(seed, count=36, fps=30.0):
+    """Return a rig without a start, and the frames and true points of a hand in a striped glove."""
+    rig = SimulatedRig(device=Hand(), background=Scenery(texture="wood", clutter=15, seed=seed))
+    path = pointing_session(figure_eight(rig.workspace, hover_mm=90.0)[seed:], wait_s=0.2)
+    frames, points = [], []
+    for k in range(count):
+        time_s = 0.6 + k / fps
+        shot = rig.render(path, time_s=time_s, rng=k)
+        table = rig.render(None, time_s=time_s, rng=k)
+        views = []
+        for image, empty, view in zip(shot.images, table.images, shot.truth.views, strict=True):
+            tip_px = np.zeros(2) if view.finger is None else view.finger.apex_pictured_px
+            views.append(Frame(k, time_s, in_stripes(image, cv2.absdiff(image, empty) > 5, tip_px)))
+        frames.append(views)
+        points.append(shot.truth.indicated_mm)
+    return rig_from_simulation(rig), frames, points
+
+
+def in_stripes(grey, is_hand, tip_px):
+    """Return an image with its hand in stripes that move with the tip."""
+    v, u = np.mgrid[: grey.shape[0], : grey.shape[1]]
+    across = ((u - tip_px[0]) + (v - tip_px[1])) / (np.sqrt(2.0) * STRIPE_PX)
+    stripes = np.where(np.floor(across) % 2 == 0, 200, 40).astype(np.uint8)
+    return cv2.GaussianBlur(np.where(is_hand, stripes, grey), (0, 0), 0.7)
+
+
+def test_no_stripe_of_a_glove_is_taken_for_the_finger():
+    rig, frames, truth = striped_hand(seed=2)
+    fixes, _ = followed(rig, frames)
+    off_mm = [
+        np.hypot(*(fix.point - point))
+        for fix, point in zip(fixes, truth, strict=True)
+        if fix.point is not None and point is not None
+    ]
+    assert sum(off > 50.0 for off in off_mm) <= 2

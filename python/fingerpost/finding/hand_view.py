@@ -50,13 +50,13 @@ UNSUPPORTED_FRAMES = 20
 """Frames without support by another view after which a finger is rejected."""
 
 ALONE_FRAMES = 10
-"""Frames in which no other view follows a view's finger, after which the whole image is searched
-beside it: it may be another digit, as the thumb. With fewer, a second hand would take the place of
+"""Frames in which no other view follows a view's finger, after which the whole image is searched as
+well: the finger may be another digit, such as the thumb. With fewer, a second hand would replace
 one that the other view is about to find."""
 
 NO_POINT_FRAMES = 10
 """Frames in which a view's finger gives no point with that of any other view, after which the whole
-image is searched beside it: the template may have locked on to another part of the hand."""
+image is searched as well: the template may have locked on to another part of the hand."""
 
 MIN_FLATNESS = 0.5
 FLAT_FRAMES = 5
@@ -77,8 +77,8 @@ at the hand's last position."""
 
 AT_TEMPLATE = 0.5
 AT_TEMPLATE_RAD = 0.6
-"""Greatest distance of the tip from the initial template's [template lengths] and greatest angle
-between them, at which a hand is held up to it: the template's capture range."""
+"""Greatest distance between the fingertip and the initial template's tip [template lengths], and
+greatest angle between both, at which a hand is presented: the template's capture range."""
 
 STOOD_FRAMES = 8
 """Frames in which a finger is static while another view's moves, after which it is rejected."""
@@ -88,8 +88,8 @@ class HandView:
     """One view: its tracker, its search for the hand, and its homography.
 
     A view with a start pose waits there with the initial template until it has followed a hand. If
-    a hand does not come there, the view searches the whole image as well, as a view without start
-    pose does, and any view that has lost the hand; see `fingerpost.finding`.
+    no hand comes there, it also searches the whole image, as does a view without a start pose and
+    any view that has lost the hand; see `fingerpost.finding`.
 
     Parameters
     ----------
@@ -171,9 +171,9 @@ class HandView:
     def is_searching(self) -> bool:
         """Whether the whole image is to be searched for the hand.
 
-        It is without a tracker; while foreground is not at the initial template; while another view
-        follows a hand that has passed it; and while this view's finger is supported by no other
-        view, gives no point, or is missed.
+        True without a tracker; while there is foreground away from the initial template; while
+        another view follows a hand that has bypassed the template; and while this view's finger
+        has no support by another view, gives no point, or is missed.
         """
         if self._tracker is None or self._misses_hand:
             return True
@@ -231,7 +231,7 @@ class HandView:
             self._first_hand.body = self._body
 
     def update_from_other_views(self, others: Sequence[HandView]) -> None:
-        """Take over whether another view has a new hand, or follows one alone."""
+        """Update from the other views: whether one has a new hand, or follows a hand alone."""
         self._is_elsewhere = any(other.has_newcomer or other._is_alone_for_long for other in others)
 
     @property
@@ -323,7 +323,7 @@ class HandView:
         return self._tracker, frame.grey(), frame.time_s, frame.colour(), known
 
     def follow(self, frame: Frame, track: Track) -> None:
-        """Take over the tracker's result for the view's frame."""
+        """Store the tracker's result for the view's frame."""
         self.may_show_body = self._body.shows_as(track.finger_line)
         if self.may_show_body and not self.is_sure:
             self.judge_body(is_hand=False)
@@ -345,7 +345,7 @@ class HandView:
             return
         if self._first_hand is not None:
             self._first_hand.prove(frame, track.finger_line)
-        # A template that jumps from the table to the hand has not moved like a hand.
+        # The jump of a template from the table to the hand is not the hand's motion.
         if track.finger_line is not None and self.is_sure:
             self._latest.append(track.finger_line)
             self._last_seen = LastSeen(track.finger_line.angle_rad, frame.time_s)
@@ -363,9 +363,9 @@ class HandView:
         )
 
     def judge_body(self, *, is_hand: bool | None) -> None:
-        """Take over whether the finger within a body's silhouette is a hand.
+        """Set whether the finger within a body's silhouette is a hand.
 
-        None stands for unknown: it counts as no hand, and is rejected after `ALONE_FRAMES`.
+        None means unknown: it is treated as no hand, and rejected after `ALONE_FRAMES`.
         """
         self.shows_body = not is_hand
         self._doubtful_frames = self._doubtful_frames + 1 if is_hand is None else 0
@@ -506,6 +506,7 @@ class HandView:
             self.is_recognised = self._memory.recognises(found.appearance, found.track.time_s)
             self._tracker, self._track = found.tracker, found.track
             self._extension = found.extension
+            self._stripe_frames = found.stripe_frames
             if self._first_hand is not None:
                 self._first_hand.accept_from_search()
             self.missing = Status.LOST

@@ -46,12 +46,12 @@ taken for a hand."""
 
 
 STRIPE_FRAMES = 8
-"""Consecutive frames as a stripe among stripes after which a finger is rejected: a finger beside
+"""Count of frames as a stripe among stripes after which a finger is rejected: a finger beside
 others that is before a table of their brightness looks like one for up to 5."""
 
 
 def count_stripes(before: int, frame: Frame, track: Track | None) -> int:
-    """Count the consecutive frames in which what is tracked is a stripe among stripes.
+    """Count the frames in which what is tracked is a stripe among stripes, less the others.
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ def count_stripes(before: int, frame: Frame, track: Track | None) -> int:
     half_width_px = fitted_half_width_px(track)
     if line is None or half_width_px is None:
         return before
-    return before + 1 if is_stripe(frame, line, half_width_px) else 0
+    return before + 1 if is_stripe(frame, line, half_width_px) else max(before - 1, 0)
 
 
 def precedence(foreground: float) -> float:
@@ -95,7 +95,7 @@ class Trial:
     misses
         Consecutive frames without an accepted fit.
     stripe_frames
-        Consecutive frames as a stripe among stripes.
+        Count of frames as a stripe among stripes, less the others.
     appearance
         Appearance at the last update of the scores.
     extension
@@ -252,13 +252,13 @@ in 99 % of the frames, though its colour hardly differs from the wood behind it;
 
 MIN_WIDENING = 0.5
 """Widening in both views from which the score of a pair that may have been there from the start is
-not reduced [0 to 1]: an object that stands on the table, as a bottle or a pen, has less."""
+not reduced [0 to 1]: an object that stands on the table, such as a bottle or a pen, has less."""
 
 MIN_WIDENING_FOREGROUND = 0.2
 NO_WIDENING_PENALTY = 0.4
 """Widening from which the score of a foreground pair is not reduced, and the part by which it is
-without any widening: it may be a pointing device, and ranks below a hand. In 57 recordings hands
-that came had 0.24 and more, a stick and a fold of a fist 0 to 0.05."""
+reduced without any: the pair may be a pointing device, which ranks below a hand. In 57 recordings
+hands that entered had 0.24 and more, a stick and a fold of a fist 0 to 0.05."""
 
 CURRENT_PAIR_FACTOR = 1.25
 """Factor of the rank of the pair that is followed already."""
@@ -298,4 +298,6 @@ def pair_rank(
     too_late = not has_come and any(
         trial.is_late and not (is_supported and trial.has_moved) for trial in trials
     )
-    return 0.0 if too_late or score < MIN_PAIR_SCORE else rank, not too_new
+    may_be_stripe = any(trial.stripe_frames > 0 for trial in trials)
+    is_refused = too_late or may_be_stripe or score < MIN_PAIR_SCORE
+    return 0.0 if is_refused else rank, not too_new
