@@ -1,4 +1,4 @@
-"""The command line as a user meets it: exit codes, one line for a mistake, files that stay."""
+"""The command line: exit codes, one-line errors, and files that remain after an interrupt."""
 
 import json
 import os
@@ -41,7 +41,7 @@ def fingerpost(*arguments: object, cwd: Path | None = None) -> subprocess.Comple
 
 
 def refused(*arguments: object) -> str:
-    """The one line with which bad input is refused."""
+    """Run a command with bad input; return its one-line error."""
     done = fingerpost(*arguments)
     assert done.returncode == 2
     assert done.stdout == ""
@@ -63,7 +63,7 @@ def test_run_writes_points_and_tracks_and_a_summary(rig_file, tmp_path):
     assert overlay.stat().st_size > 0
 
 
-def test_run_prints_json_lines_where_a_program_reads(rig_file):
+def test_run_prints_json_lines(rig_file):
     done = fingerpost("run", rig_file, "--json", "--max-frames", 6)
     rows = [json.loads(line) for line in done.stdout.splitlines()]
     assert len(rows) == 6
@@ -72,17 +72,17 @@ def test_run_prints_json_lines_where_a_program_reads(rig_file):
     assert rows[-1]["status"] == "ok"
 
 
-def test_run_follows_the_hand_with_the_papers_model_too(rig_file):
+def test_run_tracks_with_the_papers_model(rig_file):
     done = fingerpost("run", rig_file, "--json", "--model", "paper")
     assert json.loads(done.stdout.splitlines()[-1])["status"] == "ok"
 
 
-def test_the_demo_leaves_table_picture_and_video(tmp_path):
+def test_the_demo_writes_tables_picture_and_video(tmp_path):
     done = fingerpost("demo", "--output", tmp_path / "out", "--max-frames", 12, "--json")
     assert done.returncode == 0, done.stderr
     summary = json.loads(done.stdout)
     assert summary["frames"] == 12
-    for name in ("points.csv", "tracks.csv", "summary.png", "overlay.mp4"):
+    for name in ("points.csv", "tracks.csv", "summary.png", "overlay.webm"):
         assert (tmp_path / "out" / name).stat().st_size > 0
 
 
@@ -125,7 +125,7 @@ def test_the_experiment_prints_its_table(tmp_path):
         (["robot", "home", "puma://"], "puma"),
     ],
 )
-def test_a_mistake_is_one_line_and_exit_code_2(arguments, line):
+def test_a_mistake_gives_one_line_and_exit_code_2(arguments, line):
     assert line in refused(*arguments)
 
 
@@ -137,13 +137,13 @@ ODD_NUMBERS = ("nan", "inf", "-inf", "-1", "0", "1e300", "1e-300", "1e-320", str
 @pytest.mark.parametrize(
     "option", ["--length", "--contrast", "--noise", "--blur", "--reference-noise", "--unit-mm"]
 )
-def test_an_odd_number_for_the_advisor_is_refused_by_name_or_works(rig_file, option, number):
+def test_an_extreme_number_for_the_advisor_is_refused_by_name_or_works(rig_file, option, number):
     check_refused_or_works("advise", rig_file, "--size", 640, 480, option, number)
 
 
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("number", ["0", "179.9", "180", "-180"])
-def test_a_single_direction_of_pointing_is_judged(rig_file, number):
+def test_the_advisor_accepts_a_single_azimuth(rig_file, number):
     done = check_refused_or_works(
         "advise", rig_file, "--size", 640, 480, "--azimuth", number, number
     )
@@ -153,13 +153,13 @@ def test_a_single_direction_of_pointing_is_judged(rig_file, number):
 
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("number", ["0", "-1", "100001", str(2**31), str(2**63), "9" * 5000])
-def test_an_odd_size_for_the_advisor_is_refused_by_name(rig_file, number):
+def test_an_invalid_size_for_the_advisor_is_refused_by_name(rig_file, number):
     done = check_refused_or_works("advise", rig_file, "--size", 640, number)
     assert done.exit_code == 2
 
 
 def check_refused_or_works(*arguments: object) -> Result:
-    """Invoke a command that may fail in one line alone, and prints nothing that is no number."""
+    """Invoke a command; it must succeed or fail with one line, and print no NaN or infinity."""
     done = CliRunner().invoke(main, [str(argument) for argument in arguments])
     assert done.exit_code in (0, 2), done.output
     if done.exit_code == 2:
@@ -172,7 +172,7 @@ def check_refused_or_works(*arguments: object) -> Result:
 
 
 @pytest.mark.parametrize("count", [10**20, 2**63])
-def test_a_run_of_more_frames_than_can_be_counted_goes_to_the_end(rig_file, count):
+def test_a_limit_beyond_any_frame_count_is_accepted(rig_file, count):
     done = CliRunner().invoke(main, ["run", str(rig_file), "--max-frames", str(count)])
     assert done.exit_code == 0, done.output
     assert f"frames   {FRAMES}" in done.stdout
@@ -196,7 +196,7 @@ def test_a_run_of_more_frames_than_can_be_counted_goes_to_the_end(rig_file, coun
     ],
     ids=" ".join,
 )
-def test_output_that_nothing_takes_is_one_line(rig_file, tmp_path, arguments, unbuffered):
+def test_a_failed_write_to_stdout_gives_one_line(rig_file, tmp_path, arguments, unbuffered):
     named = {"RIG": str(rig_file), "OUT": str(tmp_path)}
     command = [sys.executable, "-m", "fingerpost", *(named.get(a, a) for a in arguments)]
     with open("/dev/full", "w") as full:  # noqa: PTH123
@@ -218,7 +218,7 @@ def test_output_that_nothing_takes_is_one_line(rig_file, tmp_path, arguments, un
 @pytest.mark.parametrize(
     ("arguments", "encoding"),
     [
-        # What lacks most signs for every table; the others for the one that is made fastest.
+        # ASCII, which lacks most signs, for every table; other encodings for the fastest one.
         (["advise", "RIG", "--size", "640", "480"], "ascii"),
         (["doctor", "RIG"], "ascii"),
         *(
@@ -228,7 +228,7 @@ def test_output_that_nothing_takes_is_one_line(rig_file, tmp_path, arguments, un
     ],
     ids=lambda value: value if isinstance(value, str) else value[0],
 )
-def test_a_terminal_that_lacks_signs_gets_the_others(rig_file, arguments, encoding):
+def test_tables_are_printed_in_encodings_that_lack_signs(rig_file, arguments, encoding):
     command = [str(rig_file) if a == "RIG" else a for a in arguments]
     done = subprocess.run(
         [sys.executable, "-m", "fingerpost", *command],
@@ -242,7 +242,7 @@ def test_a_terminal_that_lacks_signs_gets_the_others(rig_file, arguments, encodi
     assert len(done.stdout.splitlines()) >= 5
 
 
-def test_a_rig_with_a_mistake_names_file_key_and_what_would_be_right(rig_file, tmp_path):
+def test_a_mistake_in_a_rig_is_reported_with_file_and_key(rig_file, tmp_path):
     text = rig_file.read_text()
     (tmp_path / "rig.toml").write_text(text.replace("angle_deg", "angel_deg", 1))
     line = refused("run", tmp_path / "rig.toml")
@@ -250,7 +250,7 @@ def test_a_rig_with_a_mistake_names_file_key_and_what_would_be_right(rig_file, t
     assert "angel_deg" in line
 
 
-def test_a_table_that_cannot_be_written_is_one_line(rig_file, tmp_path):
+def test_an_output_that_cannot_be_written_is_refused_in_one_line(rig_file, tmp_path):
     assert "no/p.csv" in refused("run", rig_file, "--points", tmp_path / "no" / "p.csv")
     assert "o.gif" in refused("run", rig_file, "--overlay", tmp_path / "o.gif")
 
@@ -264,7 +264,7 @@ def test_a_missing_recording_fails_with_one_line(rig_file, tmp_path):
 
 
 @pytest.mark.skipif(not hasattr(signal, "SIGINT") or os.name == "nt", reason="POSIX signals")
-def test_ctrl_c_keeps_what_was_written(tmp_path):
+def test_ctrl_c_keeps_the_rows_written(tmp_path):
     points = tmp_path / "points.csv"
     demo = subprocess.Popen(
         [sys.executable, "-m", "fingerpost", "demo", "--output", str(tmp_path), "--simulate"],
@@ -282,7 +282,7 @@ def test_ctrl_c_keeps_what_was_written(tmp_path):
 
 @pytest.mark.skipif(os.name == "nt", reason="POSIX signals")
 @pytest.mark.parametrize("name", ["SIGTERM", "SIGHUP"])
-def test_a_signal_that_ends_programs_does_what_ctrl_c_does(name):
+def test_a_terminating_signal_acts_as_ctrl_c(name):
     number = getattr(signal, name)
     with handled(number, signal.SIG_DFL):
         with pytest.raises(KeyboardInterrupt), ending_as_interrupted():
@@ -300,7 +300,7 @@ def handled(number, handler):
 
 
 @pytest.mark.skipif(os.name == "nt", reason="POSIX signals")
-def test_a_background_job_that_ignores_ctrl_c_is_ended_all_the_same():
+def test_sigterm_ends_a_background_job_that_ignores_ctrl_c():
     with (
         handled(signal.SIGINT, signal.SIG_IGN),
         pytest.raises(KeyboardInterrupt),
@@ -311,14 +311,14 @@ def test_a_background_job_that_ignores_ctrl_c_is_ended_all_the_same():
 
 @pytest.mark.skipif(os.name == "nt", reason="POSIX signals")
 @pytest.mark.parametrize("ending", [ending_as_interrupted, ending_orderly])
-def test_what_nohup_has_a_program_ignore_does_not_end_it(ending):
+def test_a_hangup_ignored_under_nohup_has_no_effect(ending):
     with handled(signal.SIGHUP, signal.SIG_IGN), ending():
         signal.raise_signal(signal.SIGHUP)
         assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
 
 
 @pytest.mark.skipif(os.name == "nt", reason="POSIX shells")
-def test_a_closed_stderr_stops_no_command(rig_file, tmp_path):
+def test_a_command_runs_with_stderr_closed(rig_file, tmp_path):
     points = tmp_path / "points.csv"
     command = 'exec "$0" -m fingerpost run "$1" --max-frames 3 --points "$2" 2>&-'
     done = subprocess.run(["sh", "-c", command, sys.executable, rig_file, points], check=False)
@@ -326,7 +326,7 @@ def test_a_closed_stderr_stops_no_command(rig_file, tmp_path):
     assert len(read_points(points)) == 3
 
 
-def test_the_experiment_takes_a_lens():
+def test_the_experiment_accepts_a_lens():
     done = fingerpost("experiment", "--targets", "2", "--k1", "-0.05")
     assert done.returncode == 0, done.stderr
     assert "k1 -0.05" in done.stdout
@@ -340,7 +340,7 @@ def test_a_robot_is_homed_from_the_command_line():
     assert fingerpost("robot", "stop", "sim://").returncode == 0
 
 
-def test_a_robot_that_is_not_there_fails_with_one_line():
+def test_an_absent_robot_fails_with_one_line():
     done = fingerpost("robot", "home", "acl:///dev/no-such-port")
     assert done.returncode == 1
     assert len(done.stderr.splitlines()) == 1

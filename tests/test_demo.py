@@ -1,4 +1,4 @@
-"""The demo: what it writes is whole, and what it says of it follows from its files."""
+"""The demo: its files are complete, and its summary follows from them."""
 
 import csv
 import json
@@ -19,8 +19,8 @@ from fingerpost.recording import read_points, read_tracks
 
 CLIP = Path(fingerpost.demo.__file__).parent / "data" / "desk"
 FRAMES = 45
-SIMULATED_FRAMES = 46  # the hand has come in, waited and been acquired by then
-FILES = ["overlay.mp4", "points.csv", "summary.png", "tracks.csv"]
+SIMULATED_FRAMES = 46  # the hand enters, waits and is acquired in these
+FILES = ["overlay.webm", "points.csv", "summary.png", "tracks.csv"]
 
 
 def clip_truth():
@@ -43,7 +43,7 @@ def simulation(tmp_path_factory):
 # --- the packaged clip ------------------------------------------------------------------------
 
 
-def test_the_clip_is_whole_and_small():
+def test_the_clip_is_complete_and_small():
     rig = Rig.load(CLIP / "rig.toml")
     truth = clip_truth()
     assert list(truth) == list(range(90))
@@ -62,7 +62,7 @@ def test_the_truth_is_on_the_sheet_and_moves_smoothly():
     assert np.linalg.norm(np.diff(points, axis=0), axis=1).max() < 30.0
 
 
-# --- what is written --------------------------------------------------------------------------
+# --- files ------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("run", "frames"), [("clip", FRAMES), ("simulation", SIMULATED_FRAMES)])
@@ -77,14 +77,14 @@ def test_the_files_are_valid(run, frames, request):
         (k, view) for k in range(frames) for view in ("left", "right")
     ]
     picture = cv2.imread(str(folder / "summary.png"))
-    with open_source(str(folder / "overlay.mp4")) as overlay:
+    with open_source(str(folder / "overlay.webm")) as overlay:
         pictures = [frame.image for frame in overlay]
     assert len(pictures) == frames
     assert {image.shape for image in pictures} == {picture.shape}
     assert picture.std() > 10.0
 
 
-def test_the_summary_can_be_found_out_from_the_tables(clip):
+def test_the_summary_follows_from_the_tables(clip):
     folder, summary = clip
     truth = clip_truth()
     rows = read_points(folder / "points.csv")
@@ -109,7 +109,7 @@ def test_the_hand_in_the_clip_is_tracked(clip):
     _, summary = clip
     assert summary.fixes > FRAMES / 2
     assert summary.availability > 0.9
-    # The clip gives 2 % of the plane; twice that is no longer the same tracker.
+    # On this clip the tracker has 2 % of the plane; twice that is a regression.
     assert summary.median < 0.04 * summary.plane_size
 
 
@@ -121,7 +121,7 @@ def test_the_hand_in_the_simulation_is_tracked(simulation):
     assert summary.rms < 0.037 * summary.plane_size
 
 
-def test_the_simulation_follows_its_seed(tmp_path):
+def test_the_simulation_depends_on_its_seed_only(tmp_path):
     pictures = []
     for name, seed in (("a", 7), ("b", 7), ("c", 8)):
         run_demo(tmp_path / name, simulate=True, seed=seed, max_frames=2)
@@ -130,26 +130,26 @@ def test_the_simulation_follows_its_seed(tmp_path):
     assert (pictures[0] != pictures[2]).any()
 
 
-def test_a_second_run_takes_the_place_of_the_first(tmp_path):
+def test_a_second_run_replaces_the_files_of_the_first(tmp_path):
     for frames in (3, 1):
         run_demo(tmp_path, max_frames=frames)
     assert len(read_points(tmp_path / "points.csv")) == 1
     assert sorted(path.name for path in tmp_path.iterdir()) == FILES
 
 
-# --- what is said -----------------------------------------------------------------------------
+# --- the summary ------------------------------------------------------------------------------
 
 
-def test_decoding_is_told_from_tracking(tmp_path):
-    # A clock that advances by 1 ms whenever it is looked at: decoding a pair takes one look until
-    # the next, and following it, decoding included, three.
+def test_decoding_and_tracking_are_timed_separately(tmp_path):
+    # The clock advances by 1 ms with every reading: decoding a pair takes 1 ms, and following it,
+    # decoding included, 3 ms.
     summary = run_demo(tmp_path, max_frames=4, clock=(k * 1_000_000 for k in count_up()).__next__)
-    ends = 1  # looking for a fifth pair
+    ends = 1  # the reading that finds no fifth pair
     assert summary.decoding_ms == pytest.approx((4 + ends) / 4)
     assert summary.tracking_ms == pytest.approx((3 * (4 + ends) - (4 + ends)) / 4)
 
 
-def test_frames_can_be_watched(tmp_path):
+def test_the_frames_pass_through_the_watcher(tmp_path):
     handed_on = []
 
     def watch(frames, count):
@@ -171,7 +171,7 @@ def test_a_run_without_a_fix_has_no_figures(tmp_path):
     assert [line.split()[0] for line in summary.lines()] == ["frames", "speed", *["written"] * 4]
 
 
-def test_the_summary_reads_well():
+def test_the_summary_as_text_and_as_json():
     summary = DemoSummary(
         footage="the built-in clip",
         unit="mm",
@@ -205,14 +205,14 @@ def test_the_summary_reads_well():
 
 
 @pytest.mark.parametrize("name", ["file", "file/below", "a\0b", "x" * 5000])
-def test_a_folder_that_cannot_be_is_refused_in_one_line(tmp_path, name):
+def test_a_folder_that_cannot_be_made_is_refused_in_one_line(tmp_path, name):
     (tmp_path / "file").write_text("in the way")
     with pytest.raises(InvalidInputError, match="cannot be made") as refused:
         run_demo(f"{tmp_path}/{name}", max_frames=1)
     assert "\n" not in str(refused.value)
 
 
-def test_a_file_that_cannot_be_written_is_told_in_one_line(tmp_path):
+def test_a_file_that_cannot_be_written_is_refused_in_one_line(tmp_path):
     (tmp_path / "summary.png").mkdir()
     with pytest.raises(FingerpostError, match=r"summary\.png: cannot be written") as refused:
         run_demo(tmp_path, max_frames=1)

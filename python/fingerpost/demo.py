@@ -1,7 +1,7 @@
-"""The main job with nothing plugged in: built-in footage → fixes, a summary, pictures.
+"""A demonstration without cameras: built-in footage → fixes, a summary, pictures.
 
-What is played is either a short rendered clip of a hand (`data/desk`) or the simulated rig, both
-with their truth. They go through the same pipeline as any recording, with nothing tuned to them.
+The footage is either a short rendered clip of a hand (`data/desk`) or the simulated rig, both with
+ground truth. They are processed by the same pipeline as any recording, without special tuning.
 """
 
 from __future__ import annotations
@@ -53,12 +53,12 @@ _TRAIL = 40  # fixes that the overlay shows behind the newest one
 
 @dataclass(frozen=True)
 class DemoSummary:
-    """What a demo came to; lengths in plane units.
+    """Results of a demo; lengths in plane units.
 
     Attributes
     ----------
     footage
-        What was played.
+        The footage that was played.
     unit
         Name of the plane's unit.
     plane_size
@@ -66,21 +66,21 @@ class DemoSummary:
     frames
         Frames of the first view.
     fixes
-        Those with an indicated point.
+        Number of fixes with an indicated point.
     availability
-        Of the frames from the first fix on that show the whole finger, the share with a fix, 0 to
-        1; None without a fix.
+        Share of frames with a fix among those from the first fix on that show the whole finger, 0
+        to 1; None without a fix.
     rms, median, percentile_95
-        Distance from the indicated point to where the finger truly points, over the frames that
-        have both; None if there is no such frame.
+        Distance from the indicated point to the true point, over the frames that have both; None
+        if there is no such frame.
     coverage
-        Share of these frames whose 95 % ellipse holds the true point, 0 to 1.
+        Share of these frames whose 95 % ellipse contains the true point, 0 to 1.
     tracking_ms
         Mean time to track the hand in a frame of every view and to point, in ms.
     decoding_ms
         Mean time to decode, or simulate, that frame of every view, in ms.
     files
-        What was written.
+        Written files.
     """
 
     footage: str
@@ -121,7 +121,7 @@ class DemoSummary:
         return [*lines, *(f"written   {file}" for file in self.files)]
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the summary as what JSON can hold; a None is a figure that does not exist."""
+        """Return the summary for JSON; a None is a figure that does not exist."""
         return dataclasses.asdict(self)
 
     def _length(self, length: float) -> str:
@@ -138,27 +138,27 @@ def run_demo(
     clock: Callable[[], int] = time.perf_counter_ns,
     watch: Watch | None = None,
 ) -> DemoSummary:
-    """Play the built-in footage through the pipeline, and write what comes of it.
+    """Process the built-in footage, and write the results.
 
-    The folder gets ``points.csv``, ``tracks.csv``, ``overlay.mp4`` and ``summary.png``: both views
-    with outline, finger line and indicated point, and the plan with all that was indicated and
-    what is true. Files of a former run are overwritten.
+    The folder gets ``points.csv``, ``tracks.csv``, ``overlay.webm`` and ``summary.png``: both views
+    with outline, finger line and indicated point, and the plan with the indicated and the true
+    points. Files of a former run are overwritten.
 
     Parameters
     ----------
     output
-        The folder; made if need be.
+        The folder; created if needed.
     simulate
         False plays the clip, True the simulated rig: a hand that enters, waits, points along a
         path, leaves and returns.
     seed
-        Of everything random in the simulation, ≥ 0.
+        Seed of the simulation, ≥ 0.
     max_frames
-        Stop after as many frames, ≥ 1; None plays all.
+        Number of frames after which to stop, ≥ 1; None plays all.
     clock
-        Gives the time in nanoseconds, to tell the speed.
+        Returns the time in nanoseconds; measures the speed.
     watch
-        Is handed the frames and their number and hands them on, such as a progress bar.
+        Gets the frames and their number and returns the frames, such as a progress bar.
 
     Returns
     -------
@@ -167,9 +167,9 @@ def run_demo(
     Raises
     ------
     InvalidInputError
-        The folder cannot be made or written into, or an argument is out of range.
+        The folder cannot be created or written into, or an argument is out of range.
     FingerpostError
-        A file cannot be written any further.
+        Writing a file has failed.
     """
     if max_frames is not None and max_frames < 1:
         raise InvalidInputError(f"max_frames is {max_frames}; 1 or more is right")
@@ -185,7 +185,7 @@ def run_demo(
     return outcome.summary(
         footage=footage,
         plane_size=pointer.plane_views[0].plane_size,
-        # Decoding happens inside of following, on demand.
+        # Decoding happens during tracking, on demand.
         tracking_ns=followed.elapsed_ns - played.elapsed_ns,
         decoding_ns=played.elapsed_ns,
         files=files,
@@ -197,12 +197,12 @@ def clip_rig() -> Rig:
     return Rig.load(_CLIP / "rig.toml")
 
 
-# --- what is played ---------------------------------------------------------------------------
+# --- footage ----------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
 class _Footage:
-    """Frames, the rig they come from, and what is true of them."""
+    """Frames, their rig and their ground truth."""
 
     name: str
     rig: Rig
@@ -211,8 +211,8 @@ class _Footage:
     count: int
     fps: float
     truth: dict[int, NDArray[np.float64]]
-    """Where the finger points, by frame, where every view shows all of it; the simulation gives it
-    as its frames come."""
+    """True point by frame, for frames in which every view shows the whole finger; the simulation
+    adds it as it renders."""
 
 
 def _clip(stack: ExitStack) -> _Footage:
@@ -231,7 +231,7 @@ def _clip(stack: ExitStack) -> _Footage:
     )
 
 
-# Reference points of the simulation are off by this much, as from a fit to a drawn edge [px].
+# Standard deviation of the simulation's reference points, as from a fit to a drawn edge [px].
 _SIMULATED_REFERENCE_SIGMA_PX = 0.1
 
 
@@ -262,7 +262,7 @@ def _simulation(seed: int) -> _Footage:
 
 
 def _rig_of(simulated: SimulatedRig, waiting: FrameTruth, rng: np.random.Generator) -> Rig:
-    """Say what a person would write into the rig file: none of it is quite exact."""
+    """Return the rig that a person would describe: slightly inexact."""
     points_px, starts = [], []
     for view, exact_px in zip(waiting.views, simulated.reference_points_px, strict=True):
         starts.append(None if view.finger is None else view.finger.start(_START_ERROR, rng))
@@ -277,7 +277,7 @@ def _rendered(
     rng: np.random.Generator,
     truth: dict[int, NDArray[np.float64]],
 ) -> Iterator[Frames]:
-    """Render frame by frame, and enter into `truth` what is true of each."""
+    """Render frame by frame, and add the true points to `truth`."""
     for index in range(count):
         frame = simulated.render(motion, time_s=index / _SIMULATED_FPS, rng=rng)
         indicated_mm = frame.truth.indicated_mm
@@ -293,11 +293,11 @@ def _shows_finger(truth: FrameTruth) -> bool:
     return all(view.finger is not None and view.finger.in_view for view in truth.views)
 
 
-# --- what comes of it -------------------------------------------------------------------------
+# --- results ----------------------------------------------------------------------------------
 
 
 class _Timed(Generic[T], Iterator[T]):
-    """Items as they come, and the time that was spent waiting for them."""
+    """Iterator that measures the time spent waiting for items."""
 
     def __init__(self, items: Iterable[T], clock: Callable[[], int]) -> None:
         self._items = iter(items)
@@ -314,14 +314,14 @@ class _Timed(Generic[T], Iterator[T]):
 
 @dataclass(eq=False)
 class _Outcome:
-    """What the steps came to, next to what is true."""
+    """Results of the steps, compared with the truth."""
 
     truth: dict[int, NDArray[np.float64]]
     frames: int = 0
     points: list[NDArray[np.float64]] = field(default_factory=list)
     with_finger: int = 0  # frames since the first fix that show the whole finger
     errors: list[float] = field(default_factory=list)
-    held: list[bool] = field(default_factory=list)  # whether the 95 % ellipse holds the truth
+    held: list[bool] = field(default_factory=list)  # whether the 95 % ellipse contains the truth
 
     def add(self, step: Step) -> None:
         self.frames += 1
@@ -374,8 +374,8 @@ def _write_all(
     outcome: _Outcome,
     count: int,
 ) -> list[Path]:
-    """Take every step, and write the tables, the video and the picture."""
-    files = [folder / name for name in ("points.csv", "tracks.csv", "overlay.mp4", "summary.png")]
+    """Process every step, and write the tables, the video and the picture."""
+    files = [folder / name for name in ("points.csv", "tracks.csv", "overlay.webm", "summary.png")]
     points = stack.enter_context(write_points(files[0]))
     tracks = stack.enter_context(write_tracks(files[1]))
     video = stack.enter_context(VideoWriter(files[2], fps=footage.fps))
@@ -411,13 +411,13 @@ def _write_all(
 
 
 def _shows_more(step: Step, pictured: Step, count: int) -> bool:
-    """Whether a step suits the summary better: with a fix, and up to the middle, later."""
+    """Whether a step suits the summary better: with a fix, and, up to the middle, later."""
     if step.fix.point is None:
         return False
     return pictured.fix.point is None or step.index <= count // 2
 
 
 def _unbroken(truth: dict[int, NDArray[np.float64]], count: int) -> NDArray[np.float64]:
-    """Give the true points of all frames; NaN where there is none."""
+    """Return the true points of all frames; NaN where there is none."""
     nowhere = np.full(2, np.nan)
     return np.array([truth.get(index, nowhere) for index in range(count)])

@@ -1,4 +1,4 @@
-"""The guidance experiment: the plane by the robot, its figures, and what is refused."""
+"""The guidance experiment: the plane by the robot, its figures, and refusals."""
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ from fingerpost.closed_loop.trials import (
 from fingerpost.errors import InvalidInputError
 
 PLANE_RMS_MM = 2.0
-"""What a plane by the robot has to reach, open loop with exact pointing."""
+"""Required accuracy of the plane by the robot, open loop with exact pointing."""
 
 
 @pytest.mark.parametrize("height_mm", [0.0, 50.0])
@@ -50,7 +50,7 @@ def test_the_table_counts_what_failed():
     assert a_result().as_dict()["planes"][0]["rms_mm"] == pytest.approx(np.sqrt(12.5))
 
 
-def test_a_plane_on_which_nothing_was_pointed_at_has_no_figures():
+def test_a_plane_without_fixes_has_no_figures():
     plane = PlaneAccuracy(0.0, 0.5, (), 4)
     assert np.isnan(plane.rms_mm)
     text = "\n".join(GuidanceResult(0, (plane,), ()).table())
@@ -70,7 +70,7 @@ def test_options_out_of_range_are_refused(wrong):
         GuidanceOptions(**wrong)
 
 
-def test_guidance_goes_with_nothing_else():
+def test_guidance_excludes_other_experiments():
     result = CliRunner().invoke(main, ["experiment", "--guidance", "1", "--noise", "2"])
     assert result.exit_code == 2
 

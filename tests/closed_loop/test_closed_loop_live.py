@@ -1,4 +1,4 @@
-"""The simulated cell on the operator's page: the page's beats move its arm, in the world's time."""
+"""The simulated cell on the operator's page: the page's beats permit motion, in simulated time."""
 
 import sys
 from contextlib import contextmanager
@@ -15,7 +15,7 @@ STOPPED_S = 0.5
 
 
 class ScriptedPage:
-    """Takes what the page would be shown, and asks what its operator would."""
+    """Receives the page's data and sends the commands of an operator."""
 
     def __init__(self):
         self.frames, self.states, self.notes = 0, [], []
@@ -46,7 +46,7 @@ class ScriptedPage:
             raise FingerpostError("closed")
 
 
-def test_the_page_moves_the_arm_of_the_cell_while_it_beats(monkeypatch):
+def test_the_arm_of_the_cell_moves_while_the_page_sends_beats(monkeypatch):
     monkeypatch.setitem(sys.modules, "mujoco", None)
     page = ScriptedPage()
     with pytest.raises(FingerpostError, match="closed"):

@@ -1,4 +1,4 @@
-"""The simulated operator: he misses, he sees late, he corrects, he is content."""
+"""The simulated operator: pointing offset, visual delay, corrections, tolerance."""
 
 import dataclasses
 
@@ -14,7 +14,7 @@ STEP_S = 0.05
 
 
 def run(operator, seconds, gripper, *, from_s=0.0):
-    """Let time pass; `gripper` maps where he points to where the gripper is. Returns its places."""
+    """Simulate; `gripper` maps the indicated place to the gripper's. Return the latter."""
     places = []
     for time_s in np.arange(from_s, from_s + seconds, STEP_S):
         place = gripper(operator.indicated_mm(time_s))
@@ -24,7 +24,7 @@ def run(operator, seconds, gripper, *, from_s=0.0):
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_open_loop_he_misses_by_his_offset(seed):
+def test_open_loop_the_error_is_the_operators_offset(seed):
     habits = dataclasses.replace(Habits.exact(), offset_mm=(20.0, 40.0))
     operator = Operator(habits, START, np.random.default_rng(seed))
     operator.mean(TARGET, 0.0)
@@ -40,8 +40,8 @@ def test_an_exact_operator_points_exactly():
     assert run(operator, 3.0, lambda place: place)[-1] == pytest.approx(TARGET)
 
 
-def test_he_corrects_what_the_machine_does_wrong():
-    # The gripper goes 15 mm and 10 % elsewhere; no offset of his own is left to explain it.
+def test_the_operator_corrects_errors_of_the_machine():
+    # The gripper's map has an offset and a gain of 10 %; the operator's own offset is zero.
     operator = Operator(Habits.exact(), START, np.random.default_rng(0))
     operator.mean(TARGET, 0.0)
     operator.corrects = True
@@ -51,7 +51,7 @@ def test_he_corrects_what_the_machine_does_wrong():
 
 
 @pytest.mark.parametrize("seed", range(30))
-def test_he_ends_within_a_centimetre(seed):
+def test_the_operator_ends_within_a_centimetre(seed):
     operator = Operator(Habits(), START, np.random.default_rng(seed))
     operator.mean(TARGET, 0.0)
     operator.corrects = True
@@ -59,7 +59,7 @@ def test_he_ends_within_a_centimetre(seed):
     assert np.linalg.norm(last - TARGET) < 10.0
 
 
-def test_he_comes_back_to_what_he_pointed_at():
+def test_the_operator_returns_to_his_target_after_a_rest():
     operator = Operator(Habits.exact(), START, np.random.default_rng(0))
     operator.mean(TARGET, 0.0)
     run(operator, 3.0, lambda place: place)
@@ -69,7 +69,7 @@ def test_he_comes_back_to_what_he_pointed_at():
     assert run(operator, 3.0, lambda place: place, from_s=6.0)[-1] == pytest.approx(TARGET)
 
 
-def test_he_sees_late():
+def test_the_operator_reacts_after_his_visual_delay():
     habits = dataclasses.replace(Habits.exact(), offset_mm=(30.0, 30.0), seeing_s=0.5)
     operator = Operator(habits, START, np.random.default_rng(3))
     operator.mean(TARGET, 0.0)
@@ -81,7 +81,7 @@ def test_he_sees_late():
     assert (answered - landed) * STEP_S >= habits.seeing_s + habits.patience_s - 2 * STEP_S
 
 
-def test_a_hand_held_still_trembles_by_what_it_should():
+def test_tremor_and_drift_of_a_still_hand_have_their_variance():
     habits = Habits()
     operator = Operator(habits, START, np.random.default_rng(5))
     places = run(operator, 400.0, lambda place: place)
@@ -93,6 +93,6 @@ def test_a_hand_held_still_trembles_by_what_it_should():
 @pytest.mark.parametrize(
     "wrong", [{"gain": 0.0}, {"offset_mm": (30.0, 20.0)}, {"seeing_s": np.nan}, {"drift_s": 0.0}]
 )
-def test_habits_that_nobody_has_are_refused(wrong):
+def test_invalid_habits_are_refused(wrong):
     with pytest.raises(InvalidInputError, match=next(iter(wrong))):
         Habits(**wrong)

@@ -1,4 +1,4 @@
-"""The robot cell under physics: kinematics, pictures, grip, touch, and the serial line to it."""
+"""The robot cell with physics: kinematics, rendering, grip, contact, and the serial line."""
 
 import contextlib
 
@@ -19,7 +19,7 @@ from fingerpost.robot.scorbot import ScorbotOptions
 from fingerpost.simulate import DevicePose, Hand, SimulatedRig
 
 STILL_MM = 0.3
-"""An arm that stands is where the driver sent it, to encoder steps and the motors' give."""
+"""Position error of an arm at rest: encoder steps and the motors' compliance."""
 
 
 def new_cell(**optics) -> PhysicalCell:
@@ -40,14 +40,14 @@ def cell():
 
 @contextlib.contextmanager
 def driven(cell, options=SCORBOT):
-    """The cell's world and the driver at the other end of the line, homed."""
+    """Yield the cell's world and the line with a homed driver."""
     world = World(cell, 20.0)
     with scorbot_in(cell, world, options) as line:
         yield world, line
 
 
 def stand(cell, x_mm, y_mm, z_mm):
-    """Put the arm somewhere at once, the gripper pointing down."""
+    """Place the arm instantaneously, with the gripper pointing down."""
     joints = inverse(np.array([10 * x_mm, 10 * y_mm, 10 * z_mm, -900.0, 0.0]))
     cell.put_arm(joints)
 
@@ -56,7 +56,7 @@ def over(x_mm, y_mm, z_mm):
     return Pose(x_mm / 1000, y_mm / 1000, z_mm / 1000, pitch_rad=TOOL_DOWN_RAD, roll_rad=0.0)
 
 
-def test_the_arm_is_the_one_that_the_controller_knows(cell):
+def test_the_kinematics_match_the_controllers(cell):
     rng = np.random.default_rng(1)
     for _ in range(50):
         joints = rng.uniform(*JOINT_LIMITS_RAD.T)
@@ -64,8 +64,8 @@ def test_the_arm_is_the_one_that_the_controller_knows(cell):
         assert cell.gripper_mm == pytest.approx(forward(joints)[:3] / 10, abs=1e-6)
 
 
-def test_the_cameras_see_what_their_matrices_say():
-    # Of the drawn hand, against the exact outlines of the simulated rig.
+def test_rendering_matches_the_camera_matrices():
+    # The rendered hand, compared with the exact outlines of the simulated rig.
     cell = new_cell(blur_px=0.0, noise=0.0, samples=4)
     pose = DevicePose.pointing_at((430.0, 10.0), hover_mm=90, azimuth_deg=155, slant_deg=40)
     cell.put_block((900.0, 0.0), 0.0)
@@ -82,7 +82,7 @@ def test_the_cameras_see_what_their_matrices_say():
         assert (seen ^ true).sum() < 0.02 * true.sum()
 
 
-def test_the_card_shows_where_the_gripper_is(cell):
+def test_the_card_marks_the_gripper_position(cell):
     finder = MarkerFinder(0, tip=(0.0, (CARD_MARKER_UP_MM + SPIKE_MM) / CARD_MARKER_MM))
     cell.shows_card = True
     errors = []
@@ -95,7 +95,7 @@ def test_the_card_shows_where_the_gripper_is(cell):
 
 
 def carry_up(cell):
-    """Grip the block as a driver does and lift it; return how high it is then [mm]."""
+    """Grip the block by the driver and lift it; return its height [mm]."""
     cell.put_block((420.0, 60.0), 0.15)
     with driven(cell) as (_, line):
         robot = line.robot
@@ -121,20 +121,20 @@ def test_without_friction_the_block_stays(cell):
     assert not cell.contacts.gripped
 
 
-def test_the_driver_reads_where_the_physics_has_the_arm(cell):
+def test_the_driver_reads_the_simulated_position(cell):
     with driven(cell) as (world, line):
         line.robot.move_to(over(400.0, -50.0, 120.0), wait=False)
         for _ in range(5):
             world.advance(0.3)
             before = cell.gripper_mm
-            told = 1000 * line.robot.pose().position_m
-            # The reading is a little old when it has come: it lies on the way.
+            reported = 1000 * line.robot.pose().position_m
+            # The reading is slightly old on arrival, so it lies on the path.
             way = np.linalg.norm(cell.gripper_mm - before)
-            assert np.linalg.norm(told - before) <= way + STILL_MM
+            assert np.linalg.norm(reported - before) <= way + STILL_MM
             assert way > 1.0
 
 
-def test_touching_the_table_is_seen(cell):
+def test_contact_with_the_table_is_detected(cell):
     careless = ScorbotOptions(lower_m=(-0.6, -0.6, -0.2), upper_m=SCORBOT.upper_m)
     with driven(cell, careless) as (_, line):
         line.robot.move_to(over(450.0, 0.0, 30.0))
@@ -148,7 +148,7 @@ def test_touching_the_table_is_seen(cell):
         assert cell.gripper_mm[2] > 0.0
 
 
-def test_a_session_is_the_same_to_the_last_byte():
+def test_sessions_are_reproducible_byte_for_byte():
     def conversation():
         cell = new_cell()
         cell.put_block((420.0, 60.0), 0.1)
@@ -162,7 +162,7 @@ def test_a_session_is_the_same_to_the_last_byte():
     assert conversation() == conversation()
 
 
-def test_bytes_take_their_time(cell):
+def test_bytes_take_their_transmission_time(cell):
     with driven(cell) as (world, line):
         line.robot.move_to(over(420.0, 60.0, 100.0))
         before_s, before = world.time_s, line.answered_bytes

@@ -2,8 +2,8 @@
 
 The whole product runs on the world's pixels: the pointer tracks the rendered hand, the robot
 defines the plane by visiting it, follows the indicated point and carries a block, while a simulated
-operator sees where the gripper went and corrects. With MuJoCo (extra ``mujoco``) the arm is one
-under physics, driven by the package's own driver through the emulated controller's serial port.
+operator sees the gripper's position and corrects. With MuJoCo (extra ``mujoco``) the arm has
+physics, and is driven by the package's own driver through the emulated controller's serial port.
 
     summary = run_robot_demo("out")            # fingerpost demo --robot
     result = run_guidance(50)                  # fingerpost experiment --guidance 50

@@ -1,8 +1,8 @@
-"""The robot demo: a hand points, a robot comes, a block is carried, and a video remains.
+"""The robot demo: a hand points, a robot follows and carries a block, and a video is recorded.
 
-With MuJoCo it is the closed loop in full: an arm under physics that is driven through its emulated
-controller's serial port, a plane that its own gripper has defined, a block that friction lifts.
-Without, a simulated robot goes where the simulated rig's hand points.
+With MuJoCo it is the complete closed loop: an arm with physics, driven through its emulated
+controller's serial port; a plane defined by its own gripper; a block that friction lifts. Without
+it, a simulated robot moves to the point indicated by the simulated rig's hand.
 """
 
 from __future__ import annotations
@@ -43,56 +43,59 @@ from fingerpost.robot.simulated import SimulatedOptions
 from fingerpost.simulate import Hand
 
 Array = NDArray[np.float64]
-Tell = Callable[[str], None]
+Report = Callable[[str], None]
 
 FRAMES_PER_S = 15.0
 WAITING_MM = (425.0, 0.0)
 TURN_RAD = 0.2
-"""How the block lies, against the robot's axes."""
+"""Rotation of the block relative to the robot's axes."""
 
 BESIDE_MM = (620.0, 300.0)
-"""Where the block is while the gripper defines the plane."""
+"""Position of the block while the gripper defines the plane."""
+
+FILMED_EVERY = 2
+"""Moments for each frame of the video."""
 
 PLANE_M = 0.0
-_TRAIL = 30  # fixes and gripper positions that the plan shows behind the newest ones
+_TRAIL = 30  # earlier fixes and gripper positions that the plan shows
 _GRIPPER_TRAIL = 75
 _JAW_LENGTH_M = 0.02
 
 
 @dataclass(frozen=True)
 class RobotDemoSummary:
-    """What a robot demo came to.
+    """Result of a robot demo.
 
     Attributes
     ----------
     cell
-        What was played.
+        Name of the cell.
     note
-        What is missing for more; empty if nothing.
+        Missing component for the physics; empty if none.
     plane
-        What the plane by the robot came to, a line each.
+        Summary of the plane's definition by the robot, line by line.
     legs
         The two targets, block and place.
     placed_mm
-        How far from its place the block lies; None if it was not carried.
+        Distance of the block from its place; None if it was not carried.
     problem
-        Why not; empty if it was, or if `shortened`.
+        Why it was not carried; empty if it was, or if `shortened`.
     shortened
         Whether `max_frames` ended it.
     table_steps
         Steps of the physics in which the arm touched the table; None without physics.
     line_bytes
-        Bytes that the controller sent over its serial line, echoes included; None without one.
+        Bytes sent by the controller over its serial line, including echoes; None without a line.
     frames, fixes
-        Frames in which the hand was there, and those with an indicated point.
+        Frames with a hand, and those among them with an indicated point.
     false_fixes
-        Frames with an indicated point in which there was no hand.
+        Frames with an indicated point but no hand.
     fix_rms_mm
-        From the indicated point to where the hand pointed; None without a fix.
+        RMS distance from the indicated to the true point; None without a fix.
     time_s
         Duration of the task in the simulated world [s].
     files
-        What was written.
+        Written files.
     """
 
     cell: str
@@ -112,7 +115,7 @@ class RobotDemoSummary:
     files: tuple[str, ...]
 
     def lines(self) -> list[str]:
-        """Return the summary as lines of text for a person."""
+        """Return the summary as lines of text."""
         lines = [f"played    {self.cell}, {self.time_s:.0f} s"]
         lines += [f"plane     {line}" for line in self.plane]
         if self.fix_rms_mm is not None:
@@ -139,7 +142,7 @@ class RobotDemoSummary:
         return [*lines, self.note] if self.note else lines
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the summary as what JSON can hold; a None is a figure that does not exist."""
+        """Return the summary as JSON values; None for a figure that does not exist."""
         return dataclasses.asdict(self)
 
 
@@ -148,24 +151,24 @@ def run_robot_demo(
     *,
     seed: int = 0,
     max_frames: int | None = None,
-    tell: Tell = lambda _: None,
+    report: Report = lambda _: None,
 ) -> RobotDemoSummary:
-    """Play the robot demo, and write what comes of it.
+    """Run the robot demo, and write its results.
 
-    The folder gets ``rig.toml`` with the plane by the robot, ``points.csv``, ``tracks.csv``,
-    ``overlay.mp4`` with both views and the plan, and ``summary.png``. Files of a former run are
-    overwritten.
+    The folder receives ``rig.toml`` with the plane defined by the robot, ``points.csv``,
+    ``tracks.csv``, ``overlay.webm`` with both views and the plan, and ``summary.png``. Files of a
+    previous run are overwritten.
 
     Parameters
     ----------
     output
         The folder; made if need be.
     seed
-        Of everything random, ≥ 0.
+        Seed of all random numbers, ≥ 0.
     max_frames
-        Stop after as many frames, ≥ 1; None plays to the end.
-    tell
-        Called now and then with what is being done.
+        Number of frames, ≥ 1; None runs to the end.
+    report
+        Called with messages on the progress.
 
     Raises
     ------
@@ -182,35 +185,37 @@ def run_robot_demo(
     rng = np.random.default_rng(seed)
     block_mm, place_mm = block_and_place_mm(rng)
     with ExitStack() as stack:
-        stage, note = stack.enter_context(staged(rng, block_mm, tell))
-        return _play(stack, stage, folder, block_mm, place_mm, rng, max_frames, tell, note)
+        stage, note = stack.enter_context(staged(rng, block_mm, report))
+        return _play(stack, stage, folder, block_mm, place_mm, rng, max_frames, report, note)
 
 
 @contextmanager
-def staged(rng: np.random.Generator, block_mm: Array, tell: Tell) -> Iterator[tuple[Stage, str]]:
-    """Give a cell whose robot is ready, with physics where they are installed.
+def staged(
+    rng: np.random.Generator, block_mm: Array, report: Report
+) -> Iterator[tuple[Stage, str]]:
+    """Yield a cell whose robot is ready, with physics if they are installed.
 
     Parameters
     ----------
     rng
-        Of everything random.
+        Random numbers.
     block_mm
-        (2,) where the block lies.
-    tell
-        Called now and then with what is being done.
+        (2,) Position of the block.
+    report
+        Called with messages on the progress.
 
     Returns
     -------
     tuple
-        The cell, and what is missing for more; empty if nothing.
+        The cell, and the missing component for the physics; empty if none.
     """
     note = _missing()
-    with (_kinematic if note else _physical)(rng, block_mm, tell) as stage:
+    with (_kinematic if note else _physical)(rng, block_mm, report) as stage:
         yield stage, note
 
 
 def _missing() -> str:
-    """Say what is missing for the physics; empty if nothing is."""
+    """Return the missing component for the physics; empty if none is."""
     try:
         require_mujoco()
     except MissingExtraError as error:
@@ -228,15 +233,15 @@ class Stage:
     Attributes
     ----------
     name
-        What is played.
+        Its name.
     cell, world, robot, rig
-        The cell, its time, its robot, homed, and the rig without start poses.
+        The cell, its time, its homed robot, and the rig without start poses.
     plane
-        What the plane by the robot came to, a line each.
+        Summary of the plane's definition by the robot, line by line.
     options
-        How the product is run.
+        Options of the product.
     in_views
-        Whether the robot has to be drawn into the pictures.
+        Whether the robot must be drawn into the pictures.
     line_bytes, table_steps
         Bytes of the serial line, and steps in which the arm touched the table; None without them.
     """
@@ -254,7 +259,7 @@ class Stage:
 
 
 @contextmanager
-def _physical(rng: np.random.Generator, block_mm: Array, tell: Tell) -> Iterator[Stage]:
+def _physical(rng: np.random.Generator, block_mm: Array, report: Report) -> Iterator[Stage]:
     cell = PhysicalCell(CameraPlacement().cameras(), Hand().body, rng=rng, optics=Optics())
     cell.put_block(BESIDE_MM, 0.0)
     world = World(cell, FRAMES_PER_S)
@@ -265,7 +270,7 @@ def _physical(rng: np.random.Generator, block_mm: Array, tell: Tell) -> Iterator
                 world,
                 line.robot,
                 PLANE_M,
-                progress=lambda visit: tell(f"the gripper visits the plane: {visit.place + 1}"),
+                progress=lambda visit: report(f"the gripper visits the plane: {visit.place + 1}"),
             )
             cell.put_block(_pair(block_mm), TURN_RAD)
             yield Stage(
@@ -285,7 +290,7 @@ def _physical(rng: np.random.Generator, block_mm: Array, tell: Tell) -> Iterator
 
 
 @contextmanager
-def _kinematic(rng: np.random.Generator, block_mm: Array, _tell: Tell) -> Iterator[Stage]:
+def _kinematic(rng: np.random.Generator, block_mm: Array, _report: Report) -> Iterator[Stage]:
     robot = SimulatedRobot(
         SimulatedOptions(homing_s=0.5),
         clock=lambda: world.time_s,
@@ -310,7 +315,7 @@ def _kinematic(rng: np.random.Generator, block_mm: Array, _tell: Tell) -> Iterat
         )
 
 
-# --- what comes of it -------------------------------------------------------------------------
+# --- results ----------------------------------------------------------------------------------
 
 
 def _play(
@@ -321,7 +326,7 @@ def _play(
     place_mm: Array,
     rng: np.random.Generator,
     max_frames: int | None,
-    tell: Tell,
+    report: Report,
     note: str,
 ) -> RobotDemoSummary:
     waiting = Aim(WAITING_MM, plane_mm=1000 * PLANE_M)
@@ -329,7 +334,7 @@ def _play(
     rig = with_start(stage.rig, stage.cell.cameras, hand, waiting.pose(), rng)
     files = [
         folder / name
-        for name in ("rig.toml", "points.csv", "tracks.csv", "overlay.mp4", "summary.png")
+        for name in ("rig.toml", "points.csv", "tracks.csv", "overlay.webm", "summary.png")
     ]
     rig.save(files[0])
     operator = Operator(Habits(), WAITING_MM, rng, time_s=stage.world.time_s)
@@ -341,7 +346,7 @@ def _play(
     def on_moment(moment: Moment) -> None:
         accuracy.add(moment)
         film.add(moment)
-        tell(f"{moment.time_s - begin_s:6.1f} s  {moment.doing}")
+        report(f"{moment.time_s - begin_s:6.1f} s  {moment.doing}")
         if film.frames == max_frames:
             raise _EnoughError
 
@@ -379,14 +384,15 @@ class _EnoughError(Exception):
 
 
 class _Film:
-    """Writes every moment down: tables, video, and a picture of when the block was selected."""
+    """Records tables of every moment, a video, and a picture of the selection of the block."""
 
     def __init__(
         self, stack: ExitStack, files: list[Path], stage: Stage, loop: ClosedLoop, place_mm: Array
     ) -> None:
         self._points = stack.enter_context(write_points(files[1]))
         self._tracks = stack.enter_context(write_tracks(files[2]))
-        self._video = stack.enter_context(VideoWriter(files[3], fps=FRAMES_PER_S))
+        fps = FRAMES_PER_S / FILMED_EVERY
+        self._video = stack.enter_context(VideoWriter(files[3], fps=fps))
         self._summary = files[4]
         self._composition = Composition(loop.plane_views, unit="m")
         self._stage = stage
@@ -397,7 +403,7 @@ class _Film:
         self.frames = 0
 
     def add(self, moment: Moment) -> None:
-        """Write a moment."""
+        """Record a moment."""
         self.frames += 1
         step = moment.step
         self._points.write(step.point_row())
@@ -407,6 +413,8 @@ class _Film:
         if step.fix.point is not None:
             self._indicated.append(step.fix.point)
         self._gripper.append(moment.gripper_m[:2])
+        if (self.frames - 1) % FILMED_EVERY:
+            return
         image = self._composition.draw(
             step.observations,
             step.fix,
@@ -415,8 +423,8 @@ class _Film:
             robot=self._marks(moment),
         )
         self._video.write(image)
-        is_telling = moment.doing == "with feedback" and step.fix.point is not None
-        if self._best is None or is_telling:
+        has_feedback = moment.doing == "with feedback" and step.fix.point is not None
+        if self._best is None or has_feedback:
             self._best = image
 
     def picture(self) -> None:
@@ -434,7 +442,7 @@ class _Film:
         return RobotMarks(
             gripper=np.array([x, y]),
             jaw_width=2 * JAW_M * moment.jaw,
-            # At no roll the jaws close across the arm's own direction.
+            # With zero roll the jaws close perpendicular to the arm's direction.
             jaw_angle_rad=float(np.arctan2(y, x)) + np.pi / 2,
             jaw_length=_JAW_LENGTH_M,
             trail=self._gripper[-_GRIPPER_TRAIL:],

@@ -1,4 +1,4 @@
-"""MuJoCo, which not everybody has, and its way to draw without a screen."""
+"""Import of MuJoCo, an optional dependency, and its rendering without a screen."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ _NOTHING_DRAWS = (
 )
 
 OFFSCREEN = "egl"
-"""How Linux draws without a screen or a graphics card: EGL on Mesa's software rasteriser. The
+"""Rendering on Linux without a screen or a graphics card: EGL on Mesa's software rasteriser. The
 Debian packages are libegl1, libgl1 and libgl1-mesa-dri."""
 
 
 def require_mujoco() -> ModuleType:
-    """Import MuJoCo, ready to draw off the screen.
+    """Import MuJoCo, configured for off-screen rendering.
 
     MuJoCo reads the variable ``MUJOCO_GL`` once, when it is imported; it is set here unless the
     user has set it.
@@ -31,8 +31,7 @@ def require_mujoco() -> ModuleType:
     Raises
     ------
     MissingExtraError
-        MuJoCo, or what it draws with, is not installed; the message holds the command that
-        installs it.
+        MuJoCo, or its renderer, is not installed; the message contains the command to install it.
     """
     if sys.platform == "linux" and "mujoco" not in sys.modules:
         os.environ.setdefault("MUJOCO_GL", OFFSCREEN)
@@ -43,7 +42,7 @@ def require_mujoco() -> ModuleType:
         raise MissingExtraError(
             f"MuJoCo is not installed; install it with: pip install 'fingerpost[{EXTRA}]'"
         ) from error
-    except (AttributeError, OSError) as error:  # how PyOpenGL says that there is no EGL
+    except (AttributeError, OSError) as error:  # PyOpenGL's errors without EGL
         raise MissingExtraError(_NOTHING_DRAWS) from error
     return engine
 
@@ -54,7 +53,7 @@ def new_renderer(model: Any, width_px: int, height_px: int) -> Any:
     Raises
     ------
     MissingExtraError
-        There is an EGL but nothing behind it; the message holds the command that installs it.
+        EGL has no driver; the message contains the command to install one.
     """
     try:
         return require_mujoco().Renderer(model, height_px, width_px)

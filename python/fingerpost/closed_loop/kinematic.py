@@ -1,7 +1,7 @@
-"""The robot cell without physics: a simulated robot, the simulated rig's hand, a block that sticks.
+"""The robot cell without physics: a simulated robot, the simulated rig's hand, and a block.
 
-For those who have no MuJoCo. The hand is drawn and tracked as ever; arm and block have no picture
-and no mass, and a gripper that closes around the block has it.
+For systems without MuJoCo. The hand is rendered and tracked as usual; arm and block are not
+rendered and have no mass, and a gripper that closes around the block holds it.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ Image = NDArray[np.uint8]
 
 BLOCK_MM = 30.0
 CLOSED = 0.5
-"""A gripper less open than this holds what is in it."""
+"""Opening below which the gripper holds the block."""
 
 
 class KinematicCell:
@@ -37,13 +37,13 @@ class KinematicCell:
     Parameters
     ----------
     cameras
-        What looks on.
+        The cameras.
     hand
         The pointing hand.
     robot
-        The simulated robot, whose clock is the world's.
+        The simulated robot, with the world's clock.
     rng
-        Of the cameras' noise.
+        Random numbers of the cameras' noise.
     """
 
     def __init__(
@@ -70,17 +70,17 @@ class KinematicCell:
 
     @property
     def cameras(self) -> tuple[Camera, ...]:
-        """What looks on."""
+        """The cameras."""
         return self._rig.cameras
 
     @property
     def gripper_mm(self) -> Array:
-        """(3,) where the gripper is [mm]."""
+        """(3,) Position of the gripper [mm]."""
         return 1000 * self._robot.position[:3]
 
     @property
     def jaw(self) -> float:
-        """How far the gripper is open: 0 closed … 1 open."""
+        """Opening of the gripper: 0 closed … 1 open."""
         return self._robot.opening
 
     @property
@@ -90,20 +90,20 @@ class KinematicCell:
 
     @property
     def block_turn_rad(self) -> float:
-        """How the block is turned about the vertical [rad]."""
+        """Rotation of the block about the vertical [rad]."""
         return self._turn_rad
 
     def put_block(self, point_mm: tuple[float, float], turn_rad: float) -> None:
-        """Lay the block on the table, its middle over a point [mm], turned about the vertical."""
+        """Place the block on the table, centred on a point [mm], rotated about the vertical."""
         self._turn_rad = turn_rad
         self._block_mm = np.array([*point_mm, BLOCK_MM / 2])
 
     def put_hand(self, pose: DevicePose | None) -> None:
-        """Move the hand; None takes it away."""
+        """Move the hand; None removes it."""
         self._pose = pose
 
     def step_to(self, time_s: float) -> None:  # noqa: ARG002 - the robot has its own clock
-        """Take the block along, or let it go."""
+        """Move the block with the gripper, or release it."""
         gripper = self.gripper_mm
         if self.jaw >= CLOSED:
             if self._from_gripper_mm is not None:

@@ -1,10 +1,9 @@
-"""The serial line between driver and controller inside a simulated world, and the time it takes.
+"""The serial line between driver and controller in a simulated world, with its delays.
 
-The driver is the one that drives real arms; it opens a pseudo-terminal and knows nothing of the
-simulation. But nothing here waits for a clock on the wall. The world's time goes on only where the
-driver waits: for the bytes of an answer to come over the line, for a controller that is silent, or
-because it sleeps. So a session is the same to the last bit every time, and as fast as it can be
-computed.
+The driver is the one for real arms; it opens a pseudo-terminal and is unaware of the simulation.
+Nothing depends on the wall clock: the world's time only advances where the driver waits, for the
+bytes of an answer, for a silent controller, or in a sleep. A session is therefore reproducible to
+the last bit, and as fast as it can be computed.
 """
 
 from __future__ import annotations
@@ -21,23 +20,23 @@ BITS_PER_BYTE = 10
 """A start bit, eight of data, a stop bit."""
 
 IDLE_CALLS = 8
-"""Who asks for the time more often than this, and neither sleeps nor hears anything, is waiting."""
+"""Number of queries of the time, without a sleep or a transfer, after which a caller is waiting."""
 
 IDLE_S = 0.02
-"""How long it waits each time [s]: the driver listens in spells of about this length."""
+"""Time that passes for each such wait [s]: about the driver's read time-out."""
 
 
 class LineTime:
-    """The world's time as a driver sees it: a clock, a sleep and a tap of its line.
+    """The driver's interface to the world's time: a clock, a sleep and a tap of its line.
 
     Parameters
     ----------
     now : callable
-        The world's time [s].
+        Returns the world's time [s].
     advance : callable
-        Lets so many seconds of it pass.
+        Advances it by a time [s].
     serve : callable
-        Has the controller at the other end take and answer what was sent.
+        Lets the controller at the other end process and answer received bytes.
     baud : int
         Bits per second of the line.
     """
@@ -64,13 +63,13 @@ class LineTime:
         return self._now()
 
     def sleep(self, span_s: float) -> None:
-        """Let a span of time pass [s]."""
+        """Advance the time [s]."""
         self._calls = 0
         self._advance(span_s)
         self._serve()
 
     def tap(self, way: str, data: bytes) -> None:
-        """See a transfer; what comes back holds the echo of what went out, and takes its time."""
+        """Account for a transfer; received bytes include the echo of those sent, and take time."""
         self._calls = 0
         if way == "out":
             self._serve()
@@ -79,21 +78,21 @@ class LineTime:
 
 
 class LineToScorbot:
-    """An emulated controller on a pseudo-terminal, and the driver that talks to it.
+    """An emulated controller on a pseudo-terminal, and its driver.
 
     Parameters
     ----------
     controller : AclController
         The controller.
     now, advance : callable
-        The world's time [s], and what lets it pass.
+        The world's time [s], and the function that advances it.
     options : ScorbotOptions
-        The driver's.
+        Options of the driver.
 
     Attributes
     ----------
     robot : Scorbot
-        Not yet connected; a `with` block plugs the controller in, connects and homes it.
+        The driver, not yet connected; a `with` block connects the controller and homes it.
     """
 
     def __init__(
@@ -111,12 +110,12 @@ class LineToScorbot:
 
     @property
     def transfers(self) -> list[tuple[bool, bytes]]:
-        """Every transfer so far: whether the controller sent it, and its bytes."""
+        """All transfers: whether the controller sent it, and its bytes."""
         return [(event.sent, event.data) for event in self._plugged.wire]
 
     @property
     def answered_bytes(self) -> int:
-        """How many bytes the controller has sent; the echo of every command is among them."""
+        """Number of bytes sent by the controller, including the echo of every command."""
         return sum(len(data) for sent, data in self.transfers if sent)
 
     def __enter__(self) -> Self:

@@ -1,8 +1,8 @@
 """The whole product on a cell's pixels: pictures → fixes → session → robot → the operator's eyes.
 
-What a real set-up runs in threads happens here on the beat of the cameras, in between the bytes
+A real set-up uses threads; here everything runs at the frames of the cameras, between the bytes
 that the driver exchanges with its controller: a person presses keys and moves a hand, the pointer
-takes every picture, and the same `Session` that drives a real arm takes every step.
+processes every picture, and the same `Session` as for a real arm processes every step.
 """
 
 from __future__ import annotations
@@ -40,31 +40,30 @@ from fingerpost.simulate import DevicePose
 Array = NDArray[np.float64]
 
 AWAY_MM = 700.0
-"""A hand drawn back so far along its finger is out of every view [mm]."""
+"""Distance by which a hand is withdrawn along its finger so that it is in no view [mm]."""
 
 _ENDLESS = 2**31 - 1
 
 AWAY_SPEED_MM_S = 700.0
-"""How fast it goes there, and comes [mm/s]."""
+"""Speed of withdrawal and return [mm/s]."""
 
 
 class LoopOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """How the product is run in a cell.
+    """Options of the product in a cell.
 
     Attributes
     ----------
     guard, follow, pick_place
         The product's own options.
     dwell_s, dwell_m : float
-        The hand selects where it stays for so long [s], within so much [m], while the arm is there.
+        Time [s] and radius [m] of a selection by dwelling, while the arm is there.
     """
 
     guard: GuardOptions = GuardOptions(
-        # The open gripper takes a block that stands within 20 mm of its middle; feedback does the
-        # rest.
+        # The open gripper can grip a block within 20 mm of its middle; feedback does the rest.
         tolerance_m=0.02,
     )
-    # The hand points from below the gripper, and passes it.
+    # The hand is below the gripper, and passes under it.
     follow: FollowOptions = FollowOptions(above_m=0.15, stride_s=0.8, dead_band_m=0.002)
     pick_place: PickPlaceOptions = PickPlaceOptions()
     dwell_s: Annotated[float, msgspec.Meta(gt=0)] = 2.5
@@ -78,21 +77,21 @@ class Moment:
     Attributes
     ----------
     time_s
-        Of the world [s].
+        Time of the world [s].
     step
-        What the views saw and where the hand points.
+        Results of the views, and the fix.
     pose
-        Where the hand really is; None while it is away.
+        True pose of the hand; None while it is away.
     indicated_m : (2,) or None
-        Where it really points, in the robot's X, Y [m].
+        True indicated point, in the robot's X, Y [m].
     gripper_m : (3,)
-        Where the gripper really is [m].
+        True position of the gripper [m].
     jaw
-        How far it is open: 0 closed … 1 open.
+        Its opening: 0 closed … 1 open.
     block_m : (3,)
-        Where the block really is [m].
+        True position of the block [m].
     doing
-        What is being done, in a word or two.
+        Present activity, in a word or two.
     """
 
     time_s: float
@@ -106,14 +105,14 @@ class Moment:
 
 
 class FixAccuracy:
-    """How far fixes are from where the hand really points.
+    """Distance of fixes from the true indicated points.
 
     Attributes
     ----------
     moments, fixes : int
-        Frames in which the hand was there, and those with an indicated point.
+        Frames with a hand, and those among them with an indicated point.
     false_fixes : int
-        Frames with an indicated point in which there was no hand.
+        Frames with an indicated point but no hand.
     """
 
     def __init__(self) -> None:
@@ -135,51 +134,51 @@ class FixAccuracy:
 
     @property
     def rms_mm(self) -> float | None:
-        """Of the distance [mm]; None without a fix."""
+        """RMS of the distance [mm]; None without a fix."""
         return math.sqrt(self._sum_mm2 / self.fixes) if self.fixes else None
 
 
 class Person(Protocol):
-    """Who stands before the cell: presses keys, and shows a hand or does not."""
+    """The operator of the cell: presses keys, and may show a hand."""
 
     @property
     def done(self) -> bool:
-        """Whether nothing more is to come."""
+        """Whether the person has finished."""
 
     @property
     def hand_is_away(self) -> bool:
-        """Whether the hand is to be out of sight."""
+        """Whether the hand is to be outside the views."""
 
     @property
     def doing(self) -> str:
-        """What is being done, in a word or two."""
+        """Present activity, in a word or two."""
 
     def act(self, time_s: float) -> None:
-        """Do what is to be done on a beat."""
+        """Act at one frame."""
 
 
 class CellViews:
-    """The cameras of a cell, the hand before them, and what the pointer makes of their pictures.
+    """The cameras of a cell, the hand in their views, and the pointer that processes the pictures.
 
     Parameters
     ----------
     world
-        With its cell.
+        The world, with its cell.
     pointer
-        Of the cell's rig.
+        Pointer of the cell's rig.
     operator
-        Whose hand it is.
+        Owner of the hand.
     aim
-        How the hand is held; its point does not count.
+        Pose of the hand; its point is not used.
 
     Attributes
     ----------
     fix
-        The newest; None before the first.
+        The newest fix; None before the first.
     away_mm
-        How far the hand is drawn back; it goes to `AWAY_MM` while `is_away`, and else to 0.
+        Distance by which the hand is withdrawn; it tends to `AWAY_MM` while `is_away`, else to 0.
     is_away
-        Whether the hand is to be out of sight.
+        Whether the hand is to be outside the views.
     """
 
     def __init__(self, world: World, pointer: Pointer, operator: Operator, aim: Aim) -> None:
@@ -193,11 +192,11 @@ class CellViews:
         self._index = 0
 
     def vanish(self) -> None:
-        """Have the hand out of sight from the next frame on."""
+        """Remove the hand from the views from the next frame on."""
         self.is_away, self.away_mm = True, AWAY_MM
 
     def take(self, time_s: float) -> tuple[DevicePose | None, list[Step]]:
-        """Move the hand, take a picture with every camera; return the hand and what was seen."""
+        """Move the hand and take a picture with every camera; return the hand and the steps."""
         pose = self._hand(time_s)
         self._world.cell.put_hand(pose)
         images = self._world.cell.picture()
@@ -208,7 +207,7 @@ class CellViews:
         return pose, steps
 
     def _hand(self, time_s: float) -> DevicePose | None:
-        """Return where the hand is, on its way in or out as well."""
+        """Return the pose of the hand, also while it enters or leaves."""
         step_mm = AWAY_SPEED_MM_S * self._world.frame_s
         way_mm = (AWAY_MM if self.is_away else 0.0) - self.away_mm
         self.away_mm += min(max(way_mm, -step_mm), step_mm)
@@ -224,32 +223,32 @@ class ClosedLoop:
     Parameters
     ----------
     world
-        With its cell.
+        The world, with its cell.
     robot
-        Homed.
+        The robot, homed.
     rig
-        With a [robot] table and start poses.
+        The rig, with a [robot] table and start poses.
     operator
-        Whose hand it is.
+        Owner of the hand.
     options
-        How the product is run.
+        Options of the product.
     aim
-        How the hand is held; its point and plane do not count.
+        Pose of the hand; its point and plane are not used.
     on_moment
         Called with every frame.
     stands_by
-        The arm does nothing until the session is asked to, and no number of blocks ends it.
+        Whether the arm waits for a command of the session, which no number of blocks ends.
 
     Attributes
     ----------
     guard, session
-        The product's own.
+        Those of the product.
     views
         Cameras and hand.
     report
-        What the follower did last; None while it does nothing.
+        Last report of the follower; None while it is inactive.
     seen_s
-        When there was a fix of the operator's hand last [s].
+        Time of the last fix of the operator's hand [s].
     """
 
     def __init__(
@@ -297,31 +296,31 @@ class ClosedLoop:
 
     @property
     def said(self) -> str:
-        """What the session has said last."""
+        """Last message of the session."""
         return self._said
 
     @property
     def plane_views(self) -> tuple[PlaneView, ...]:
-        """How each view sees the plane."""
+        """Homography of each view."""
         return self._pointer.plane_views
 
     @property
     def gripper_m(self) -> Array:
-        """(3,) where the gripper really is in the robot's frame [m]."""
+        """(3,) True position of the gripper in the robot's frame [m]."""
         return np.asarray(self._world.cell.gripper_mm / 1000)
 
     @property
     def is_there(self) -> bool:
-        """Whether the arm stands where the hand points."""
+        """Whether the arm stands at the indicated point."""
         return self.report is not None and self.report.state is FollowState.THERE
 
     def run(self, person: Person, timeout_s: float) -> None:
-        """Have a person guide the arm until the session or the person is done, or time is up.
+        """Let a person guide the arm until the session or the person is done, or time is up.
 
         Raises
         ------
         RobotError
-            The robot's own; it has been stopped.
+            An error of the robot, which has been stopped.
         """
         self._world.on_frame = lambda time_s: self._on_frame(time_s, person)
         end_s = self._world.time_s + timeout_s
@@ -343,7 +342,7 @@ class ClosedLoop:
         self.report = report
 
     def _on_frame(self, time_s: float, person: Person) -> None:
-        """Do what happens on every beat: keys, hand, pictures, session, guard, eyes."""
+        """Process one frame: keys, hand, pictures, session, guard, eyes."""
         person.act(time_s)
         if self._begun:
             self.views.is_away = person.hand_is_away

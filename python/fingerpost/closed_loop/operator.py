@@ -1,17 +1,17 @@
-"""A simulated operator: points not quite where he means to, sees where the gripper went, corrects.
+"""A simulated operator, who points with an error, observes the gripper, and corrects.
 
-What people do when they point under visual feedback, in the simplest form that has its features:
+The simplest model with the features of human pointing under visual feedback:
 
-* a hand's movement is a smooth bell of speed (minimum jerk: Flash & Hogan 1985), and it lands with
-  an error that grows with its length (Harris & Wolpert 1998);
-* corrections are separate small movements, each made by what was seen before it (Woodworth 1899;
-  Meyer, Abrams, Kornblum, Wright & Smith 1988), and seeing takes 0.2 to 0.3 s (Keele & Posner
-  1968);
-* a hand that is held still is not still: it trembles and drifts.
+* a movement of the hand has a bell-shaped speed profile (minimum jerk: Flash & Hogan 1985), and an
+  endpoint error that grows with its length (Harris & Wolpert 1998);
+* corrections are separate small movements, each based on an earlier observation (Woodworth 1899;
+  Meyer, Abrams, Kornblum, Wright & Smith 1988), with a visual latency of 0.2 to 0.3 s (Keele &
+  Posner 1968);
+* a hand held still has tremor and drift.
 
-The size of the offset with which he points, and how well he judges where over the table a gripper
-is, are assumptions: the paper gives neither. Its operator's result, "to within 1cm", is what the
-closed loop is held against.
+The offset in pointing, and the accuracy with which the operator judges the gripper's position over
+the table, are assumptions: the paper gives neither. The closed loop is compared with its operator's
+result, "to within 1cm".
 """
 
 from __future__ import annotations
@@ -30,20 +30,20 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Habits:
-    """How an operator points and corrects."""
+    """Parameters of an operator's pointing and correction."""
 
-    offset_mm: tuple[float, float] = (20.0, 40.0)  # mm, how far from what he means, 0…200
-    seeing_s: float = 0.3  # s from a movement of the gripper to his answer, 0…2
-    judging_mm: float = 1.5  # mm, sigma of where he sees the gripper at every look, 0…50
-    parallax_mm: float = 1.0  # mm, sigma of an error of judgement that stays the same, 0…50
+    offset_mm: tuple[float, float] = (20.0, 40.0)  # mm, range of the pointing offset, 0…200
+    seeing_s: float = 0.3  # s from a movement of the gripper to the reaction, 0…2
+    judging_mm: float = 1.5  # mm, sigma of each observation of the gripper, 0…50
+    parallax_mm: float = 1.0  # mm, sigma of a constant error of observation, 0…50
     gain: float = 0.9  # of a correction, 0.1…1.5
     gain_sigma: float = 0.08  # of its scatter from one correction to the next, 0…0.5
     aim_sigma: float = 0.05  # error of a movement over its length, 0…0.5
     speed_mm_s: float = 250.0  # mm/s, mean speed of a long movement, 20…2000
-    shortest_s: float = 0.35  # s that the shortest movement takes, 0.05…2
-    patience_s: float = 1.2  # s that the gripper stands still before he judges: it is slow, 0…5
-    content_mm: float = 4.0  # mm that he no longer corrects, 0.1…50
-    hold_s: float = 4.5  # s that he then holds still before he looks again, 0…10
+    shortest_s: float = 0.35  # s, duration of the shortest movement, 0.05…2
+    patience_s: float = 1.2  # s without motion of the (slow) gripper before an observation, 0…5
+    content_mm: float = 4.0  # mm, error that is no longer corrected, 0.1…50
+    hold_s: float = 4.5  # s of holding still then, before the next observation, 0…10
     drift_mm: float = 0.6  # mm, sigma of the slow drift of a hand held still, 0…20
     drift_s: float = 1.0  # s, its correlation time, 0.01…100
     tremor_mm: float = 0.25  # mm, amplitude of the tremor, 0…20
@@ -73,7 +73,7 @@ class Habits:
 
     @classmethod
     def exact(cls) -> Habits:
-        """Return the habits of a machine: no offset, no noise, a steady hand."""
+        """Return parameters without offset, noise, tremor and drift."""
         return cls(
             offset_mm=(0.0, 0.0),
             judging_mm=0.0,
@@ -93,7 +93,7 @@ class _Movement:
     end_mm: Array
 
     def at(self, time_s: float) -> Array:
-        """Point on the way; of least jerk."""
+        """Return the point of the minimum-jerk movement at a time."""
         share = min(max((time_s - self.start_s) / self.span_s, 0.0), 1.0)
         eased = share**3 * (10 - 15 * share + 6 * share**2)
         return self.start_mm + eased * (self.end_mm - self.start_mm)
@@ -109,20 +109,20 @@ class Operator:
     Parameters
     ----------
     habits : Habits
-        How he points and corrects.
+        Parameters of pointing and correction.
     start_mm : (2,)
-        Point of the plane that his hand indicates at first.
+        Initial indicated point of the plane.
     rng : numpy.random.Generator
-        Everything random about him.
+        Random numbers.
     time_s : float
-        When he begins [s].
+        Initial time [s].
 
     Attributes
     ----------
     corrects : bool
-        Whether he answers to what he sees; False points open loop.
+        Whether to correct by feedback; False points open loop.
     corrections : int
-        How many corrections he has made.
+        Number of corrections made.
     """
 
     def __init__(
@@ -148,7 +148,7 @@ class Operator:
         self.corrections = 0
 
     def mean(self, target_mm: Array, time_s: float) -> None:
-        """Set out to point at a target (2,) [mm]; he misses by an offset of his own each time."""
+        """Begin to point at a target (2,) [mm], with a new random offset."""
         heading = self._rng.uniform(0, 2 * math.pi)
         length = self._rng.uniform(*self._habits.offset_mm)
         offset = length * np.array([math.cos(heading), math.sin(heading)])
@@ -156,16 +156,16 @@ class Operator:
         self._move(self._target_mm + offset, time_s)
 
     def rest(self, time_s: float) -> None:
-        """Go back to where he began, as when the machine has lost his hand."""
+        """Return to the start point, as when the system has lost the hand."""
         self._left_mm = self._movement.end_mm
         self._move(self._start_mm, time_s)
 
     def resume(self, time_s: float) -> None:
-        """Point again where he pointed before he went to rest."""
+        """Return to the point indicated before `rest`."""
         self._move(self._left_mm, time_s)
 
     def indicated_mm(self, time_s: float) -> Array:
-        """Return the point (2,) of the plane that his hand indicates [mm]; times must not fall."""
+        """Return the indicated point (2,) of the plane [mm]; times must not decrease."""
         habits = self._habits
         span_s = max(time_s - self._drift_at_s, 0.0)
         kept = math.exp(-span_s / habits.drift_s)
@@ -176,11 +176,11 @@ class Operator:
         return np.asarray(self._movement.at(time_s) + self._drift_mm + tremor)
 
     def is_moving(self, time_s: float) -> bool:
-        """Whether his hand is on its way."""
+        """Whether the hand is moving."""
         return time_s < self._movement.end_s
 
     def see(self, gripper_mm: Array, time_s: float) -> None:
-        """See where over the plane the gripper is (2,) [mm], and answer to what was seen before."""
+        """Observe the gripper's position (2,) [mm], and react to earlier observations."""
         self._seen.append((time_s, np.array(gripper_mm, dtype=np.float64)))
         habits = self._habits
         looked_s = time_s - habits.seeing_s
@@ -189,15 +189,16 @@ class Operator:
         if not self.corrects or self._target_mm is None or self.is_moving(time_s):
             return
         if looked_s - habits.patience_s < max(self._seen[0][0], self._movement.end_s):
-            return  # he waits for the gripper to have had its time
+            return  # the gripper has not had enough time
         past = [place for seen_s, place in self._seen if seen_s <= looked_s]
         if max(float(np.linalg.norm(place - past[-1])) for place in past) > habits.judging_mm + 1.0:
-            return  # and to stand still
+            return  # or still moves
         seen = past[-1] + self._parallax_mm + self._rng.normal(0.0, habits.judging_mm, 2)
         error = seen - self._target_mm
         if float(np.linalg.norm(error)) <= habits.content_mm:
             still = self._movement.end_mm
-            self._movement = _Movement(time_s, habits.hold_s, still, still)  # that is where it is
+            # The error is small enough: hold still.
+            self._movement = _Movement(time_s, habits.hold_s, still, still)
             return
         gain = max(self._rng.normal(habits.gain, habits.gain_sigma), 0.0)
         self.corrections += 1

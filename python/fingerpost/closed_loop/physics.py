@@ -1,8 +1,8 @@
-"""The robot cell under physics: an emulated controller drives MuJoCo's arm, cameras look on.
+"""The robot cell with physics: an emulated controller drives MuJoCo's arm, seen by cameras.
 
-The controller's commands become the set points of the joints' motors, step by step; what it reports
-the driver of its position are the encoders of the arm that follows them. A block is lifted by
-friction between the fingers or it is not.
+The controller's commands become the set points of the joints' motors, step by step; the position
+that it reports to the driver is that of the encoders of the arm that follows them. A block is
+lifted only by friction between the fingers.
 """
 
 from __future__ import annotations
@@ -30,39 +30,39 @@ Image = NDArray[np.uint8]
 
 ARM_JOINTS = ("base", "shoulder", "elbow", "pitch", "roll")
 JAW_M = 0.035
-"""Way of each finger from closed to wide open [m]."""
+"""Travel of each finger from closed to fully open [m]."""
 
 JAW_SPEED_M_S = 0.05
-"""Of each finger [m/s]; wide open to closed in 0.7 s."""
+"""Speed of each finger [m/s]; from fully open to closed in 0.7 s."""
 
 BLOCK_MM = 30.0
 HOMING_S = 3.0
-"""Short for a Scorbot, but nobody wants to watch it."""
+"""Duration of homing [s]: much shorter than a Scorbot's, to save time."""
 
-# Kinds of geoms; the sums of any two differ.
+# Kinds of geoms; the sum of any two is unique.
 TABLE, BLOCK, PAD, ARM = 1, 2, 5, 10
 
 
 @dataclass(frozen=True)
 class Optics:
-    """What the cameras add to MuJoCo's pictures."""
+    """Blur, noise and rendering options of the cameras."""
 
     blur_px: float = 0.8  # px, sigma of the point spread function
     noise: float = 2.0  # grey levels, sigma of white noise
-    # Drawn samples per pixel, 0 or 4. Four take three times as long, look better, and after the
-    # blur are worth nothing to the tracker.
+    # Rendered samples per pixel, 0 or 4. Four take three times as long and look better, but after
+    # the blur do not improve tracking.
     samples: int = 0
-    shadows: bool = False  # whether the lamp casts shadows, which takes longer still
+    shadows: bool = False  # whether the lamp casts shadows, which takes even longer
 
 
 @dataclass(slots=True)
 class Contacts:
-    """What touched what, over the whole session."""
+    """Contacts during the whole session."""
 
     table_steps: int = 0
     """Steps of the physics in which the arm touched the table."""
     table_n: float = 0.0
-    """Greatest force of such a touch [N]."""
+    """Greatest force of such a contact [N]."""
     gripped: bool = False
     """Whether both fingers hold the block now."""
 
@@ -77,18 +77,18 @@ class PhysicalCell:
     hand
         Shape of the pointing hand.
     optics
-        Of the cameras.
+        Optics of the cameras.
     rng
-        Of their noise.
+        Random numbers of their noise.
 
     Attributes
     ----------
     controller : AclController
-        To be plugged into a port.
+        The controller, to be connected to a port.
     contacts : Contacts
-        What touched what.
+        Contacts of arm, block and table.
     shows_card : bool
-        Whether the card by which the plane is defined hangs in the gripper.
+        Whether the gripper holds the card that defines the plane.
     """
 
     def __init__(
@@ -127,7 +127,7 @@ class PhysicalCell:
 
     @property
     def cameras(self) -> tuple[Camera, ...]:
-        """What looks on."""
+        """The cameras."""
         return self._cameras
 
     @property
@@ -137,12 +137,12 @@ class PhysicalCell:
 
     @property
     def gripper_mm(self) -> Array:
-        """(3,) where the gripper's working point really is [mm]."""
+        """(3,) True position of the gripper's working point [mm]."""
         return np.asarray(1000 * self._data.site_xpos[self._tool])
 
     @property
     def jaw(self) -> float:
-        """How far the gripper is open: 0 closed … 1 open."""
+        """Opening of the gripper: 0 closed … 1 open."""
         return float(self._data.qpos[self._model.joint("left").qposadr[0]]) / JAW_M
 
     @property
@@ -152,19 +152,19 @@ class PhysicalCell:
 
     @property
     def block_turn_rad(self) -> float:
-        """How the block is turned about the vertical [rad]."""
+        """Rotation of the block about the vertical [rad]."""
         rotation = self._data.xmat[self._block]
         return math.atan2(rotation[3], rotation[0])
 
     def put_block(self, point_mm: tuple[float, float], turn_rad: float) -> None:
-        """Lay the block on the table.
+        """Place the block on the table.
 
         Parameters
         ----------
         point_mm
-            Where its middle is over [mm].
+            Position of its middle [mm].
         turn_rad
-            How it is turned about the vertical.
+            Rotation about the vertical.
         """
         at = self._block_qpos
         self._data.qpos[at : at + 3] = [point_mm[0] / 1000, point_mm[1] / 1000, BLOCK_MM / 2000]
@@ -172,16 +172,16 @@ class PhysicalCell:
         self._mujoco.mj_forward(self._model, self._data)
 
     def put_arm(self, joints_rad: Array) -> None:
-        """Have the arm stand at joint angles (5,) [rad] at once, whatever its controller thinks."""
+        """Set the arm to joint angles (5,) [rad] at once, independently of its controller."""
         self._data.qpos[self._arm_qpos] = joints_rad
         self._mujoco.mj_forward(self._model, self._data)
 
     def oil_the_pads(self) -> None:
-        """Take all friction from the fingers."""
+        """Remove all friction from the fingers."""
         self._model.geom_friction[self._kinds == PAD] = 1e-5
 
     def put_hand(self, pose: DevicePose | None) -> None:
-        """Move the hand; None takes it away."""
+        """Move the hand; None removes it."""
         if pose is None:
             self._data.mocap_pos[0] = [0, 0, -5]
             return
@@ -200,7 +200,7 @@ class PhysicalCell:
     def picture(self) -> tuple[Image, ...]:
         """Take a picture with every camera: (height, width, 3) blue-green-red."""
         renderer = self._opened_renderer()
-        # The hand moves between steps, and so do the lights and cameras' frames after them.
+        # The hand moves between steps; update its frame, and those of lights and cameras.
         self._mujoco.mj_kinematics(self._model, self._data)
         self._view.geomgroup[CARD_GROUP] = self.shows_card
         images = []
@@ -211,7 +211,7 @@ class PhysicalCell:
         return tuple(images)
 
     def close(self) -> None:
-        """Release what draws; harmless when closed."""
+        """Release the renderer; harmless when closed."""
         if self._renderer is not None:
             self._renderer.close()
             self._renderer = None
@@ -231,7 +231,7 @@ class PhysicalCell:
         return np.array(self._data.qpos[self._arm_qpos])
 
     def _command(self, step_s: float) -> None:
-        """Set the motors' set points to what the controller commands at the end of the step."""
+        """Set the motors' set points to the controller's command at the end of the step."""
         now_s = self.time_s + step_s
         self._data.ctrl[: len(ARM_JOINTS)] = self.controller.commanded_rad(now_s)
         goal = JAW_M * self.controller.jaw_percent / 100
@@ -253,7 +253,7 @@ class PhysicalCell:
 
 
 class _NoiseField:
-    """White noise, drawn once and looked up anew for every picture: drawing is slow."""
+    """White noise, generated once and sampled at a new offset for every picture, for speed."""
 
     MARGIN_PX = 64
 
@@ -274,7 +274,7 @@ class _NoiseField:
 
 
 def _kinds(model: Any) -> NDArray[np.int64]:
-    """Tell what kind of thing each geom is: `TABLE`, `BLOCK`, `PAD`, `ARM` or 0."""
+    """Return the kind of each geom: `TABLE`, `BLOCK`, `PAD`, `ARM` or 0."""
     kinds = np.zeros(model.ngeom, np.int64)
     first_of_arm = model.body("waist").id
     for geom in range(model.ngeom):

@@ -1,6 +1,6 @@
-"""The robot cell for MuJoCo: `scene.xml`, and what is easier said in code than in XML.
+"""The robot cell for MuJoCo: `scene.xml`, and the parts that are easier to define in code.
 
-That is the cameras, the pointing hand, whose shape is that of the simulated rig
+These are the cameras, the pointing hand, with the shape of the simulated rig's hand
 (`fingerpost.simulate.Hand`), and the pictures on the mat and on the wooden block.
 """
 
@@ -23,13 +23,13 @@ Image = NDArray[np.uint8]
 
 HAND_RGBA = (0.86, 0.62, 0.51, 1.0)
 
-# A sphere-swept cone becomes a polyhedron of so many sides: a finger's flank is then off by
-# r (1 − cos π/48) = 0.02 mm at most.
+# Sides of the polyhedron for a sphere-swept cone: the error of a finger's flank is at most
+# r (1 − cos π/48) = 0.02 mm.
 SIDES = 48
 CAP_RINGS = 10
 
 CARD_GROUP = 3
-"""The group of geoms, in scene.xml, that make the card."""
+"""The group of geoms of the card in scene.xml."""
 
 CARD_MARKER_MM = 42.0
 """Side of the card's ArUco marker, number 0 of 4X4_50."""
@@ -38,7 +38,7 @@ CARD_MARKER_UP_MM = 31.0
 """Height of its centre above the gripper's working point; beside it, on the gripper's axis."""
 
 SPIKE_MM = 12.0
-"""How far the card's spike reaches below the working point; the fingers reach 10 mm below it."""
+"""Extent of the card's spike below the working point; the fingers reach 10 mm below it."""
 
 _CARD_PX_PER_MM = 8
 _CARD_MM = (58, 56)  # along and across the gripper, as in scene.xml
@@ -54,11 +54,11 @@ def build_model(cameras: Sequence[Camera], hand: Body, *, samples: int, shadows:
     Parameters
     ----------
     cameras
-        Pinhole cameras [mm]; MuJoCo draws no lens distortion.
+        Pinhole cameras [mm]; MuJoCo renders no lens distortion.
     hand
         The pointing hand; it follows the model's mocap body.
     samples
-        Per pixel, when drawn.
+        Rendered samples per pixel.
     shadows
         Whether the lamp casts shadows.
 
@@ -105,7 +105,7 @@ def quaternion(rotation: Array) -> Array:
 def _add_hand(spec: Any, hand: Body) -> None:
     vertices, faces = _joined([_swept_cone(link) for link in hand.links])
     mesh = spec.add_mesh(name="hand", uservert=(vertices / 1000).ravel(), userface=faces.ravel())
-    # Its parts overlap, so it has no volume to speak of; it is moved, not pushed.
+    # Its parts overlap, so its volume is undefined; it is moved kinematically.
     mesh.inertia = require_mujoco().mjtMeshInertia.mjMESH_INERTIA_SHELL
     spec.body("hand").add_geom(
         name="hand",
@@ -165,7 +165,7 @@ def _joined(
 
 
 def _add_picture(mujoco: Any, spec: Any, geom: str, picture: Image) -> None:
-    """Put a red-green-blue picture on a geom; six of them, one over the other, make a cube."""
+    """Put a red-green-blue picture on a geom; six stacked pictures form a cube map."""
     cube = picture.shape[0] == 6 * picture.shape[1]
     kinds = mujoco.mjtTexture
     file = f"{geom}.png"

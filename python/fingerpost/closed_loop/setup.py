@@ -1,7 +1,7 @@
-"""A cell that is ready: the robot homed, the plane defined by its own gripper, the rig complete.
+"""Set-up of a cell: the robot homed, the plane defined by its own gripper, the rig complete.
 
-What a person would do with a real arm: plug it in, home it, hang a card with a marker into the
-gripper, let the gripper visit the plane, and say where in the pictures the hand will wait.
+The same steps as with a real arm: connect it, home it, put a card with a marker into the gripper,
+let the gripper visit the plane, and mark the start pose of the hand in the pictures.
 """
 
 from __future__ import annotations
@@ -35,21 +35,21 @@ from fingerpost.simulate import Body, Camera, DevicePose, StartError
 from fingerpost.simulate.truth import finger_truth
 
 HIGHEST_M = 0.16
-"""How high above the table the gripper may go [m]."""
+"""Greatest height of the gripper above the table [m]."""
 
 LOWEST_M = 0.0105
-"""How low its working point may go [m]: the fingers reach 10 mm below it."""
+"""Least height of its working point [m]: the fingers reach 10 mm below it."""
 
 SCORBOT = ScorbotOptions(lower_m=(-0.6, -0.6, 0.01), upper_m=(0.6, 0.6, 1.05))
 """The arm in this cell: its fingers never reach into the table."""
 
 MARKER_SIGMA_PX = 0.15
-"""Standard deviation of a corner of the card's marker; no printed card is as flat as this [px]."""
+"""Standard deviation of a corner of the card's marker [px]; a printed card is less flat."""
 
 START_ERROR = StartError(offset_px=5.0, angle_deg=5.0)
-"""By how much a person misses when he says where the hand will wait."""
+"""Error of a person who marks the start pose."""
 
-# No rig without a plane; the robot defines the real one.
+# A rig requires a plane; the robot defines the real one.
 _UNDEFINED: tuple[Pair, ...] = ((0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0))
 
 
@@ -57,13 +57,13 @@ _UNDEFINED: tuple[Pair, ...] = ((0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0))
 def scorbot_in(
     cell: PhysicalCell, world: World, options: ScorbotOptions = SCORBOT
 ) -> Iterator[LineToScorbot]:
-    """Plug the cell's controller in; connect and home the driver at the other end."""
+    """Connect the cell's controller; connect and home its driver."""
     with LineToScorbot(cell.controller, world.now, world.advance, options) as line:
         yield line
 
 
 def robot_table(height_m: float) -> RobotTable:
-    """Say what a [robot] table would say of the cell's robot, for a plane of this height [m]."""
+    """Return the [robot] table of the cell's robot, for a plane of this height [m]."""
     return RobotTable(
         url="acl://the-cell",
         height_m=height_m,
@@ -88,18 +88,18 @@ def plane_by_card(
     Parameters
     ----------
     cell, world, robot
-        The robot homed.
+        The cell, its time, and its homed robot.
     height_m
         The plane's height above the table [m], 0 to 0.06.
     points
-        How many places to visit.
+        Number of places to visit.
     progress
         Called with every visit.
     """
     frames = _reader(cell, world)
     side = (CARD_MARKER_UP_MM + SPIKE_MM) / CARD_MARKER_MM
     finders = [MarkerFinder(0, tip=(0.0, side), sigma_px=MARKER_SIGMA_PX) for _ in cell.cameras]
-    # Nobody holds a dead-man's switch while the gripper goes round by itself in a simulation.
+    # No dead-man's switch while the gripper moves by itself in a simulation.
     guard = guard_of(
         robot,
         robot_table(height_m),
@@ -125,7 +125,7 @@ def plane_by_card(
 
 
 def rig_without_plane(cameras: Sequence[Camera]) -> Rig:
-    """Return the rig of cameras that nobody has tied to a plane yet."""
+    """Return the rig of cameras before a plane is defined."""
     views = tuple(
         View(name=camera.name, source=camera.name, reference_points_px=_UNDEFINED)
         for camera in cameras
@@ -155,7 +155,7 @@ def with_start(
     waiting: DevicePose,
     rng: np.random.Generator,
 ) -> Rig:
-    """Return a rig that says, as a person would, where in each view the hand waits."""
+    """Return a rig with start poses, as a person would mark them."""
     views = []
     for view, camera in zip(rig.views, cameras, strict=True):
         start = finger_truth(camera, hand, waiting).start(START_ERROR, rng)
@@ -164,7 +164,7 @@ def with_start(
 
 
 def _reader(cell: PhysicalCell, world: World) -> Callable[[], Sequence[Frame]]:
-    """Return what lets a frame's time pass and takes a picture of every view."""
+    """Return a function that advances to the next frame and takes a picture with every camera."""
     numbers = count()
 
     def read() -> Sequence[Frame]:

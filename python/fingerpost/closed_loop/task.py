@@ -1,6 +1,6 @@
-"""Tasks of a simulated person: point at a block, point at a place, have the block carried there.
+"""Tasks of a simulated person: point at a block, then at a place, to have the block carried there.
 
-A person acts at every frame of the cameras: holds a key down, which is the dead man's switch, and
+A person acts at every frame of the cameras: holds a key down, which is the dead-man's switch, and
 continues a script, which is a generator.
 """
 
@@ -54,10 +54,10 @@ class Leg:
 
     open_mm: float  # distance from gripper to target, open loop
     open_s: float  # until the gripper stood there
-    closed_mm: float | None  # from gripper to target when the operator had selected; None: never
-    closed_s: float  # from when he began to correct until then
+    closed_mm: float | None  # from gripper to target at the selection; None: never selected
+    closed_s: float  # from the first correction until then
     corrections: int
-    lost: int  # how often the hand was lost and had to be brought back to where it is found
+    lost: int  # times that the hand was lost and had to return to its start pose
 
 
 class Scripted:
@@ -85,9 +85,9 @@ class Scripted:
         self._script = self._play()
 
     def act(self, time_s: float) -> None:  # noqa: ARG002 - the world's time, which it knows
-        """Hold the key down, and go on with the script."""
+        """Hold the key down, and continue the script."""
         self._loop.session.press(self._key)
-        if self._loop.guard.armed:  # until then nothing happens that could be answered
+        if self._loop.guard.armed:  # before, there is nothing to react to
             self.done = self.done or next(self._script, self) is self
 
     def _play(self) -> Script:
@@ -95,7 +95,7 @@ class Scripted:
         yield from self._clear_view()
 
     def _clear_view(self) -> Waiting:
-        """Have the arm clear the view; return whether it did in time."""
+        """Let the arm clear the view; return whether it did in time."""
         self._key = AWAY_KEY
         session = self._loop.session
         has_cleared = yield from self._until(lambda: session.is_out_of_the_way, AWAY_S)
@@ -103,7 +103,7 @@ class Scripted:
         return has_cleared
 
     def _until(self, true: Callable[[], bool], timeout_s: float) -> Waiting:
-        """Wait for something; return whether it came in time."""
+        """Wait for a condition; return whether it became true in time."""
         end_s = self._world.time_s + timeout_s
         while not true():
             if self._world.time_s >= end_s:
@@ -122,19 +122,19 @@ class Scripted:
 
 
 class Task(Scripted):
-    """Point at a block, correct, point at a place, correct, and watch the block being carried.
+    """Point at a block, correct, point at a place, correct, and wait for the block to be carried.
 
     Parameters
     ----------
     world, loop, operator
-        The participants; the robot homed.
+        The participants; the robot is homed.
     block_mm, place_mm : (2,)
-        Where the block lies and where it shall go [mm].
+        Positions of the block and of its destination [mm].
 
     Attributes
     ----------
     legs : list of Leg
-        The targets pointed at so far.
+        The completed targets.
     """
 
     def __init__(
@@ -200,7 +200,7 @@ class Task(Scripted):
         return is_selected
 
     def _patiently(self, true: Callable[[], bool], timeout_s: float) -> Waiting:
-        """Wait for something; bring the hand back to where it is found whenever it is lost."""
+        """Wait for a condition; return the hand to its start pose whenever it is lost."""
         end_s = self._world.time_s + timeout_s
         while self._world.time_s < end_s:
             left_s = end_s - self._world.time_s
@@ -216,7 +216,7 @@ class Task(Scripted):
         return self._world.time_s - self._loop.seen_s > HIDDEN_S
 
     def _find_again(self) -> Script:
-        """Have the arm make room and the hand wait where it is looked for, then point as before."""
+        """Let the arm retreat and the hand wait at its start pose, then point as before."""
         operator, doing, corrects = self._operator, self.doing, self._operator.corrects
         self._lost += 1
         self.doing, operator.corrects = "make room", False
@@ -227,7 +227,7 @@ class Task(Scripted):
         self.doing, operator.corrects = doing, corrects
 
     def _settled(self) -> Callable[[], bool]:
-        """Return a test whether the arm has been for a while where a still hand points."""
+        """Return a test whether the arm has stood for a while at the point of a still hand."""
         since_s = self._world.time_s
 
         def settled() -> bool:

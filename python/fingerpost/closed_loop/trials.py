@@ -3,11 +3,10 @@ r"""The guidance experiment of the paper's section 3.4, repeated, and the accura
     result = run_guidance(50)
     print("\n".join(result.table()))
 
-The robot defines the plane by visiting it, once. In each trial a wooden block lies somewhere, and
-an operator points at it and then at where it shall go: first open loop, with the offset that his
-pointing has, then correcting by what he sees the gripper do, until he is content and holds still.
-The robot picks the block up and places it. Every error is measured in the physics, not in what the
-system believes.
+The robot defines the plane by visiting it, once. In each trial an operator points at a wooden block
+at a random position and then at its destination: first open loop, with an offset, then with
+corrections by the gripper's position, until the error is small and the hand is held still. Then the
+robot carries the block. Every error is measured against the true state of the physics.
 """
 
 from __future__ import annotations
@@ -56,7 +55,7 @@ from fingerpost.workers import sharing, worker_count
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]
-"""Called with the number of trials done and of all."""
+"""Called with the number of completed trials and of all."""
 
 WITHIN_MM = 10.0
 """The paper: the operator positions the gripper "to within 1cm"."""
@@ -64,33 +63,33 @@ WITHIN_MM = 10.0
 GOAL_MM = 5.0
 
 WAITING_MM = (425.0, 0.0)
-"""Where the hand points while it waits."""
+"""Point indicated by the hand while it waits."""
 
 SHOWN_S = 3.0
-"""How long it waits there to be taken [s]."""
+"""Time for which it waits there to be accepted [s]."""
 
 MOST_TURNED_RAD = 0.25
-"""A block is put down about square to the robot: parallel jaws turn it the rest of the way."""
+"""Greatest rotation of a block relative to the robot: parallel jaws align it when they close."""
 
 
 @dataclass(frozen=True)
 class GuidanceOptions:
-    """How the experiment is run."""
+    """Options of the experiment."""
 
     seed: int = 0
-    """Of everything random, ≥ 0."""
+    """Seed of all random numbers, ≥ 0."""
 
     frames_per_s: float = 20.0
-    """Of the cameras; drawing is most of the work."""
+    """Frame rate of the cameras [1/s]; rendering is most of the work."""
 
     heights_mm: tuple[float, ...] = (0.0, 50.0)
-    """Planes whose accuracy is measured; the first one's guides."""
+    """Heights of the planes whose accuracy is measured; the first one is used for guidance."""
 
     points: int = 9
-    """Places that the gripper visits to define a plane."""
+    """Number of places that the gripper visits to define a plane."""
 
     plane_targets: int = 40
-    """Targets pointed at exactly on each plane."""
+    """Number of targets per plane at which the hand points exactly."""
 
     habits: Habits = field(default_factory=Habits)
     optics: Optics = field(default_factory=Optics)
@@ -106,31 +105,31 @@ class GuidanceOptions:
 
 @dataclass(frozen=True)
 class GuidanceTrial:
-    """One block picked and placed, or why not."""
+    """Result of one trial: a block picked and placed, or the reason of a failure."""
 
     index: int
     legs: tuple[Leg, ...]
     placed_mm: float | None  # from the block to where it should be; None: not carried
     table_steps: int  # steps of the physics in which the arm touched the table
-    fix_rms_mm: float | None  # of the indicated point against where the hand pointed
+    fix_rms_mm: float | None  # of the distance from the indicated to the true point
     frames: int
     fixes: int
     problem: str = ""
-    false_fixes: int = 0  # frames with an indicated point in which there was no hand
+    false_fixes: int = 0  # frames with an indicated point but no hand
 
 
 @dataclass(frozen=True)
 class PlaneAccuracy:
-    """Accuracy of indicated points in robot coordinates, by a plane that the robot has defined."""
+    """Accuracy of indicated points in robot coordinates, with a plane defined by the robot."""
 
     height_mm: float
-    sigma_mm: float  # what `define_plane` says of its worst corner
+    sigma_mm: float  # standard deviation of its worst corner according to `define_plane`
     errors_mm: tuple[tuple[float, float], ...]  # robot's X, Y, estimated minus true
     missing: int  # targets without a fix
 
     @property
     def rms_mm(self) -> float:
-        """Of the distance from estimate to truth; NaN without any."""
+        """RMS of the distance from estimate to truth; NaN without any."""
         if not self.errors_mm:
             return math.nan
         return float(np.sqrt((np.array(self.errors_mm) ** 2).sum(axis=1).mean()))
@@ -138,7 +137,7 @@ class PlaneAccuracy:
 
 @dataclass(frozen=True)
 class GuidanceResult:
-    """What the experiment came to."""
+    """Result of the experiment."""
 
     seed: int
     planes: tuple[PlaneAccuracy, ...]
@@ -186,7 +185,7 @@ class GuidanceResult:
         return lines + [f"trial {t.index}: {t.problem}" for t in self.trials if t.problem]
 
     def as_dict(self) -> dict[str, Any]:
-        """Return everything measured as what JSON can hold."""
+        """Return all measurements as JSON values."""
         return asdict(self) | {
             "planes": [asdict(plane) | {"rms_mm": plane.rms_mm} for plane in self.planes]
         }
@@ -232,15 +231,14 @@ def run_guidance(
     Parameters
     ----------
     trials
-        How often, ≥ 0; 0 measures the planes alone.
+        Number of trials, ≥ 0; 0 only measures the planes.
     options
-        How.
+        Options of the experiment.
     workers
-        Processes to share the work, ≥ 1; None uses all cores. The result is the same to the last
-        bit. They are started afresh ("spawn"), so a script needs the usual
-        ``if __name__ == "__main__":``.
+        Number of processes, ≥ 1; None uses all cores. The result is the same to the last bit. They
+        are started afresh ("spawn"), so a script needs the usual ``if __name__ == "__main__":``.
     progress
-        Called in this process as trials and planes are done.
+        Called in this process when a trial or plane is completed.
 
     Raises
     ------
@@ -256,7 +254,7 @@ def run_guidance(
     if trials < 0:
         raise InvalidInputError(f"trials is {trials}; 0 or more is right")
     total = trials + len(options.heights_mm)
-    tell = progress or (lambda _done, _of: None)
+    report = progress or (lambda _done, _of: None)
     planes: list[PlaneAccuracy] = []
     done: list[GuidanceTrial] = []
     with sharing(min(worker_count(workers), total)) as pool:
@@ -273,7 +271,7 @@ def run_guidance(
                 done.append(result)
             else:
                 planes.append(result[1])
-            tell(len(done) + len(planes), total)
+            report(len(done) + len(planes), total)
     return GuidanceResult(
         options.seed,
         tuple(sorted(planes, key=lambda plane: plane.height_mm)),
@@ -282,12 +280,12 @@ def run_guidance(
 
 
 def measure_plane(height_mm: float, options: GuidanceOptions) -> tuple[Rig, PlaneAccuracy]:
-    """Have the robot define a plane, and see where it has a hand point that points exactly.
+    """Let the robot define a plane, and measure the points of a hand that points exactly.
 
     Returns
     -------
     Rig
-        The plane's, without start poses.
+        The rig with this plane, without start poses.
     PlaneAccuracy
     """
     rng = _rng(options, 1, round(10 * height_mm))
@@ -329,16 +327,16 @@ def measure_plane(height_mm: float, options: GuidanceOptions) -> tuple[Rig, Plan
 
 
 def guide(index: int, rig: Rig, options: GuidanceOptions) -> GuidanceTrial:
-    """Run one trial: point at a block and at a place, have it carried there.
+    """Run one trial: point at a block and at a place, to have it carried there.
 
     Parameters
     ----------
     index
-        Number of the trial; with the seed, it decides everything.
+        Number of the trial, which together with the seed determines all random numbers.
     rig
-        With the plane that the robot has defined.
+        The rig with the plane defined by the robot.
     options
-        Of the experiment.
+        Options of the experiment.
     """
     with _staged(index, rig, options) as stage:
         task = Task(stage.world, stage.loop, stage.operator, stage.block_mm, stage.place_mm)
@@ -358,20 +356,20 @@ def guide(index: int, rig: Rig, options: GuidanceOptions) -> GuidanceTrial:
 
 @dataclass(frozen=True)
 class Unattended:
-    """What the arm did without a hand.
+    """Behaviour of the arm without a hand.
 
     Attributes
     ----------
     index
         Number of the trial.
     travel_mm
-        How far the gripper went, from where it stood when the hand was gone.
+        Travel of the gripper after the hand had disappeared.
     held_s
-        From then until the guard held the arm; None where it was not moving.
+        Time from then until the guard held the arm; None if it was not moving.
     false_fixes
         Frames with an indicated point.
     problem
-        Why the trial came to nothing; else empty.
+        Why the trial failed; else empty.
     """
 
     index: int
@@ -382,7 +380,7 @@ class Unattended:
 
 
 def stay_away(index: int, rig: Rig, options: GuidanceOptions) -> Unattended:
-    """Let nobody point while somebody holds the key down; the parameters are those of `guide`."""
+    """Hold the key down without a pointing hand; the parameters are those of `guide`."""
     with _staged(index, rig, options) as stage:
         absence = Absence(stage.world, stage.loop)
         stage.play(absence)
@@ -391,7 +389,7 @@ def stay_away(index: int, rig: Rig, options: GuidanceOptions) -> Unattended:
 
 
 def vanish(index: int, rig: Rig, options: GuidanceOptions) -> Unattended:
-    """Have the hand vanish while the arm follows; the parameters are those of `guide`."""
+    """Let the hand vanish while the arm follows; the parameters are those of `guide`."""
     with _staged(index, rig, options) as stage:
         hand = Vanishing(stage.world, stage.loop, stage.operator, stage.block_mm, stage.place_mm)
         stage.play(hand)
@@ -412,7 +410,7 @@ def vanish(index: int, rig: Rig, options: GuidanceOptions) -> Unattended:
 
 @dataclass(eq=False)
 class _Stage:
-    """A cell with everybody in it."""
+    """A cell with all participants."""
 
     cell: PhysicalCell
     world: World
@@ -423,14 +421,14 @@ class _Stage:
     place_mm: Array
 
     def play(self, person: Scripted) -> None:
-        """Run the session; what the robot raises is the person's problem."""
+        """Run the session; an error of the robot becomes the person's `problem`."""
         try:
             self.loop.run(person, TASK_S)
         except RobotError as error:
             person.problem = f"{type(error).__name__}: {error}"
 
     def travel_mm(self, from_m: Array) -> float:
-        """Return how far the gripper is from a place (3,) in the end."""
+        """Return the final distance of the gripper from a place (3,)."""
         return float(1000 * np.linalg.norm(self.loop.gripper_m - from_m))
 
 

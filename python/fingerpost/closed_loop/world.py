@@ -1,7 +1,7 @@
-"""Time in a simulated world: nothing waits, whoever would wait lets it pass.
+"""Time in a simulated world: instead of waiting, a caller advances it.
 
-Bodies move, the cameras take their pictures on the beat, and what goes on between two pictures has
-its own time to the byte. A world of one thread gives the same session for the same seed.
+Bodies move, the cameras take pictures at their frame rate, and transfers between two pictures are
+timed by byte. With one thread, the same seed gives the same session.
 """
 
 from __future__ import annotations
@@ -19,19 +19,19 @@ Image = NDArray[np.uint8]
 
 
 class Cell(Protocol):
-    """A place where a hand points and a robot moves: under physics, or by kinematics alone."""
+    """A cell with a pointing hand and a robot: with physics, or with kinematics alone."""
 
     @property
     def cameras(self) -> tuple[Camera, ...]:
-        """What looks on."""
+        """The cameras."""
 
     @property
     def gripper_mm(self) -> Array:
-        """(3,) where the gripper's working point really is [mm]."""
+        """(3,) True position of the gripper's working point [mm]."""
 
     @property
     def jaw(self) -> float:
-        """How far the gripper is open: 0 closed … 1 open."""
+        """Opening of the gripper: 0 closed … 1 open."""
 
     @property
     def block_mm(self) -> Array:
@@ -39,16 +39,16 @@ class Cell(Protocol):
 
     @property
     def block_turn_rad(self) -> float:
-        """How the block is turned about the vertical [rad]."""
+        """Rotation of the block about the vertical [rad]."""
 
     def put_block(self, point_mm: tuple[float, float], turn_rad: float) -> None:
-        """Lay the block on the table, its middle over a point [mm], turned about the vertical."""
+        """Place the block on the table, centred on a point [mm], rotated about the vertical."""
 
     def put_hand(self, pose: DevicePose | None) -> None:
-        """Move the hand; None takes it away."""
+        """Move the hand; None removes it."""
 
     def step_to(self, time_s: float) -> None:
-        """Let everything move until a time [s]."""
+        """Move all bodies up to a time [s]."""
 
     def picture(self) -> tuple[Image, ...]:
         """Take a picture with every camera: (height, width, 3) blue-green-red."""
@@ -60,14 +60,14 @@ class World:
     Parameters
     ----------
     cell : Cell
-        What moves in it.
+        The cell.
     frames_per_s : float
-        Beat of the cameras [1/s], > 0.
+        Frame rate of the cameras [1/s], > 0.
 
     Attributes
     ----------
     on_frame : callable or None
-        Called on every beat with the time [s]; None while nobody looks.
+        Called at every frame with the time [s]; None for no call.
     """
 
     def __init__(self, cell: Cell, frames_per_s: float) -> None:
@@ -83,14 +83,13 @@ class World:
         return self._time_s
 
     def now(self) -> float:
-        """Return `time_s`, for whoever wants a clock."""
+        """Return `time_s`, for use as a clock."""
         return self._time_s
 
     def advance(self, span_s: float) -> None:
-        """Let a span of time pass [s], ≥ 0.
+        """Advance the time [s], ≥ 0.
 
-        What is called on a beat may let time pass itself; then this span is over when the later
-        one is.
+        A callback at a frame may advance the time itself; this span then ends with the later one.
         """
         end_s = self._time_s + span_s
         while self._beat * self.frame_s <= end_s:
@@ -101,7 +100,7 @@ class World:
         self._move_to(end_s)
 
     def to_next_frame(self) -> None:
-        """Let time pass until the cameras have taken their next picture."""
+        """Advance the time until the cameras have taken their next picture."""
         self.advance(self._beat * self.frame_s - self._time_s)
 
     def _move_to(self, time_s: float) -> None:
