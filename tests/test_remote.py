@@ -1,4 +1,4 @@
-"""What URLs lead to: films, streams, pictures, pages and nothing, each in words of its own."""
+"""Sources by URL: films and streams are read; pictures, pages and errors are refused by name."""
 
 import http.server
 import os
@@ -20,14 +20,14 @@ from films import textured, write_film
 from patience import PATIENCE_S, wait_until
 
 from fingerpost.capture import Frame, Loss, SourceKind, open_source, read_views
-from fingerpost.capture.remote import masked
+from fingerpost.capture.url import masked
 from fingerpost.errors import CaptureError, InvalidInputError, SourceError
 
 COUNT = 12
 
 
 class Server(http.server.ThreadingHTTPServer):
-    """A web server with a film, a picture, a page, and cameras that stall and die when told."""
+    """A web server with a film, a picture, a page, and cameras that stall or die on request."""
 
     daemon_threads = True
 
@@ -135,7 +135,7 @@ def test_a_film_on_a_server_is_a_recording_and_leaves_no_copy(server, monkeypatc
         ("/500", "the server answers 500 Internal Server Error"),
     ],
 )
-def test_what_is_no_stream_is_said_without_what_is_secret(server, path, said):
+def test_urls_without_a_stream_are_refused_without_naming_secrets(server, path, said):
     with pytest.raises(SourceError, match=said) as raised:
         open_source(server.url(f"{path}?token=hidden"), timeout_s=PATIENCE_S)
     assert "hidden" not in str(raised.value)
@@ -143,7 +143,7 @@ def test_what_is_no_stream_is_said_without_what_is_secret(server, path, said):
 
 
 @pytest.mark.parametrize("scheme", ["http", "rtsp", "tcp"])
-def test_a_host_that_refuses_and_one_that_is_not_are_told_apart(scheme):
+def test_a_refused_connection_and_an_unknown_host_are_distinguished(scheme):
     with socket.create_server(("127.0.0.1", 0)) as listener:
         port = listener.getsockname()[1]
     with pytest.raises(SourceError, match="connection refused: nothing listens there"):
@@ -152,7 +152,7 @@ def test_a_host_that_refuses_and_one_that_is_not_are_told_apart(scheme):
         open_source(f"{scheme}://no.such.host.invalid:{port}/a", timeout_s=PATIENCE_S)
 
 
-def test_an_rtsp_server_without_the_stream_is_told():
+def test_an_rtsp_server_without_the_stream_is_reported():
     with socket.create_server(("127.0.0.1", 0)) as listener:
 
         def answer() -> None:
@@ -186,13 +186,11 @@ def test_names_show_nothing_that_may_be_secret(url, shown):
     assert masked(url) == shown
 
 
-# --- streams that stall, die and come back --------------------------------------------------------
+# --- streams that stall, die and return -----------------------------------------------------------
 
 
 @pytest.mark.parametrize("how", ["silent", "dead"])
-def test_a_view_that_stops_is_lost_while_the_others_go_on_and_comes_back(
-    server, caplog, monkeypatch, how
-):
+def test_a_view_that_stops_is_lost_while_others_go_on_and_returns(server, caplog, monkeypatch, how):
     monkeypatch.setattr("fingerpost.capture.live._FIRST_PAUSE_S", 0.01)
     with (
         open_source(server.url("/camera/left"), timeout_s=PATIENCE_S) as left,
@@ -200,7 +198,7 @@ def test_a_view_that_stops_is_lost_while_the_others_go_on_and_comes_back(
     ):
         steps = read_views([left, right])
         assert any(all(isinstance(entry, Frame) for entry in step) for step in steps)
-        right._timeout_s = 0.3  # from here on: a busy machine may open it late
+        right._timeout_s = 0.3  # only from here on: opening may be slow
         getattr(server, how).add("/camera/right")
         lost = next(step for step in steps if isinstance(step[1], Loss))
         assert lost[1].why.startswith("no picture has come for")
@@ -212,8 +210,8 @@ def test_a_view_that_stops_is_lost_while_the_others_go_on_and_comes_back(
 
 
 @pytest.mark.parametrize("how", ["silent", "dead"])
-def test_the_others_do_not_wait_for_a_view_that_is_overdue_and_it_comes_back(server, caplog, how):
-    """Nothing here waits for the time limit of a source, which is longer than any test."""
+def test_other_views_do_not_wait_for_an_overdue_one_and_it_returns(server, caplog, how):
+    """The time limit of the sources is longer than any test; nothing here waits for it."""
     with ExitStack() as stack:
         views = [
             stack.enter_context(open_source(server.url(f"/camera/{name}"), timeout_s=PATIENCE_S))
@@ -230,25 +228,25 @@ def test_the_others_do_not_wait_for_a_view_that_is_overdue_and_it_comes_back(ser
 
 
 def kinds_come(kinds: Iterator[list[type]], expected: list[type]) -> bool:
-    """Wait for a step of such entries: a machine that is busy makes other cameras late, too."""
+    """Wait for a step with these entries: on a busy machine other cameras are late, too."""
     return any(found == expected for found in kinds)
 
 
-def test_a_view_that_stays_away_is_given_up_if_that_is_wished(server):
+def test_a_view_that_stays_lost_is_given_up_after_a_limit(server):
     with open_source(server.url("/camera/left"), timeout_s=PATIENCE_S) as source:
         steps = read_views([source], give_up_after_s=0.3)
         next(steps)
         server.silent.add("/camera/left")
         with pytest.raises(CaptureError, match=r"/camera/left: no picture for .* given up after"):
             list(steps)
-        source._timeout_s = 0.1  # its reader comes back soon
+        source._timeout_s = 0.1  # so that its reader ends soon
     with pytest.raises(InvalidInputError, match="give_up_after_s is 0"):
         read_views([source], give_up_after_s=0)
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs named pipes")
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_pipe_that_nobody_writes_to_hears_signals(tmp_path, number):
+def test_signals_end_waiting_for_a_pipe_without_a_writer(tmp_path, number):
     os.mkfifo(tmp_path / "pipe")
     program = (
         "import sys\nfrom fingerpost.capture import open_source\nprint('opening', flush=True)\n"
@@ -264,13 +262,13 @@ def test_a_pipe_that_nobody_writes_to_hears_signals(tmp_path, number):
 
 
 def names_of_threads(pid: int) -> bytes:
-    """Python names its threads from 3.14 on; before, that there is a second one tells as much."""
+    """Return `b"capture"` if there is a second thread; Python names threads only from 3.14 on."""
     tasks = list(Path(f"/proc/{pid}/task").glob("*"))
     return b"capture" if len(tasks) > 1 else b""
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs named pipes")
-def test_a_pipe_that_nobody_writes_to_is_given_up(tmp_path, monkeypatch):
+def test_a_pipe_without_a_writer_is_given_up(tmp_path, monkeypatch):
     monkeypatch.setattr("fingerpost.capture.live._JOIN_S", 0.05)
     os.mkfifo(tmp_path / "pipe")
     with pytest.raises(SourceError, match=r"pipe: (did not open|nothing was .*) within 0"):
@@ -278,7 +276,7 @@ def test_a_pipe_that_nobody_writes_to_is_given_up(tmp_path, monkeypatch):
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs named pipes")
-def test_a_pipe_is_a_live_view_once_somebody_writes_to_it(tmp_path):
+def test_a_pipe_with_a_writer_is_a_live_view(tmp_path):
     film = write_film(tmp_path / "film.ts", textured(90), "mp4v").read_bytes()
     os.mkfifo(tmp_path / "pipe")
     closing = threading.Event()

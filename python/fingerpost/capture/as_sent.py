@@ -1,7 +1,7 @@
-"""Pictures of cameras and streams as they are sent: a recording can keep a JPEG as it is.
+"""Compressed pictures of cameras and streams, so that a recording can store a JPEG unchanged.
 
-OpenCV decodes what it reads, and the JPEG is gone. Where it hands over packets instead, as its
-FFmpeg and its V4L2 do, they are decoded here. Every other picture comes decoded, as ever.
+OpenCV decodes pictures and discards the JPEG. Its FFmpeg and V4L2 backends can return packets
+instead, which are decoded here. All other backends return decoded pictures.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ _FORMAT_PACKETS = -1
 
 
 def as_sent(capture: cv2.VideoCapture) -> cv2.VideoCapture:
-    """Have a camera or stream that sends JPEG hand it over undecoded; return it."""
+    """Make a camera or stream that sends JPEG return it undecoded; return the capture."""
     import cv2
 
     if not capture.isOpened() or int(capture.get(cv2.CAP_PROP_FOURCC)) != cv2.VideoWriter.fourcc(
@@ -35,17 +35,17 @@ def as_sent(capture: cv2.VideoCapture) -> cv2.VideoCapture:
 
 
 def picture_of(sent: NDArray[Any]) -> tuple[NDArray[np.uint8] | None, bytes]:
-    """Return a picture and the JPEG that it was sent as, which is empty if it came decoded.
+    """Return a picture and the JPEG it was sent as; the latter is empty if it came decoded.
 
     Parameters
     ----------
     sent
-        What OpenCV has retrieved: a picture, or the bytes of a JPEG in one row, with zeros behind.
+        Result of OpenCV's `retrieve`: a picture, or the bytes of a JPEG in one row, zero-padded.
 
     Returns
     -------
     tuple
-        The picture is None where the JPEG cannot be decoded or has lost its end.
+        The picture is None if the JPEG cannot be decoded or is truncated.
     """
     if sent.shape[0] > 1 or sent[0, :3].tobytes() != _JPEG_START:
         return np.ascontiguousarray(sent, dtype=np.uint8), b""
@@ -55,7 +55,7 @@ def picture_of(sent: NDArray[Any]) -> tuple[NDArray[np.uint8] | None, bytes]:
 
 
 def decoded(data: bytes) -> NDArray[np.uint8] | None:
-    """Decode a JPEG or PNG of 8 bits as it was when it was captured; None if that fails."""
+    """Decode a JPEG or PNG of 8 bits to the captured pixels; None if that fails."""
     import cv2
 
     try:

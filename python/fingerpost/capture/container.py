@@ -1,8 +1,8 @@
-"""What the containers of videos say of their own length.
+"""Length of a video as its container states it.
 
-Only MP4 and AVI count their frames. For others FFmpeg makes a count of the duration, which sound,
-chapters and rounding stretch: a whole Matroska or FLV file may hold fewer frames than that. That
-its end is missing is known by the sizes that its parts have in writing.
+Only MP4 and AVI store a frame count. For others FFmpeg derives one from the duration, which sound,
+chapters and rounding extend: an intact Matroska or FLV file may hold fewer frames. Truncation of
+such a file is detected by the sizes stored in its parts.
 """
 
 from __future__ import annotations
@@ -14,18 +14,18 @@ _FLV, _FLV_TAG_HEAD = b"FLV", 11
 
 
 def is_avi(path: Path) -> bool:
-    """Tell whether a file is an AVI."""
+    """Return whether a file is an AVI."""
     head = _head(path)
     return head[:4] == b"RIFF" and head[8:12] == b"AVI "
 
 
 def states_frame_count(path: Path) -> bool:
-    """Tell whether the container of a file counts its frames, as MP4 and AVI do."""
+    """Return whether the container of a file stores its frame count, as MP4 and AVI do."""
     return is_avi(path) or _head(path)[4:8] == b"ftyp"
 
 
 def is_cut_off(path: Path) -> bool:
-    """Tell whether a Matroska or FLV file is shorter than it says; False for all others."""
+    """Return whether a Matroska or FLV file is shorter than it states; False for all others."""
     head, size = _head(path), path.stat().st_size
     if head.startswith(_EBML):
         return size < _matroska_size(head)
@@ -40,7 +40,7 @@ def _head(path: Path) -> bytes:
 
 
 def _matroska_size(head: bytes) -> int:
-    """Size of a Matroska file by its head; 0 where it says none, as live recordings do."""
+    """Return the size of a Matroska file by its header; 0 if unstated, as in live recordings."""
     place = head.find(_EBML_SEGMENT)
     if place < 0 or place + 12 > len(head):
         return 0
@@ -54,7 +54,7 @@ def _matroska_size(head: bytes) -> int:
 
 
 def _flv_lacks_end(path: Path, size: int) -> bool:
-    """Every tag is followed by its size: at the end of a whole file that leads back to a tag."""
+    """Return whether an FLV file is truncated: an intact one ends with the size of its last tag."""
     with path.open("rb") as file:
         file.seek(size - 4)
         last = int.from_bytes(file.read(4), "big")

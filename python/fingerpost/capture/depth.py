@@ -1,8 +1,8 @@
-"""From 16 bits a channel to 8, by the bits that a sequence of pictures uses.
+"""Conversion from 16 to 8 bits per channel, by the number of bits that a sequence uses.
 
-Cameras of 10, 12 or 14 bits are stored in 16-bit files, most of them without a shift: taken for
-what they are called, their pictures are black. The depth is decided once for a sequence, from the
-greatest value in a sample of it, so that no picture is scaled unlike another.
+Pictures of 10, 12 or 14 bits are stored in 16-bit files, mostly without a shift: read as 16 bits,
+they are black. The depth is determined once per sequence, from the greatest value in a sample of
+it, so that all pictures are scaled equally.
 """
 
 from __future__ import annotations
@@ -13,14 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 DEPTHS = (8, 10, 12, 14, 16)
-"""Bits a channel that cameras have."""
+"""Bits per channel of common cameras."""
 
 SAMPLED = 16
-"""So many pictures of a sequence are asked for its depth: any bright pixel in one decides."""
+"""Number of pictures of a sequence that determine its depth: one bright pixel suffices."""
 
 
 class Depth:
-    """The bits in use in a sequence, and its pictures in 8 bits.
+    """Number of bits that a sequence uses, and conversion of its pictures to 8 bits.
 
     Parameters
     ----------
@@ -34,7 +34,7 @@ class Depth:
 
     @property
     def note(self) -> str:
-        """What is to be said of a depth that is less than the files have room for."""
+        """Remark for the user on a depth below that of the files; else empty."""
         return f"16-bit pictures use {self.bits} bits, scaled" if self.bits < max(DEPTHS) else ""
 
     def eight_bits(self, picture: NDArray[np.generic]) -> NDArray[np.uint8] | None:
@@ -48,5 +48,5 @@ class Depth:
 
 
 def sampled(count: int) -> list[int]:
-    """Places of the pictures that are asked for the depth of `count`, evenly spread."""
+    """Return the indices of the sampled pictures among `count`, evenly spaced."""
     return sorted({round(k) for k in np.linspace(0, count - 1, min(count, SAMPLED)).tolist()})

@@ -1,8 +1,8 @@
-"""Which cameras are plugged in: their numbers, names and modes, without opening a stream.
+"""Connected cameras: their numbers, names and modes, without opening a stream.
 
 On Linux the kernel lists them (V4L2: /sys/class/video4linux, and the enumerations of videodev2.h),
-and udev links each by what it is and by where it is plugged in (/dev/v4l/by-id, /dev/v4l/by-path).
-Elsewhere OpenCV is asked for one number after the other, which gives no names.
+and udev links each by identity and by port (/dev/v4l/by-id, /dev/v4l/by-path). On other systems
+OpenCV tries one number after the other, which gives no names.
 """
 
 from __future__ import annotations
@@ -48,16 +48,16 @@ Ioctl = Callable[[int, int, bytearray], object]
 
 @dataclass(frozen=True, slots=True)
 class Mode:
-    """One way in which a camera sends pictures.
+    """Format, size and rate at which a camera sends pictures.
 
     Attributes
     ----------
     fourcc
-        How pixels are sent, as `fourcc` in a rig file.
+        Pixel format, as `fourcc` in a rig file.
     width, height
-        In px; the largest where a camera has sizes of any kind.
+        Size [px]; the largest one if the camera offers a range.
     fps
-        The highest rate there is; 0 if unknown.
+        Highest frame rate [1/s]; 0 if unknown.
     """
 
     fourcc: str
@@ -72,21 +72,20 @@ class Mode:
 
 @dataclass(frozen=True, slots=True)
 class Camera:
-    """A camera that is plugged in.
+    """A connected camera.
 
     Attributes
     ----------
     number
-        What stands in a rig file as its `source`.
+        Number to give as `source` in a rig file.
     name
-        What it calls itself, which may stand there as well; empty where the system does not tell.
+        Name to give there instead; empty if the system reports none.
     modes
-        Largest pictures first.
+        Modes, largest pictures first.
     trouble
-        Why it cannot be asked; else empty.
+        Why it cannot be queried; else empty.
     links
-        Names that distinguish it from others of its kind: by its serial number, if it has one, and
-        by where it is plugged in.
+        Names that distinguish cameras of one model: by serial number, if there is one, and by port.
     """
 
     number: int
@@ -99,9 +98,9 @@ class Camera:
         return f'"{self.name}" ({self.number})' if self.name else str(self.number)
 
     def name_in(self, source: str) -> str:
-        """Return the name of it that a source is, or ends in as a path; empty if it has none.
+        """Return the camera's name that a source equals or, as a path, ends in; else empty.
 
-        A rig file's sources are paths relative to it before anything is known of them.
+        The sources of a rig file are first resolved as paths relative to it.
         """
         names = [name for name in (self.name, *self.links) if name]
         return next((name for name in names if f"/{source}".endswith(f"/{name}")), "")
@@ -110,14 +109,14 @@ class Camera:
 def list_cameras(
     *, sys_folder: Path = _SYS, dev_folder: Path = _DEV, ioctl: Ioctl | None = None
 ) -> list[Camera]:
-    """Return the cameras that are plugged in, by number.
+    """Return the connected cameras, by number.
 
     Parameters
     ----------
     sys_folder, dev_folder
-        Where the kernel shows video devices, and their files.
+        Folders of the kernel's entries of video devices, and of their device files.
     ioctl
-        Asks a device; the system's by default.
+        Queries a device; by default the system's `ioctl`.
     """
     if not sys.platform.startswith("linux"):
         return list(_by_number())
@@ -128,7 +127,7 @@ def list_cameras(
 
 
 def named_cameras() -> list[Camera]:
-    """Return the cameras that are plugged in, where the system gives them names; else none."""
+    """Return the connected cameras; none on a system that does not name them."""
     return list_cameras() if sys.platform.startswith("linux") else []
 
 
@@ -138,7 +137,7 @@ def the_camera(source: str, cameras: Iterable[Camera]) -> Camera:
     Raises
     ------
     CaptureError
-        None or several have that name; the message has the names that there are.
+        No camera or several have that name; the message lists the available names.
     """
     each = list(cameras)
     found = [camera for camera in each if camera.name_in(source)]
@@ -158,7 +157,7 @@ def _system_ioctl() -> Ioctl:
 
 
 def _asked(node: Path, dev_folder: Path, ioctl: Ioctl) -> Camera | None:
-    """Ask a video device; None for one that is no camera, as those of metadata and codecs."""
+    """Query a video device; None if it is not a camera, such as one for metadata or a codec."""
     number, name, links = int(node.name[5:]), _name(node), _links(node.name, dev_folder)
     try:
         descriptor = os.open(dev_folder / node.name, os.O_RDWR | os.O_NONBLOCK)
@@ -202,7 +201,7 @@ def _captures(descriptor: int, ioctl: Ioctl) -> bool:
 def _enumerated(
     descriptor: int, ioctl: Ioctl, request: int, entry: struct.Struct, *key: object
 ) -> Iterator[tuple[Any, ...]]:
-    """Give the entries of an enumeration: the kernel ends it with an error."""
+    """Yield the entries of an enumeration, which the kernel ends with an error."""
     for index in range(_MOST_ENTRIES):
         empty = entry.unpack(bytes(entry.size))
         buffer = bytearray(entry.pack(index, *key, *empty[1 + len(key) :]))
@@ -220,7 +219,7 @@ def _modes(descriptor: int, ioctl: Ioctl) -> Iterator[Mode]:
     for *_, code in list(formats):
         sizes = _enumerated(descriptor, ioctl, _ENUM_FRAME_SIZES, _FRAME_SIZE, code)
         for _, _, kind, *sides in list(sizes):
-            # Of sizes in steps: least width, greatest width, step, and the same of heights.
+            # A range of sizes: least width, greatest width, step, and likewise for the height.
             width, height = sides[:2] if kind == _DISCRETE else (sides[1], sides[4])
             fps = _highest_rate(descriptor, ioctl, code, width, height)
             yield Mode(code.decode("latin-1").strip("\0 "), width, height, fps)
@@ -231,7 +230,7 @@ def _modes(descriptor: int, ioctl: Ioctl) -> Iterator[Mode]:
 def _highest_rate(descriptor: int, ioctl: Ioctl, code: bytes, width: int, height: int) -> float:
     """Highest number of frames a second; 0 if unknown."""
     entries = _enumerated(descriptor, ioctl, _ENUM_INTERVALS, _INTERVAL, code, width, height)
-    # An interval is a fraction of seconds; of those in steps the first is the shortest.
+    # An interval is a fraction of seconds; the first of a range is the shortest.
     shortest = [(entry[5], entry[6]) for entry in entries]
     return max((below / above for above, below in shortest if above), default=0.0)
 

@@ -1,10 +1,10 @@
 """Still images as a recorded source: one file per frame, or many pictures in one file.
 
-Names tell when images of a sequence were taken (`fingerpost.capture.numbering`); pages of a TIFF
-carry no times, so page k was taken at k / fps; animations (GIF, APNG, WebP, AVIF) say how long each
-picture is shown. Every pixel format becomes 8-bit grey or 8-bit blue-green-red; an image stored
-rotated is turned as its EXIF tag says, as every viewer shows it. A picture that cannot be decoded,
-or that its decoder has mended, is a `Loss`.
+The capture times of a sequence follow from the file names (`fingerpost.capture.numbering`). Pages
+of a TIFF carry no times, so page k has the time k / fps; animations (GIF, APNG, WebP, AVIF) state
+how long each picture is shown. Every pixel format becomes 8-bit grey or 8-bit blue-green-red; an
+image stored rotated is turned as its EXIF tag says, as in every viewer. A picture that cannot be
+decoded, or that its decoder has repaired, is a `Loss`.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from fingerpost.capture.source import DAMAGED, UNDECODABLE, Frame, Loss, Source,
 from fingerpost.checks import opencv_path
 from fingerpost.errors import CaptureError
 
-_PASSED_ON = (b"\xff\xd8\xff", b"\x89PNG")  # what viewers of recordings show as it is
+_PASSED_ON = (b"\xff\xd8\xff", b"\x89PNG")  # formats that viewers of recordings can show
 _DIGITS = re.compile(r"(\d+)")
 _JPEG_START = b"\xff\xd8"
 _JPEG_END = b"\xff\xd9"
@@ -36,9 +36,9 @@ _JPEG_SCAN = b"\xff\xda"
 _NEXT_JPEG = _JPEG_START + b"\xff"
 _MULTI_PICTURE = b"MPF\0"
 _TIFF_STARTS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
-# So many pictures are decoded at a time: OpenCV skips to the first of them through all before it.
+# Pictures decoded at a time: to reach the first of them, OpenCV decodes all before it.
 _CHUNK, _CHUNK_BYTES = 32, 64 << 20
-# Players show pictures for which a file gives less than the first of these for the second.
+# Players show a picture with a duration below the first of these for the second.
 _SHORTEST_SHOWN_S, _SHOWN_S = 0.02, 0.1
 
 
@@ -48,11 +48,11 @@ def natural_order(path: Path) -> list[str | int]:
 
 
 class UndecodableError(Exception):
-    """A picture of a sequence cannot be decoded, or is damaged; the message says which and why."""
+    """A picture of a sequence cannot be decoded or is damaged; the message names it and why."""
 
 
 class _Pictures(Source):
-    """Pictures by their place; subclasses say how to load one, and when it was taken."""
+    """Pictures by index; subclasses define how to load one, and its capture time."""
 
     kind = SourceKind.RECORDED
 
@@ -71,15 +71,15 @@ class _Pictures(Source):
     def _time_s(self, index: int) -> float: ...
 
     def _encoded(self) -> bytes:
-        """Return the file of the picture loaded last, if it holds this one alone."""
+        """Return the content of the file loaded last, if it holds only this picture."""
         return b""
 
     def _number(self, index: int) -> int:
-        """Return the position of a picture in the stream that it is of."""
+        """Return the position of a picture in the stream it was taken from."""
         return index
 
     def _decide_depth(self) -> None:
-        """Look at a sample of pictures, if the first that can be read has 16 bits."""
+        """Determine the depth from a sample, if the first readable picture has 16 bits."""
         pictures = self._sample()
         first = next(pictures, None)
         if first is not None and first.dtype == np.uint16:
@@ -92,7 +92,7 @@ class _Pictures(Source):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What else is to be said of the source in the end, for people."""
+        """Further final remarks on the source, for people."""
         return (self._depth.note,) if self._depth.note else ()
 
     def _next_frame(self) -> Frame | Loss:
@@ -119,7 +119,7 @@ class _Pictures(Source):
 
 
 class ImageSequence(_Pictures):
-    """Images read in the given order, taken when their names say; sizes must agree."""
+    """Images read in the given order, with times from their names; all of one size."""
 
     def __init__(self, paths: Sequence[Path], *, fps: float, name: str) -> None:
         super().__init__(name, len(paths))
@@ -158,7 +158,7 @@ class ImageSequence(_Pictures):
 
 
 class JpegFilm(_Pictures):
-    """The pictures of a file that is JPEG after JPEG, `fps` a second."""
+    """The pictures of a file of concatenated JPEGs, `fps` per second."""
 
     def __init__(self, path: Path, *, fps: float) -> None:
         with path.open("rb") as file:
@@ -227,10 +227,10 @@ class PictureStack(_Pictures):
                 flags = cv2.IMREAD_ANYCOLOR | cv2.IMREAD_ANYDEPTH
                 _, self._chunk = cv2.imreadmulti(self._file, start, self._chunk_size, flags=flags)
         if self._listener.complaint:
-            self._chunk = self._chunk[:-1]  # what was decoded last is what it complained of
+            self._chunk = self._chunk[:-1]  # the complaint is of the picture decoded last
 
     def _add_durations(self, start: int, durations_ms: Sequence[int]) -> None:
-        """Note when pictures are shown, as far as they follow on what is known."""
+        """Store the durations of pictures that follow directly on the known ones."""
         if start + 1 == len(self._starts_s):
             shown_s = np.asarray(durations_ms, np.float64) / 1000
             shown_s[shown_s < _SHORTEST_SHOWN_S] = _SHOWN_S
@@ -246,7 +246,7 @@ class PictureStack(_Pictures):
 
 
 def picture_count(path: Path) -> int:
-    """Count the pictures of an image file; 1 where it is not one of many, or cannot be read."""
+    """Count the pictures of an image file; 1 also if it cannot be read."""
     import cv2
 
     with Listener():
@@ -257,9 +257,9 @@ def picture_count(path: Path) -> int:
 
 
 def is_motion_jpeg(path: Path) -> bool:
-    """Tell whether a file is JPEG after JPEG: a film without a container.
+    """Return whether a file consists of concatenated JPEGs: a film without a container.
 
-    Phones append a second picture as well, and list it in a segment of the first.
+    Phones also append a second picture, but list it in a segment of the first.
     """
     with path.open("rb") as file, contextlib.closing(_mapped(file)) as data:
         scan = _jpeg_scan(data)
@@ -274,10 +274,10 @@ def _mapped(file: BinaryIO) -> mmap.mmap:
 
 
 def _jpegs(data: mmap.mmap) -> Iterator[tuple[int, int]]:
-    """Start and end of each JPEG, of one that has lost its own end that before the next."""
+    """Yield start and end of each JPEG; one without an end marker ends before the next."""
     start = data.find(_NEXT_JPEG)
     while start >= 0:
-        # Neither a start nor an end can stand in the data of a picture.
+        # Neither a start nor an end marker can occur in the data of a picture.
         scan = max(_jpeg_scan(data, start), start + len(_JPEG_START))
         following = data.find(_NEXT_JPEG, scan)
         end = data.find(_JPEG_END, scan, following if following >= 0 else len(data))
@@ -289,7 +289,7 @@ def _jpegs(data: mmap.mmap) -> Iterator[tuple[int, int]]:
 
 
 def path_is_animation(path: Path) -> bool:
-    """Tell whether a file of many pictures says how long each is shown: all but TIFF do."""
+    """Return whether a file of several pictures states their durations: all but TIFF do."""
     with path.open("rb") as file:
         return file.read(4) not in _TIFF_STARTS
 
@@ -324,12 +324,12 @@ def decoded_image(data: bytes, place: str, listener: Listener) -> NDArray[np.gen
     place
         Where it was found, for messages.
     listener
-        Hears whether the decoder mends it.
+        Detects whether the decoder repairs it.
 
     Raises
     ------
     UndecodableError
-        It is cut off or damaged, or is no image.
+        It is truncated, damaged, or not an image.
     CaptureError
         It holds floating-point pixels.
     """
@@ -352,17 +352,17 @@ def decoded_image(data: bytes, place: str, listener: Listener) -> NDArray[np.gen
 
 
 def _is_cut_off_jpeg(data: bytes) -> bool:
-    """Tell whether a JPEG lacks its end; OpenCV before 5 fills the missing part with grey.
+    """Return whether a JPEG lacks its end; OpenCV before 5 fills the missing part with grey.
 
-    The end is looked for behind the start of the picture's data, because the thumbnail in the
-    header has an end of its own.
+    The end marker is searched behind the start of the picture's data, because the thumbnail in the
+    header has one of its own.
     """
     scan = _jpeg_scan(data)
     return scan >= 0 and data.find(_JPEG_END, scan) < 0
 
 
 def _jpeg_scan(data: bytes | mmap.mmap, start: int = 0) -> int:
-    """Place where the data of a JPEG's picture begin; −1 where the decoder has to judge it."""
+    """Return where the data of a JPEG's picture begin; −1 if only its decoder can find that."""
     if data[start : start + len(_JPEG_START)] != _JPEG_START:
         return -1
     position = start + len(_JPEG_START)

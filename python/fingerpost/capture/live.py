@@ -1,13 +1,13 @@
 """Cameras and network streams: the newest frame, stamped at the moment it was grabbed.
 
-One thread per source grabs every frame as it comes and keeps the newest alone. Without it the
-frames would wait in the driver's or the decoder's queue, and a consumer slower than the camera
-would see an image whose age grows without bound. The thread owns the device from opening to
-release, so a device that blocks can be left behind but is never torn down under its reader.
+One thread per source grabs every frame on arrival and keeps only the newest. Otherwise frames
+would wait in the driver's or the decoder's queue, and a consumer slower than the camera would
+receive images whose age grows without bound. The thread owns the device from opening to release, so
+a device that blocks can be abandoned but is never closed while it is read.
 
-A source whose frame is overdue by its own rate is not waited for by whoever has others to read: a
-`Loss` stands in place of its frame. One that sends nothing for its time limit is lost, which is
-said. Its thread opens it anew, after pauses that double, until it is back.
+If a frame is overdue by its source's own rate, a consumer that reads several sources receives a
+`Loss` in its place instead of waiting. A source that sends nothing for its time limit is lost, and
+a warning is logged. Its thread reopens it, after pauses that double, until it is back.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ from typing import Any, Protocol, runtime_checkable
 
 from fingerpost.capture.as_sent import as_sent, picture_of
 from fingerpost.capture.raw import STDIN, RawStream, StreamEndedError, raw_format
-from fingerpost.capture.remote import is_url, masked
 from fingerpost.capture.settings import CameraSettings, Control
 from fingerpost.capture.source import OTHER_SIZE, Frame, Loss, Source, SourceKind
+from fingerpost.capture.url import is_url, masked
 from fingerpost.checks import opencv_path
 from fingerpost.errors import CaptureError
 from fingerpost.signals import leave_behind
@@ -41,23 +41,24 @@ _log = logging.getLogger(__name__)
 _RETRY_S = 0.01
 _JOIN_S = 2.0
 _FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.5, 2.0
-"""Pauses between attempts to open a source that is lost: the first, and the longest."""
+"""Pauses between attempts to reopen a lost source: the first and the longest [s]."""
 _ENDED_S = 0.5
-"""A device that fails without waiting for so long has ended, as an unplugged one does."""
+"""A device that fails within this time has ended, as an unplugged one does; otherwise it timed out
+[s]."""
 _OVERDUE_S, _OVERDUE_PERIODS = 0.1, 2.0
-"""A frame is overdue after the longer of both: finger lines are not interpolated over more
-(`PointingOptions.max_gap_s`), and a camera that is slower by nature is not late."""
+"""A frame is overdue after the longer of both [s, periods]: finger lines are not interpolated over
+more (`PointingOptions.max_gap_s`), and a camera of a lower rate is not late."""
 FRESH_S = 0.01
-"""A picture that has waited for no longer is as fresh as it can be had."""
+"""Age up to which a waiting frame counts as fresh [s]."""
 _KNOWN_PERIODS, _LATEST_PERIODS = 3, 9
-"""Times between frames from which the usual one is known, and how many of them are kept."""
+"""Number of intervals between frames that define the usual one, and number that are kept."""
 
 
 class Device(Protocol):
     """The part of `cv2.VideoCapture` that a reader needs."""
 
     def isOpened(self) -> bool:  # noqa: N802 - OpenCV's name
-        """Tell whether the device can be read."""
+        """Return whether the device can be read."""
 
     def grab(self) -> bool:
         """Wait for the next frame and take it."""
@@ -66,23 +67,23 @@ class Device(Protocol):
         """Decode the grabbed frame."""
 
     def release(self) -> None:
-        """Give the device back."""
+        """Release the device."""
 
 
 @runtime_checkable
 class Stamping(Protocol):
-    """A device that knows better than its reader when its pictures were captured."""
+    """A device that reports the capture times of its pictures."""
 
     def captured_ns(self) -> int:
-        """Return when the grabbed frame was captured, by the reader's clock [ns]."""
+        """Return the capture time of the grabbed frame on the reader's clock [ns]."""
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What is to be said of how it knows, for people."""
+        """Remarks for the user on how the times are known."""
 
 
 def connected(source: str | int, timeout_s: float, camera: CameraSettings | None = None) -> Device:
-    """Open a camera, pipe or stream; whether that worked is for `isOpened` to say."""
+    """Open a camera, pipe or stream; `isOpened` reports whether that succeeded."""
     if source == STDIN:
         return RawStream(0, raw_format(camera), timeout_s=timeout_s, ends=True)
     import cv2
@@ -116,8 +117,9 @@ def _limits(timeout_s: float) -> list[int]:
 class _Pipe:
     """A named pipe as a device.
 
-    To open one waits for whoever writes to it, and OpenCV opens nothing else meanwhile. So it is
-    opened here, without waiting, and FFmpeg is given what is open, which keeps its time limits.
+    Opening a pipe blocks until there is a writer, and OpenCV opens nothing else meanwhile. It is
+    therefore opened here without blocking, and FFmpeg receives the open pipe, which keeps its time
+    limits.
     """
 
     def __init__(self, path: str, timeout_s: float) -> None:
@@ -139,7 +141,7 @@ class _Pipe:
         return False
 
     def _has_writer(self) -> bool:
-        """Tell data from the end of a pipe that nobody has open, which can be read as well."""
+        """Distinguish data from the end of a pipe without a writer, which is readable as well."""
         import fcntl
         import termios
 
@@ -167,17 +169,15 @@ class LiveSource(Source):
     Parameters
     ----------
     source
-        A camera number, a camera device, a named pipe, or a URL; or what `connect` takes.
+        A camera number, a camera device, a named pipe, or a URL; or an argument of `connect`.
     timeout_s
-        How long opening may take, and how long the wait for a new frame, before the source
-        counts as lost.
+        Time limit for opening, and for a new frame, after which the source counts as lost [s].
     clock
-        Gives the time in nanoseconds; called right after each grab, unless the device is
-        `Stamping`.
+        Returns the time [ns]; called right after each grab, unless the device is `Stamping`.
     camera
-        What the camera is asked for, or the format of the raw frames on a pipe.
+        Requested camera settings, or the format of the raw frames on a pipe.
     connect
-        Opens the device; called in the reader's thread. By default as `source` says.
+        Opens the device; called in the reader's thread. By default chosen by `source`.
 
     Raises
     ------
@@ -211,7 +211,7 @@ class LiveSource(Source):
         self._failure: BaseException | None = None
         self._silent_since = time.monotonic()
         self._periods_s: deque[float] = deque(maxlen=_LATEST_PERIODS)
-        self._fetched_s = -math.inf  # when the last frame fetched had come
+        self._fetched_s = -math.inf  # arrival of the last frame fetched
         self._stalls = 0
         self._is_slow = False
         self._is_lost = False
@@ -230,17 +230,17 @@ class LiveSource(Source):
 
     @property
     def frames_grabbed(self) -> int:
-        """How many frames the source has sent so far, fetched or not."""
+        """Number of frames received from the source, fetched or not."""
         return self._frames_grabbed
 
     @property
     def silent_s(self) -> float:
-        """How long the source has sent nothing."""
+        """Time since the source sent anything [s]."""
         return time.monotonic() - self._silent_since
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What else is to be said of the source in the end, for people."""
+        """Further final remarks on the source, for people."""
         times = "once" if self._stalls == 1 else f"{self._stalls} times"
         stalls = f"sent nothing for {self._timeout_s:g} s and more, {times}"
         return (
@@ -256,27 +256,28 @@ class LiveSource(Source):
 
     @property
     def due_in_s(self) -> float:
-        """How long the next frame may take before it is overdue; infinite if no rate is known."""
+        """Time until the next frame is overdue [s]; infinite if the rate is unknown."""
         return max(_OVERDUE_S, _OVERDUE_PERIODS * self.period_s) - self.silent_s
 
     @property
     def period_s(self) -> float:
-        """Usual time between frames [s]; infinite while it is not known."""
+        """Usual time between frames [s]; infinite while unknown."""
         with self._changed:
             periods_s = [*self._periods_s]
         return statistics.median(periods_s) if len(periods_s) >= _KNOWN_PERIODS else math.inf
 
     @property
     def has_next(self) -> bool:
-        """Whether a frame is there, or the source closed, so that `next` need not wait."""
+        """Whether a frame is available or the source is closed, so that `next` does not wait."""
         with self._changed:
             return self._newest is not None or self._closed
 
     @property
     def is_stale(self) -> bool:
-        """Whether a frame has waited for long, and its successor is near enough to wait for it.
+        """Whether the waiting frame is old, and its successor will come soon enough.
 
-        Near enough is what finger lines are interpolated over, from the last frame fetched.
+        That is, within the interval over which finger lines are interpolated from the last frame
+        fetched.
         """
         with self._changed:
             if self._newest is None:
@@ -287,17 +288,17 @@ class LiveSource(Source):
         return FRESH_S < time.monotonic() - arrived_s < period_s and is_near
 
     def pass_over(self) -> None:
-        """Give up the frame that waits, for the next one."""
+        """Discard the waiting frame in favour of the next one."""
         with self._changed:
             self._newest = None
 
     def wait(self, at_most_s: float = math.inf) -> None:
-        """Return when a frame is there that was not fetched yet, or the source is closed or lost.
+        """Return when a new frame is available, or the source is closed or lost.
 
         Parameters
         ----------
         at_most_s
-            Return after so long in any case.
+            Longest wait [s].
         """
         end_s = time.monotonic() + at_most_s
         while not self._is_lost:
@@ -316,14 +317,14 @@ class LiveSource(Source):
                 return
 
     def overdue(self) -> Loss | None:
-        """Return what is there in place of a frame that is overdue, or lost."""
+        """Return the loss in place of a frame that is overdue or lost."""
         if self.has_next or not (self._is_lost or self.due_in_s <= 0.0):
             return None
         loss = self._loss()
         return replace(loss, time_s=loss.time_s + self.offset_s)
 
     def linger(self, longest_s: float) -> None:
-        """Wait for a frame of a source that is lost."""
+        """Wait for a frame of a lost source."""
         self._await(lambda: self._newest is not None, longest_s)
 
     def _next_frame(self) -> Frame | Loss:
@@ -339,7 +340,7 @@ class LiveSource(Source):
         return self._loss()
 
     def _say_of(self, frame: Frame) -> None:
-        """Warn, once, where a frame shows that its source is back, or too slow."""
+        """Warn, once, if a frame shows that its source is back, or too slow."""
         if self._is_lost:
             self._is_lost = False
             _log.warning("%s: sends again", self.name)
@@ -355,7 +356,7 @@ class LiveSource(Source):
         return seen
 
     def _other_size(self, frame: Frame, first: tuple[int, int]) -> Loss:
-        """Lose a frame: the camera may be set back, or the right one be plugged in again."""
+        """Count a loss: the camera may be reset, or the right one be plugged in again."""
         if not self._has_other_size:
             self._has_other_size = True
             height, width = frame.image.shape[:2]
@@ -374,10 +375,10 @@ class LiveSource(Source):
         return Loss(self._frames_grabbed, self._clock() / 1e9, why)
 
     def _count(self) -> None:
-        """Count nothing: a source that sends nothing loses no pictures."""
+        """Do nothing: a source that sends nothing loses no pictures."""
 
     def close(self) -> None:
-        """Stop the reader; one that is stuck in its device is left behind after 2 s."""
+        """Stop the reader; one that blocks in its device is abandoned after 2 s."""
         with self._changed:
             self._closed = True
             self._newest = None
@@ -386,8 +387,8 @@ class LiveSource(Source):
         if self._reader.is_alive():
             _log.warning("%s: the device does not answer; its reader is left behind", self.name)
             leave_behind(self._reader)
-            # A decoder that comes back while the interpreter ends takes the process down with it;
-            # one of a stream comes back by its own time limits, one of a device may never.
+            # A decoder that returns while the interpreter shuts down crashes the process. That of a
+            # stream returns by its own time limits, that of a device may never return.
             if is_url(self.name):
                 opening_and_reading_s = 2.0 * self._timeout_s
                 atexit.register(self._reader.join, opening_and_reading_s)
@@ -401,7 +402,7 @@ class LiveSource(Source):
             )
 
     def _await(self, arrived: Callable[[], bool], longest_s: float) -> bool:
-        """Wait until `arrived` or closed; False when the time is up or the reader has failed."""
+        """Wait until `arrived` or closed; False if the time is up or the reader has failed."""
         with self._changed:
             self._changed.wait_for(
                 lambda: arrived() or self._closed or self._failure is not None, max(longest_s, 0.0)
@@ -416,7 +417,7 @@ class LiveSource(Source):
         return error
 
     def _run(self, source: str | int) -> None:
-        """Open and read, again and again until stopped: the life of the reader's thread."""
+        """Open and read repeatedly until stopped: the reader's thread."""
         pause_s = 0.0
         while not self._pause(pause_s):
             grabbed = self._frames_grabbed
@@ -425,7 +426,7 @@ class LiveSource(Source):
             except StreamEndedError:
                 self._end()
             except Exception as error:
-                # A driver may raise anything; at the start it belongs to whoever waits for a frame.
+                # A driver may raise anything; at the start the error is for the waiting consumer.
                 if not self._frames_grabbed:
                     self._fail(error)
             if not self._frames_grabbed:
@@ -434,7 +435,7 @@ class LiveSource(Source):
             pause_s = _FIRST_PAUSE_S if has_sent else min(2 * pause_s, _LONGEST_PAUSE_S)
 
     def _pause(self, longest_s: float) -> bool:
-        """Wait, and tell whether the source has been closed."""
+        """Wait; return whether the source has been closed."""
         with self._changed:
             return self._changed.wait_for(lambda: self._closed, longest_s)
 
@@ -444,13 +445,13 @@ class LiveSource(Source):
             self._changed.notify_all()
 
     def _end(self) -> None:
-        """Let the newest frame be the last one."""
+        """End the stream after the newest frame."""
         with self._changed:
             self._closed = True
             self._changed.notify_all()
 
     def _ask(self, device: Device) -> None:
-        """Ask a camera for its settings, and tell once what it has made of them."""
+        """Apply the settings to a camera, and report once how the result differs from them."""
         if self._camera is None or not isinstance(device, Control):
             return
         differences = tuple(self._camera.apply(device))
@@ -474,7 +475,7 @@ class LiveSource(Source):
             device.release()
 
     def _read(self, device: Device) -> None:
-        """Grab frames until closed, or until none has come for as long as makes a source lost."""
+        """Grab frames until closed, or until the source is lost by its time limit."""
         started_s = time.monotonic()
         while not self._closed:
             asked_s = time.monotonic()
@@ -500,7 +501,7 @@ class LiveSource(Source):
                 self._changed.notify_all()
 
     def _note_arrival(self) -> None:
-        """Count a frame, and the time since the one before."""
+        """Count a frame, and store the interval since the previous one."""
         now_s = time.monotonic()
         if self._frames_grabbed:
             self._periods_s.append(now_s - self._silent_since)

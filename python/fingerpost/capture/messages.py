@@ -1,14 +1,14 @@
-"""What decoders say while they decode.
+"""Captures the messages of decoders while they decode.
 
-FFmpeg, libjpeg and libpng mend damaged pictures by guess and hand them over like sound ones. That
-they did is written to the standard error stream and nowhere else; so the stream's descriptor leads
-to a file while a picture is decoded. Lines that no decoder wrote, by other threads meanwhile, are
-passed on.
+FFmpeg, libjpeg and libpng conceal damage in pictures and return them like intact ones. They report
+it only on the standard error stream, so its descriptor is redirected to a file while a picture is
+decoded. Lines that other threads write meanwhile are passed on.
 
-That it conceals what is missing is no error to FFmpeg but information, so that it is asked to say
-so, and each line's level, for as long as it is listened to. It can be asked where OpenCV's package
-brings FFmpeg as libraries, as it does for Linux and macOS; elsewhere errors alone are heard. Where
-`OPENCV_FFMPEG_LOGLEVEL` is set, FFmpeg says what that wishes to standard output: nothing is heard.
+FFmpeg reports concealment as information, not as an error. It is therefore set to log information,
+with the level of each line, while a listener is active. This is possible where OpenCV's package
+includes FFmpeg as libraries, on Linux and macOS; elsewhere only errors are received. If
+`OPENCV_FFMPEG_LOGLEVEL` is set, FFmpeg logs at that level to standard output, and nothing is
+received.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from typing import Self
 _STDERR = 2
 _ONE_AT_A_TIME = threading.Lock()
 
-# FFmpeg's level of information, and its wish that lines tell their level.
+# FFmpeg's log level for information, and its flag to print the level of each line.
 _INFORMATION, _WITH_LEVEL = 32, 2
 
 # "[h264 @ 0x55ae9e1c95c0] [error] error while decoding MB 5 8", on terminals in colours.
@@ -37,15 +37,15 @@ _FFMPEG = re.compile(
 )
 _COLOURS = re.compile(r"\x1b\[[\d;]*m")
 _GRAVE = (None, "error", "fatal", "panic")
-_TELLING = ("concealing", "Packet corrupt")  # of lines that are no errors
+_DAMAGE_NOTICES = ("concealing", "Packet corrupt")  # which FFmpeg does not log as errors
 _OPENCV = re.compile(r"\[ ?(?:WARN|ERROR|INFO|DEBUG|FATAL):\d+@|OpenCV[(:]|> ")
 _LIBRARIES = re.compile(
     r"Corrupt JPEG data|Premature end of JPEG|Unsupported marker type|libpng (?:error|warning)"
 )
 _CONTINUATION = (" ", "\t")
 
-# Errors that cost no picture: what stands beside the pictures, what a decoder does without, and how
-# webcams pad their JPEGs.
+# Errors that damage no picture: in other streams, in parts that a decoder does not need, and the
+# padding of webcams' JPEGs.
 _HARMLESS = re.compile(
     r"APP fields|\bSEI\b|not implemented|Update your FFmpeg|libpng warning|"
     r": \d extraneous bytes before marker 0xd9"
@@ -53,12 +53,12 @@ _HARMLESS = re.compile(
 
 
 class Listener:
-    """Hears what is written to standard error in its `with` block; used again and again.
+    """Captures standard error in its `with` block; reusable.
 
     Attributes
     ----------
     lines
-        What decoders complained of in the last block.
+        Complaints of decoders in the last block.
     """
 
     def __init__(self) -> None:
@@ -116,7 +116,7 @@ class Listener:
         for line in text.splitlines(keepends=True):
             if found := _FFMPEG.match(line):
                 words = found["words"].strip()
-                if found["level"] in _GRAVE or words.startswith(_TELLING):
+                if found["level"] in _GRAVE or words.startswith(_DAMAGE_NOTICES):
                     lines.append(words)
             elif _LIBRARIES.match(line):
                 lines.append(line.strip())
@@ -130,7 +130,7 @@ class Listener:
 
 @cache
 def _paper(_process: int) -> int:
-    """Open the file that a process writes to while it is listened to; forks have their own."""
+    """Open the file that receives standard error; a forked process has its own."""
     descriptor, name = tempfile.mkstemp(prefix="fingerpost-")
     with contextlib.suppress(OSError):  # some systems keep the names of open files
         Path(name).unlink()
@@ -139,7 +139,7 @@ def _paper(_process: int) -> int:
 
 @cache
 def _ffmpeg() -> ctypes.CDLL | None:
-    """Return the library of FFmpeg that writes messages, as OpenCV has loaded it, or None."""
+    """Return FFmpeg's library that logs messages, as OpenCV has loaded it, or None."""
     import cv2
 
     package = Path(cv2.__file__).parent

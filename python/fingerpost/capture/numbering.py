@@ -1,8 +1,8 @@
-"""When still images were taken, by the numbers in their names.
+"""Capture times of still images, by the numbers in their names.
 
-Programs that save a stream number its frames, or name them by the clock. A number that is missing
-is a frame that was lost: those after it were taken as much later, in this view alone. Numbers that
-are neither, as of chosen pictures, say nothing.
+Programs that save a stream number its frames or name them by the clock. A missing number is a lost
+frame: the later ones are dated accordingly, in this view alone. Other numbers, such as those of
+selected pictures, are ignored.
 """
 
 from __future__ import annotations
@@ -17,25 +17,26 @@ from typing import NamedTuple
 _log = logging.getLogger(__name__)
 
 LEAST_THERE = 0.5
-"""Numbers count frames if this part of them is there; with fewer, images have been chosen."""
+"""Least share of consecutive numbers for which they count frames; with fewer, images were selected.
+"""
 
 _NUMBER = re.compile(r"(\d+(?:\.\d+)?)(?!.*\d)")
 """The last number of a name."""
 
-# How many digits seconds, milli-, micro- and nanoseconds since 1970 have, from 2001 to 2286.
+# Digits of seconds, milli-, micro- and nanoseconds since 1970, from 2001 to 2286.
 _CLOCKS = {13: 1e-3, 16: 1e-6, 19: 1e-9}
 _SECONDS_DIGITS = 10
 
 
 class Taken(NamedTuple):
-    """When one image was taken.
+    """Position and capture time of one image.
 
     Attributes
     ----------
     place
-        Its position in the stream, from 0; images that are missing leave a gap.
+        Its position in the stream, from 0; missing images leave a gap.
     time_s
-        Its time [s]: from the first image on, or by the clock that its name was written by.
+        Its time [s]: since the first image, or by the clock in its name.
     """
 
     place: int
@@ -43,16 +44,16 @@ class Taken(NamedTuple):
 
 
 def taken(paths: Sequence[Path], fps: float, name: str) -> list[Taken]:
-    """Tell when images were taken.
+    """Return positions and capture times of images.
 
     Parameters
     ----------
     paths
-        In their order.
+        Paths, in order.
     fps
-        Frames per second of images whose names are no times.
+        Frames per second of images whose names are not times.
     name
-        What the source is called in messages.
+        Name of the source in messages.
     """
     numbers = _numbers(paths)
     clock_s = _clock_s(numbers)
@@ -82,7 +83,7 @@ def _numbers(paths: Sequence[Path]) -> list[str]:
 
 
 def _clock_s(numbers: Sequence[str]) -> list[float] | None:
-    """Return the times that numbers are, if that is what they are [s]."""
+    """Return numbers as times [s]; None if they are not times."""
     whole = {len(number.split(".")[0]) for number in numbers}
     if len(whole) != 1:
         return None
@@ -95,7 +96,7 @@ def _clock_s(numbers: Sequence[str]) -> list[float] | None:
 
 
 def _indices(numbers: Sequence[str]) -> list[int] | None:
-    """Return positions by numbers that count; None where they do not."""
+    """Return positions by numbers that count frames; None if they do not."""
     if not numbers or any("." in number for number in numbers):
         return None
     values = [int(number) for number in numbers]

@@ -1,4 +1,4 @@
-"""From what a rig file says under `source` to an open `Source`."""
+"""Opens the `source` of a rig file as a `Source`."""
 
 from __future__ import annotations
 
@@ -24,21 +24,22 @@ from fingerpost.capture.images import (
 )
 from fingerpost.capture.live import Device, LiveSource, connected
 from fingerpost.capture.raw import STDIN, raw_format
-from fingerpost.capture.remote import Remote, RemoteFilm, is_url, look_up, masked
 from fingerpost.capture.settings import CameraSettings, Reading
 from fingerpost.capture.source import Source
+from fingerpost.capture.url import is_url, masked
 from fingerpost.capture.video import VideoFile
 from fingerpost.checks import opencv_path
 from fingerpost.errors import CaptureError, InvalidInputError, SourceError
 
 DEFAULT_FPS = 25.0
-"""Frame rate of recordings that state none: still images, and videos without times."""
+"""Frame rate of recordings that state none: still images and videos without times [1/s]."""
 
 STILL_FRAMES = 25
-"""How often a single still image is shown: a tracker needs a few frames to settle on a hand."""
+"""Number of times a single still image is repeated: a tracker needs a few frames to confirm a
+hand."""
 
 DEFAULT_TIMEOUT_S = 5.0
-"""How long a live source may take to open, and to deliver its next frame."""
+"""Time limit for a live source to open, and to deliver its next frame [s]."""
 
 _RECORDING = ".mcap"
 
@@ -56,34 +57,34 @@ def open_source(
     Parameters
     ----------
     source
-        A video file, an animation or a TIFF of many pages, one still image (shown `STILL_FRAMES`
-        times), a glob of still images (`left/*.png`, taken in natural order: 2 before 10), a
-        camera number, a camera's name where there is no such file (Linux), a camera device
-        (`/dev/video0`) or a named pipe, or a URL (`http://`, `https://`, `rtsp://`, ...): live,
-        unless a web server says that it is a film; or `-`: raw frames on standard input
+        A video file, an animation or a TIFF of several pages, one still image (repeated
+        `STILL_FRAMES` times), a glob of still images (`left/*.png`, in natural order: 2 before
+        10), a camera number, a camera's name if there is no such file (Linux), a camera device
+        (`/dev/video0`), a named pipe, or a URL (`http://`, `https://`, `rtsp://`, ...), which is
+        live unless a web server declares it a film; or `-` for raw frames on standard input
         (`fingerpost.capture.raw`), which are live as well. A view of a recording is
         `session.mcap#left`, a camera on another machine `zenoh://HOST:PORT/KEY/NAME`.
     camera
-        What a camera is asked for, or the format of the raw frames on a pipe.
+        Requested camera settings, or the format of the raw frames on a pipe.
     fps
         Frames per second of still images and of videos whose file states no rate, > 0.
     timeout_s
-        How long a live source may take to open, and to deliver its next frame, > 0.
+        Time limit for a live source to open, and to deliver its next frame [s], > 0.
     clock
-        Gives the time in nanoseconds; live frames are stamped with it.
+        Returns the time [ns]; used to stamp live frames.
 
     Returns
     -------
     Source
-        To be closed by the caller, best in a `with` statement.
+        To be closed by the caller, preferably by a `with` statement.
 
     Raises
     ------
     SourceError
         The source does not exist, cannot be opened, or holds no frame.
     InvalidInputError
-        An argument is not of the kind described above, or a file that OpenCV has to open by its
-        name has one that is not UTF-8, or that this locale cannot write.
+        An argument is not as described above, or a file that OpenCV must open by name has a name
+        that is not UTF-8 or that this locale cannot represent.
     """
     try:
         opened = _opened(source, camera, fps, timeout_s, clock)
@@ -126,6 +127,9 @@ def _opened(
             return LiveSource(source, timeout_s=timeout_s, clock=clock, connect=connect)
         if source.startswith("file:"):
             raise InvalidInputError(f"{source}: give the file's path instead of a file: URL")
+        # Modules of the web take a quarter of a command's start, and few sources need them.
+        from fingerpost.capture.remote import Remote, RemoteFilm, look_up
+
         if look_up(source, timeout_s) is Remote.FILM:
             return RemoteFilm(source, fps=fps, timeout_s=timeout_s)
         return LiveSource(source, timeout_s=timeout_s, clock=clock)
@@ -170,7 +174,7 @@ def _opened(
 
 
 def _name_of_camera(source: str) -> str:
-    """Return the name by which a source that is no file names a camera."""
+    """Return the camera name that a source without such a file contains."""
     try:
         return the_camera(source, named_cameras()).name_in(source)
     except CaptureError as error:
@@ -182,7 +186,7 @@ def _name_of_camera(source: str) -> str:
 def _camera_by_name(
     source: str | int, timeout_s: float, *, camera: CameraSettings | None
 ) -> Device:
-    """Open a camera by its name: its number may change whenever it is plugged in."""
+    """Open a camera by its name: its number may change each time it is plugged in."""
     return connected(the_camera(str(source), named_cameras()).number, timeout_s, camera)
 
 
@@ -213,7 +217,7 @@ def _open_file(path: Path, fps: float) -> Source:
 
 
 def _view_of_recording(source: str) -> tuple[Path, str] | None:
-    """Return file and view of a source such as `session.mcap#left`; None of any other."""
+    """Return file and view of a source such as `session.mcap#left`; None for any other."""
     name, mark, view = source.partition(f"{_RECORDING}#")
     return (Path(f"{name}{_RECORDING}"), view) if name and mark and view else None
 
@@ -224,15 +228,15 @@ def _matching(pattern: str) -> list[Path]:
 
 
 def source_files(source: str | int) -> list[Path]:
-    """Return the files that `open_source` would read; none of a camera or a stream.
+    """Return the files that `open_source` would read; none for a camera or a stream.
 
-    A single name is returned whether there is such a file or not.
+    A single name is returned whether or not the file exists.
     """
     if isinstance(source, int) or is_url(source) or source == STDIN:
         return []
     if (in_recording := _view_of_recording(source)) is not None:
         return [in_recording[0]]
-    # Path.exists would raise where a name is too long to exist.
+    # Path.exists would raise for a name that is too long.
     if glob.has_magic(source) and not os.path.exists(source):  # noqa: PTH110
         return _matching(source)
     return [Path(source)]
@@ -242,14 +246,14 @@ def source_files(source: str | int) -> list[Path]:
 def open_views(
     sources: Mapping[str, str | int], readings: Sequence[Reading] = ()
 ) -> Iterator[list[Source]]:
-    """Open the source of every view, and close them all in the end.
+    """Open the source of every view, and close all of them on exit.
 
     Parameters
     ----------
     sources
-        What `open_source` opens, by the view's name.
+        Arguments of `open_source`, by view name.
     readings
-        How each is read, in their order; as it is by default.
+        How each is read, in the same order; by default unchanged.
 
     Yields
     ------
@@ -261,7 +265,7 @@ def open_views(
     CaptureError
         As `open_source`.
     InvalidInputError
-        As `open_source`, or two views read one camera, stream or file.
+        As `open_source`, or two views read the same camera, stream or file.
     """
     refuse_repeated(sources)
     with ExitStack() as stack:
@@ -275,12 +279,12 @@ def open_views(
 
 
 def refuse_repeated(sources: Mapping[str, str | int]) -> None:
-    """Refuse views of which two read one camera, stream or existing file, by whatever names.
+    """Refuse views of which two read the same camera, stream or existing file, by any names.
 
     Parameters
     ----------
     sources
-        What `open_source` would open, by the view's name.
+        Arguments of `open_source`, by view name.
 
     Raises
     ------
@@ -299,13 +303,13 @@ def refuse_repeated(sources: Mapping[str, str | int]) -> None:
 
 
 _CAMERA_FILE = "/dev/video{}"
-"""A numbered camera, where cameras are files."""
+"""Device file of a numbered camera, on systems that have such files."""
 
 
 def _what_is_read(source: str | int) -> list[str | int]:
-    """Return what a source reads, each by one name; of files those that exist.
+    """Return canonical names of the devices and existing files that a source reads.
 
-    What does not exist is refused by whoever opens it.
+    A file that does not exist is refused when it is opened.
     """
     if isinstance(source, str) and (is_url(source) or source == STDIN):
         return [source]
@@ -313,7 +317,7 @@ def _what_is_read(source: str | int) -> list[str | int]:
         path, view = in_recording
         return [f"{os.path.realpath(path)}#{view}"]
     files = [] if isinstance(source, int) else source_files(source)
-    # Path.exists would raise where no file can have such a name.
+    # Path.exists would raise for a name that no file can have.
     existing = [os.path.realpath(path) for path in files if os.path.exists(path)]  # noqa: PTH110
     if existing:
         return [*existing]
@@ -324,12 +328,12 @@ def _what_is_read(source: str | int) -> list[str | int]:
 
 
 def is_camera_name(source: str) -> bool:
-    """Tell whether one camera that is plugged in has such a name."""
+    """Return whether exactly one connected camera has this name."""
     return _number_of(source) is not None
 
 
 def _number_of(name: str) -> int | None:
-    """Return the number of the camera that has a name; None if no camera, or no single one, has."""
+    """Return the number of the camera with a name; None if none or several have it."""
     try:
         return the_camera(name, named_cameras()).number
     except CaptureError:
@@ -337,25 +341,25 @@ def _number_of(name: str) -> int | None:
 
 
 def resolve_source(source: str | int, directory: Path) -> str | int:
-    """Return a rig file's source as `open_source` takes it: relative to the rig's directory.
+    """Resolve a rig file's source relative to the rig's directory, for `open_source`.
 
-    Camera numbers, URLs and absolute paths stay as they are.
+    Camera numbers, URLs and absolute paths are returned unchanged.
     """
     if isinstance(source, int) or is_url(source) or source == STDIN:
         return source
     path = directory / source
     if _view_of_recording(source) is not None:
         return str(path)
-    # Path.exists would raise where a name is too long to exist.
+    # Path.exists would raise for a name that is too long.
     if glob.has_magic(source) and not os.path.exists(path):  # noqa: PTH110
         return str(Path(glob.escape(str(directory))) / source)
     return str(path)
 
 
 def source_relative_to(source: str | int, directory: Path) -> str | int:
-    """Undo `resolve_source` for a rig file in `directory`, where the source lies below it.
+    """Invert `resolve_source` for a rig file in `directory`, if the source lies below it.
 
-    A source elsewhere becomes an absolute path, so that it is found from anywhere.
+    Any other source becomes an absolute path.
     """
     if isinstance(source, int) or is_url(source) or source == STDIN:
         return source

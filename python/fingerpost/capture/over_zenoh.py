@@ -1,8 +1,8 @@
-"""A camera on another machine, as `fingerpost cameras --publish` sends it.
+"""A camera on another machine, as published by `fingerpost cameras --publish`.
 
-Its pictures are stamped by the other machine's clock. What that clock shows is asked as NTP does
-(Mills 1991): of the latest answers the one that came back soonest is believed, and the error of its
-offset is half that time at most.
+Its pictures are stamped by the other machine's clock, whose offset is estimated as in NTP (Mills
+1991): from the exchange with the shortest round trip among the latest ones. The error of the offset
+is at most half that round-trip time.
 """
 
 from __future__ import annotations
@@ -30,16 +30,16 @@ _ASKED_AT_FIRST = 8
 _ASKED_EVERY_S = 1.0
 _ANSWERED_S = 0.5
 _GRAB_S = 0.1
-"""A reader that is to stop waits no longer for a picture."""
+"""Longest wait for a picture, after which a reader checks whether it is to stop [s]."""
 
 
 class ClockOffset:
-    """How far another clock is ahead, by questions and answers.
+    """Offset of another clock, by exchanges of time stamps.
 
     Parameters
     ----------
     clock
-        This machine's [ns].
+        This machine's clock [ns].
     """
 
     def __init__(self, clock: Callable[[], int]) -> None:
@@ -47,50 +47,50 @@ class ClockOffset:
         self._answers: deque[tuple[int, int]] = deque(maxlen=_KEPT_ANSWERS)
 
     def add(self, asked_ns: int, answered_ns: int, there_ns: int) -> None:
-        """Take an answer.
+        """Add one exchange.
 
         Parameters
         ----------
         asked_ns, answered_ns
-            When the question left and the answer came, by this machine's clock [ns].
+            Times of the request and of the answer on this machine's clock [ns].
         there_ns
-            What the other clock showed [ns].
+            Time on the other clock in the answer [ns].
         """
         round_trip_ns = answered_ns - asked_ns
         self._answers.append((round_trip_ns, there_ns - (asked_ns + round_trip_ns // 2)))
 
     @property
     def is_known(self) -> bool:
-        """Whether there was an answer."""
+        """Whether there has been an answer."""
         return bool(self._answers)
 
     @property
     def best(self) -> tuple[int, int]:
-        """By how much the other clock is ahead, and how far off that may be [ns]."""
+        """Offset of the other clock, positive if it is ahead, and greatest error of that [ns]."""
         round_trip_ns, offset_ns = min(self._answers)
         return offset_ns, round_trip_ns // 2
 
     def here(self, there_ns: int) -> int:
-        """Return what this machine's clock showed when the other one showed a time [ns]."""
+        """Convert a time of the other clock to this machine's clock [ns]."""
         return there_ns - self.best[0]
 
 
 class ZenohCamera:
-    """Pictures of one key as a `Device`; the newest wins.
+    """Pictures under one key as a `Device`, which keeps the newest.
 
     Parameters
     ----------
     url
         `zenoh://HOST:PORT/KEY/VIEW`.
     timeout_s
-        How long the other clock may take to answer at first.
+        Time limit for the first answer of the other clock [s].
     clock
-        This machine's [ns].
+        This machine's clock [ns].
 
     Raises
     ------
     CaptureError
-        Nobody answers there, or nobody publishes pictures under the key.
+        There is no answer, or no pictures are published under the key.
     InvalidInputError
         The URL names no key.
     """
@@ -106,7 +106,7 @@ class ZenohCamera:
         self._session = open_session(host, port, listens=False)
         self._released = threading.Event()
         try:
-            self._ask_until_known(timeout_s / 2.0)  # to say so before its reader gives up
+            self._ask_until_known(timeout_s / 2.0)  # to report it before its reader gives up
             channel: Any = require("zenoh", "net").handlers.RingChannel(1)
             self._pictures = self._session.declare_subscriber(
                 image_key(self._prefix, view), channel
@@ -114,8 +114,8 @@ class ZenohCamera:
         except BaseException:
             self._session.close()  # type: ignore[no-untyped-call]
             raise
-        # Channels and threads of Python's own, for one of zenoh's that calls Python while the
-        # interpreter ends takes the process down.
+        # Channels and Python's own threads: a thread of zenoh that calls Python while the
+        # interpreter shuts down crashes the process.
         self._threads = [
             threading.Thread(target=one) for one in (self._take_pictures, self._ask_on)
         ]
@@ -136,7 +136,7 @@ class ZenohCamera:
             self._ask()
 
     def _ask(self) -> None:
-        """Ask for the other clock's time, and wait for the answer."""
+        """Request the other clock's time, and wait for the answer."""
         asked_ns = self._clock()
         for reply in self._session.get(clock_key(self._prefix), timeout=_ANSWERED_S):
             answered_ns = self._clock()
@@ -158,7 +158,7 @@ class ZenohCamera:
         return self._offset.is_known
 
     def grab(self) -> bool:
-        """Wait for a new picture, a tenth of a second at most."""
+        """Wait for a new picture, at most `_GRAB_S`."""
         with self._arrived:
             self._arrived.wait_for(lambda: self._newest is not None, _GRAB_S)
             sample, self._newest = self._newest, None
@@ -171,7 +171,7 @@ class ZenohCamera:
         return True
 
     def captured_ns(self) -> int:
-        """Return when the last picture was captured, by this machine's clock [ns]."""
+        """Return the capture time of the last picture on this machine's clock [ns]."""
         return self._captured_ns
 
     def retrieve(self) -> tuple[bool, Any]:
@@ -180,7 +180,7 @@ class ZenohCamera:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What is to be said of the other machine's clock, for people."""
+        """Remarks for the user on the other machine's clock."""
         offset_ns, error_ns = self._offset.best
         way = "ahead of" if offset_ns >= 0 else "behind"
         return (
@@ -203,7 +203,7 @@ def parts_of(url: str) -> tuple[str, int, str, str]:
     Raises
     ------
     InvalidInputError
-        It is none.
+        Not such a URL.
     """
     try:
         parts = urlsplit(url)

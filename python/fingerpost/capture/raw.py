@@ -1,9 +1,9 @@
 """Raw frames from a pipe, as FFmpeg and GStreamer write them: rawvideo, or YUV4MPEG2 (y4m).
 
-    ffmpeg -i ... -f rawvideo -pix_fmt bgr24 -        frame after frame, of a size that nothing says
-    ffmpeg -i ... -f yuv4mpegpipe -pix_fmt yuv420p -  a line says it, and one begins each frame
+    ffmpeg -i ... -f rawvideo -pix_fmt bgr24 -        frames without headers; the size is not stated
+    ffmpeg -i ... -f yuv4mpegpipe -pix_fmt yuv420p -  a header states it, a line precedes each frame
 
-What comes is read as fast as it comes, so that no frame waits in the pipe.
+Data are read as fast as they arrive, so that no frame waits in the pipe.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ STDIN = "-"
 
 _Y4M = b"YUV4MPEG2 "
 _Y4M_FRAME = "FRAME"
-# The colour spaces of y4m, by what of their layouts is read: the 4:2:0 differ in siting alone.
+# Layouts of the colour spaces of y4m; the variants of 4:2:0 differ only in chroma siting.
 _Y4M_SPACES = {
     **dict.fromkeys(("420", "420jpeg", "420paldv", "420mpeg2"), "YU12"),
     "mono": "GREY",
@@ -41,19 +41,19 @@ _OF_A_PIPE = ("width", "height", "fourcc", "fps")
 
 
 class StreamEndedError(Exception):
-    """Whoever wrote to a pipe has closed it: there is nothing to wait for."""
+    """The writer has closed the pipe, which ends the stream."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Layout:
-    """How the bytes of a frame lie.
+    """Memory layout of a frame.
 
     Attributes
     ----------
     shape
-        Of the array that OpenCV converts, by width and height.
+        Shape of the array that OpenCV converts, by width and height.
     conversion
-        OpenCV's name for it; empty for what is taken as it is.
+        OpenCV's name of the conversion; empty if none is needed.
     is_halved
         Whether colours have half the resolution, so that width and height must be even.
     """
@@ -84,7 +84,7 @@ class RawFormat:
     Parameters
     ----------
     width, height
-        In px.
+        Size [px].
     fourcc
         "BGR3" (FFmpeg's bgr24), "RGB3" (rgb24), "GREY" (gray), "YUYV" (yuyv422), "YU12" or "I420"
         (yuv420p), "NV12" (nv12).
@@ -92,7 +92,7 @@ class RawFormat:
     Raises
     ------
     InvalidInputError
-        Another layout, a size that no picture has, or an odd one of a layout that needs even ones.
+        Another layout, an impossible size, or an odd size with a layout that requires even ones.
     """
 
     def __init__(self, width: int, height: int, fourcc: str) -> None:
@@ -115,7 +115,7 @@ class RawFormat:
         self.bytes = math.prod(self._shape)
 
     def picture(self, data: bytearray) -> Picture:
-        """Return the bytes of a frame as a picture of its own, grey or blue-green-red."""
+        """Convert the bytes of a frame to a new picture, grey or blue-green-red."""
         raw = np.frombuffer(data, np.uint8).reshape(self._shape)
         if not self._layout.conversion:
             return raw.copy()
@@ -125,12 +125,12 @@ class RawFormat:
 
 
 def raw_format(camera: CameraSettings | None) -> RawFormat | None:
-    """Return the format of the raw frames that a rig's settings describe; None without a size.
+    """Return the format of raw frames by a rig's camera settings; None without a size.
 
     Raises
     ------
     InvalidInputError
-        They ask for what no pipe has, or describe a format that cannot be read.
+        The settings include some that no pipe has, or a format that cannot be read.
     """
     if camera is None:
         return None
@@ -145,24 +145,23 @@ def raw_format(camera: CameraSettings | None) -> RawFormat | None:
 
 
 class RawStream:
-    """An open pipe as a device that gives raw frames.
+    """An open pipe as a device that returns raw frames.
 
     Parameters
     ----------
     descriptor
-        Open for reading; closed by `release` unless it is standard input's.
+        File descriptor open for reading; closed by `release` unless it is standard input.
     known
-        The format of its frames; None for a stream that says so itself (y4m).
+        Format of the frames; None for a stream that states it (y4m).
     timeout_s
-        How long the first bytes may take.
+        Time limit for the first bytes [s].
     ends
-        Whether the end of the pipe is that of the stream; where others may come to write, it is
-        a pause.
+        Whether the end of the pipe ends the stream; otherwise it is a pause until the next writer.
 
     Raises
     ------
     CaptureError
-        Nothing comes in time, or what comes says no format, or one that cannot be read.
+        No data in time, or data without a format or with one that cannot be read.
     """
 
     def __init__(
@@ -181,7 +180,7 @@ class RawStream:
             raise
 
     def _read_format(self, known: RawFormat | None, timeout_s: float) -> RawFormat:
-        """Return the format, by what comes first."""
+        """Return the format, by the first bytes."""
         end_s = time.monotonic() + timeout_s
         while not self._fill(len(_Y4M)) and time.monotonic() < end_s:
             pass
@@ -190,7 +189,7 @@ class RawStream:
         self._is_y4m = self._needs_line = self._got.startswith(_Y4M)
         if not self._is_y4m and known is None:
             raise CaptureError(
-                "raw frames do not tell their size; camera = { width = ..., height = ... } in the "
+                "raw frames do not state their size; camera = { width = ..., height = ... } in the "
                 "view's table is needed, or a y4m stream"
             )
         if not self._is_y4m:
@@ -201,18 +200,18 @@ class RawStream:
         return y4m_format(line)
 
     def isOpened(self) -> bool:  # noqa: N802 - OpenCV's name
-        """Tell that it can be read, as it has begun to come."""
+        """Return True: the first bytes have been read."""
         return True
 
     def grab(self) -> bool:
-        """Take what has come, and tell whether a frame is whole.
+        """Read the available data; return whether a frame is complete.
 
         Raises
         ------
         StreamEndedError
             The writer has closed the pipe, and that ends the stream.
         CaptureError
-            He has before the first frame was whole, or what comes is no y4m any more.
+            The pipe was closed before the first frame was complete, or the data are not valid y4m.
         """
         if self._needs_line:
             line = self._line()
@@ -237,7 +236,7 @@ class RawStream:
         self._file.close()
 
     def _line(self) -> str | None:
-        """Take a line of a y4m stream; None as long as it is not whole."""
+        """Read a line of a y4m stream; None while it is incomplete."""
         while b"\n" not in self._got:
             if len(self._got) > _LONGEST_LINE:
                 raise CaptureError("its y4m lines have no end: it is damaged")
@@ -248,7 +247,7 @@ class RawStream:
         return line
 
     def _fill(self, count: int) -> bool:
-        """Read until so many bytes are there; False when none has come for a while."""
+        """Read until there are `count` bytes; False if none arrives for `_WAIT_S`."""
         while (missing := count - len(self._got)) > 0:
             if os.name == "posix" and not select.select([self._file], [], [], _WAIT_S)[0]:
                 return False
@@ -262,7 +261,7 @@ class RawStream:
         return True
 
     def _end(self) -> None:
-        """Say what the end of a pipe means: nothing where others may come to write."""
+        """Raise the error for the end of the pipe; do nothing if another writer may follow."""
         got, self._needs_line = len(self._got), self._is_y4m
         self._got.clear()
         if not self._ends:
@@ -278,12 +277,12 @@ class RawStream:
 
 
 def y4m_format(header: str) -> RawFormat:
-    """Return the format in the first line of a y4m stream.
+    """Parse the format in the first line of a y4m stream.
 
     Raises
     ------
     CaptureError
-        There is none, or one that cannot be read.
+        There is no format, or one that cannot be read.
     """
     fields = {word[0]: word[1:] for word in header.split()[1:]}
     space = fields.get("C", "420")

@@ -1,8 +1,8 @@
 """One view of a recording (MCAP) as a recorded source: `session.mcap#left`.
 
-The frames come with the index and time that they were captured with, in the steps in which they
-came together, and with the same pixels where the recording holds them without loss. A recording
-that was cut gives all frames up to the cut.
+The frames have the index and time of their capture and are grouped into the original steps. Their
+pixels are identical if the recording is lossless. A truncated recording yields all frames up to the
+cut.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class RecordedView(Source):
     Raises
     ------
     SourceError
-        The file cannot be read, is no recording of fingerpost, or has no such view.
+        The file cannot be read, is not a recording of fingerpost, or has no such view.
     """
 
     kind = SourceKind.RECORDED
@@ -68,14 +68,14 @@ class RecordedView(Source):
         self.step, seen, data = next(self._entries)
         if seen.why:
             return Loss(seen.index, seen.time_s, seen.why)
-        # Whether to believe it was asked when it was captured, and is not asked again.
+        # Damage was checked at capture and is not checked again.
         image = decoded(data)
         if image is None:
             return Loss(seen.index, seen.time_s, UNDECODABLE)
         return Frame(seen.index, seen.time_s, image, data)
 
     def _read(self) -> Iterator[tuple[int, Captured, bytes]]:
-        """Give each step that the view has a part in, and the picture's file."""
+        """Yield each step with an entry of the view, that entry, and its encoded picture."""
         records = Records(self._path)
         topics: dict[int, str] = {}
         step, data = -1, b""
@@ -94,7 +94,7 @@ class RecordedView(Source):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What else is to be said of the source in the end, for people."""
+        """Further final remarks on the source, for people."""
         return (f"{self._path}: {self._wrong}",) if self._wrong else ()
 
     def _entry(self, message: bytes) -> tuple[int, Captured] | None:

@@ -1,16 +1,14 @@
-"""What a URL leads to, asked before anything is read from it: a film, a stream, or neither.
+"""Determines whether a URL is a film, a stream or neither, before it is opened.
 
-A film on a web server is a recording: taken for a stream it would be played as fast as it comes.
-Answers of a server are distinguished by its content type and the first bytes. What is no stream, a
-page or one picture, is refused; so is a server that refuses. Nothing that may be secret is shown:
-users, passwords, queries, and parts of paths that look like tokens.
+A film on a web server is a recording: as a stream it would be played as fast as it is received.
+Answers are classified by their content type and first bytes. A page or a single picture is refused,
+and so is a server that refuses.
 """
 
 from __future__ import annotations
 
 import http.client
 import os
-import re
 import socket
 import ssl
 import tempfile
@@ -20,15 +18,10 @@ from enum import Enum
 from pathlib import Path
 from urllib.parse import SplitResult, unquote, urlsplit, urlunsplit
 
+from fingerpost.capture.url import masked
 from fingerpost.capture.video import VideoFile
 from fingerpost.errors import CaptureError, InvalidInputError
 
-_HIDDEN = "***"
-# Words and short numbers, as in "Streaming/Channels/101" or "cam-2/video.mjpg"; a token is longer,
-# or mixes letters and digits.
-_PLAIN = re.compile(
-    r"(?=.{0,16}$)(?:[A-Za-z]?[a-z]+|[A-Z]+)(?:[-_.][A-Za-z]+)*[-_]?\d{0,2}(?:\.\w{2,5})?|\d{1,4}|"
-)
 _PORTS = {"rtsp": 554, "rtsps": 322, "rtmp": 1935, "rtmps": 443, "tcp": None}
 _WEB = ("http", "https")
 _FIRST_BYTES = 512
@@ -38,51 +31,30 @@ _PLAYLIST = b"#EXTM3U"
 _PAGE_TYPES = ("text/", "application/json", "application/xml", "application/xhtml")
 
 
-def is_url(source: str) -> bool:
-    """Tell whether a source is a URL."""
-    return "://" in source
-
-
-def masked(source: str | int) -> str:
-    """Return the name of a live source for messages, without what may be secret in it."""
-    if isinstance(source, int):
-        return f"camera {source}"
-    if not is_url(source):
-        return source
-    scheme, _, rest = source.partition("://")
-    place, question, _ = rest.partition("?")
-    authority, slash, path = place.partition("/")
-    if "@" in place:  # a password may hold a slash
-        authority, slash, path = place.rpartition("@")[2].partition("/")
-        authority = f"{_HIDDEN}@{authority}"
-    parts = [part if _PLAIN.fullmatch(part) else _HIDDEN for part in path.split("/")]
-    return f"{scheme}://{authority}{slash}{'/'.join(parts)}{question}{_HIDDEN if question else ''}"
-
-
 class Remote(Enum):
-    """What a URL leads to."""
+    """Kind of content at a URL."""
 
     FILM = "film"
     STREAM = "stream"
 
 
 def look_up(url: str, timeout_s: float) -> Remote:
-    """Ask what a URL leads to.
+    """Determine the kind of content at a URL.
 
     Parameters
     ----------
     url
-        With its scheme; of others than web servers and RTSP only the host is asked.
+        URL with its scheme; for schemes other than web and RTSP only the host is contacted.
     timeout_s
-        How long each answer may take, > 0.
+        Time limit for each answer [s], > 0.
 
     Raises
     ------
     CaptureError
-        There is no such host, nobody answers there, the server refuses, or what it sends is
-        neither a film nor a stream.
+        The host does not exist or does not answer, the server refuses, or the content is neither a
+        film nor a stream.
     InvalidInputError
-        The URL is none.
+        Not a valid URL.
     """
     parts = _split(url)
     if parts.scheme in _WEB:
@@ -147,7 +119,7 @@ def _refusal(code: int, reason: str, url: SplitResult) -> str:
 
 
 def _failure(error: object, timeout_s: float) -> str:
-    """Say why a host cannot be reached."""
+    """Return why a host cannot be reached."""
     if isinstance(error, socket.gaierror):
         return "unknown host; is its name right, and this machine on its network?"
     if isinstance(error, ConnectionRefusedError):
@@ -164,7 +136,7 @@ def _failure(error: object, timeout_s: float) -> str:
 
 
 def _kind(answer: http.client.HTTPResponse, name: str, timeout_s: float) -> Remote:
-    """Tell film and stream apart; refuse what is neither."""
+    """Distinguish film and stream; refuse any other content."""
     content = answer.headers.get_content_type().lower()
     if content.startswith("multipart/"):
         return Remote.STREAM
@@ -193,11 +165,11 @@ def _kind(answer: http.client.HTTPResponse, name: str, timeout_s: float) -> Remo
 
 
 def _knock(url: str, parts: SplitResult, port: int, timeout_s: float) -> None:
-    """See that somebody is at home; an RTSP server is asked for the stream as well."""
+    """Connect to the host; on an RTSP server also request a description of the stream."""
     name = masked(url)
     try:
         with socket.create_connection((str(parts.hostname), port), timeout_s) as line:
-            # With a password there are several ways to show it: left to FFmpeg.
+            # With a password there are several authentication schemes: left to FFmpeg.
             if parts.scheme != "rtsp" or parts.username is not None:
                 return
             line.settimeout(timeout_s)
@@ -212,9 +184,10 @@ def _knock(url: str, parts: SplitResult, port: int, timeout_s: float) -> None:
 
 
 class RemoteFilm(VideoFile):
-    """A film on a web server, played from a copy that is gone with the source.
+    """A film on a web server, read from a copy that is deleted with the source.
 
-    Many servers send a file from its start alone, and MP4 may have its table at the end.
+    Many servers cannot send a file from other positions than its start, and MP4 may have its index
+    at the end.
     """
 
     def __init__(self, url: str, *, fps: float, timeout_s: float) -> None:
@@ -232,7 +205,7 @@ class RemoteFilm(VideoFile):
 
 
 def _download(url: str, timeout_s: float) -> Path:
-    """Copy what is at a web address into a file."""
+    """Download a URL into a file."""
     name = masked(url)
     with tempfile.NamedTemporaryFile(prefix="fingerpost-", delete=False) as file:
         copy = Path(file.name)
@@ -258,6 +231,6 @@ def _next_chunk(answer: http.client.HTTPResponse, name: str, timeout_s: float) -
     try:
         return answer.read(_CHUNK_BYTES)
     except http.client.IncompleteRead as error:
-        return error.partial  # a film that is cut off is said by its reader
+        return error.partial  # a truncated film is reported by its reader
     except (OSError, http.client.HTTPException) as error:
         raise CaptureError(f"{name}: {_failure(error, timeout_s)}") from error

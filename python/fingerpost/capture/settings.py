@@ -1,7 +1,7 @@
-"""What a rig asks of a view's source beside its name: settings of its camera, its picture turned.
+"""Settings of a view's source in a rig: camera settings, time offset, rotation and crop.
 
-Drivers take what they like of what is asked and say nothing. So everything is read back, and what
-has become otherwise is reported.
+Drivers silently ignore or change requested values. All settings are therefore read back, and
+differences are reported.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from fingerpost.errors import InvalidInputError
 
 QUARTER_TURNS = (0, 90, 180, 270)
 
-# Rates and the controls of drivers are whole numbers or near to them.
+# Tolerance of values: frame rates and drivers' controls are integers or close to one.
 _SAME = 0.5
 _V4L2_MANUAL_EXPOSURE, _OTHER_MANUAL_EXPOSURE = 1.0, 0.25
 
@@ -27,35 +27,35 @@ class Control(Protocol):
     """The part of `cv2.VideoCapture` that settings need."""
 
     def set(self, prop: int, value: float, /) -> bool:
-        """Ask for a value; False where there is no such thing."""
+        """Request a value; False if there is no such property."""
 
     def get(self, prop: int, /) -> float:
-        """Return what is in force."""
+        """Return the present value."""
 
     def getBackendName(self) -> str:  # noqa: N802 - OpenCV's name
-        """Return the name of the system that the camera is reached by."""
+        """Return the name of the backend that accesses the camera."""
 
 
 @dataclass(frozen=True, slots=True)
 class CameraSettings:
-    """What a camera is asked for; None leaves it as it is.
+    """Requested camera settings; None leaves a setting unchanged.
 
     Parameters
     ----------
     width, height
         Size of the picture [px].
     fps
-        Frames a second.
+        Frame rate [1/s].
     fourcc
-        How pixels are sent, in four letters: "MJPG" where nothing is said, "YUYV", ....
+        Pixel format, in four letters: "MJPG" by default, "YUYV", ....
     exposure
-        Held still at this, in the driver's unit (V4L2: 100 µs; DirectShow: log2 of seconds).
+        Fixed exposure, in the driver's unit (V4L2: 100 µs; DirectShow: log2 of seconds).
     gain
-        In the driver's unit.
+        Gain, in the driver's unit.
     focus
-        Held still at this, in the driver's unit.
+        Fixed focus, in the driver's unit.
     white_balance_k
-        Held still at this colour temperature [K].
+        Fixed colour temperature [K].
     """
 
     width: int | None = None
@@ -69,26 +69,26 @@ class CameraSettings:
 
     @property
     def size_px(self) -> tuple[int, int] | None:
-        """Width and height, where both are asked for."""
+        """Width and height, if both are requested."""
         return None if self.width is None or self.height is None else (self.width, self.height)
 
     @property
     def asked(self) -> list[str]:
-        """Names of what is asked for."""
+        """Names of the requested settings."""
         return [field.name for field in fields(self) if getattr(self, field.name) is not None]
 
     def apply(self, camera: Control) -> list[str]:
-        """Ask a camera for all of it, and read back what it has made of that.
+        """Apply the settings to a camera and read them back.
 
         Returns
         -------
         list of str
-            What differs from what was asked, for people; empty if nothing does.
+            Differences between requested and actual values, for the user; empty if there are none.
         """
         import cv2
 
         wanted: list[tuple[str, int, float | None]] = [
-            # The way of sending comes first: it decides which sizes and rates there are.
+            # The pixel format comes first: it determines the available sizes and rates.
             ("fourcc", cv2.CAP_PROP_FOURCC, None if self.fourcc is None else _number(self.fourcc)),
             ("width", cv2.CAP_PROP_FRAME_WIDTH, self.width),
             ("height", cv2.CAP_PROP_FRAME_HEIGHT, self.height),
@@ -102,7 +102,7 @@ class CameraSettings:
         for prop, value in self._automatics_off(camera):
             camera.set(prop, value)
         taken = {name: camera.set(prop, value) for name, prop, value in asked}
-        # Each may change the others: all are read when all have been set.
+        # Each may change the others: all are read after all have been set.
         return [
             _difference(name, value, camera.get(prop))
             for name, prop, value in asked
@@ -141,21 +141,21 @@ def _difference(name: str, asked: float, found: float) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Arrangement:
-    """How a camera's picture becomes its view's: turned, then mirrored, then cropped.
+    """Rotation, then reflection, then crop of a camera's picture.
 
     Parameters
     ----------
     rotate_deg
-        Turned clockwise: 0, 90, 180 or 270.
+        Clockwise rotation: 0, 90, 180 or 270.
     mirror
-        Whether left and right are exchanged then.
+        Whether to exchange left and right after the rotation.
     crop
-        (x, y, width, height) of what is kept of that [px]; None keeps all.
+        Region (x, y, width, height) of the result to keep [px]; None keeps all.
 
     Raises
     ------
     InvalidInputError
-        Another angle, or a crop without a pixel or with a negative place.
+        Another angle, or a crop without pixels or with a negative position.
     """
 
     rotate_deg: int = 0
@@ -174,7 +174,7 @@ class Arrangement:
             )
 
     def of(self, picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """Return a picture as the view has it, C-contiguous.
+        """Rotate, mirror and crop a picture; the result is C-contiguous.
 
         Parameters
         ----------
@@ -203,16 +203,16 @@ AS_IT_IS = Arrangement()
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """How one view's source is read.
+    """Settings for reading one view's source.
 
     Parameters
     ----------
     offset_s
         Added to the times of its frames [s].
     arrangement
-        How its pictures are turned.
+        Rotation, reflection and crop of its pictures.
     camera
-        What its camera is asked for; None asks for nothing.
+        Requested camera settings; None requests nothing.
     """
 
     offset_s: float = 0.0

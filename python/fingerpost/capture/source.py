@@ -1,4 +1,4 @@
-"""What every source of frames has in common."""
+"""Base class of the sources of frames."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ class Frame:
     Attributes
     ----------
     index
-        Position in the source, from 0. Frames of a damaged file that cannot be read, and frames
-        of a live source that nobody fetched, leave a gap.
+        Position in the source, from 0. Unreadable frames of a damaged file, and frames of a live
+        source that were not fetched, leave a gap.
     time_s
-        Capture time in seconds. Recorded sources count from the start of the recording; live
-        sources give the machine's monotonic clock, the same for all of them.
+        Capture time [s]: since the start of the recording for recorded sources, on the machine's
+        monotonic clock for live ones.
     image
         `uint8`, C-contiguous, shape (height, width) grey or (height, width, 3) blue-green-red.
     encoded
-        The JPEG or PNG that `image` was decoded from, where OpenCV decodes it to the same pixels
+        The JPEG or PNG that `image` was decoded from, if OpenCV decodes it to the same pixels
         again; else empty.
     """
 
@@ -47,7 +47,7 @@ class Frame:
     def grey(self) -> NDArray[np.uint8]:
         """Return the image in grey (ITU-R BT.601 luma); a grey image is returned as it is.
 
-        Converted once: every stage that asks gets the same array.
+        The result is cached: every call returns the same array.
         """
         if self.image.ndim == 2:
             return self.image
@@ -62,8 +62,8 @@ class Frame:
     def colour(self) -> NDArray[np.uint8] | None:
         """Return the image if it is in colour; None for a grey one.
 
-        One whose three channels are the same everywhere, but for how videos round, is grey: so
-        most drivers and files hand over what a monochrome camera sees.
+        An image with three equal channels, apart from a video's rounding, counts as grey: most
+        drivers and files deliver the pictures of a monochrome camera in this form.
         """
         if self._has_colours is None:
             object.__setattr__(self, "_has_colours", _is_coloured(self.image))
@@ -72,14 +72,14 @@ class Frame:
 
 @dataclass(frozen=True, slots=True)
 class Loss:
-    """What a view has in place of a frame: there is no picture of that time, or a damaged one.
+    """Takes the place of a frame that is missing or damaged.
 
     Attributes
     ----------
     index, time_s
-        As a `Frame`'s.
+        As in `Frame`.
     why
-        What is wrong, for people: "its picture is damaged".
+        Reason for the user, such as "its picture is damaged".
     """
 
     index: int
@@ -88,20 +88,20 @@ class Loss:
 
 
 DAMAGED = "its picture is damaged"
-"""What is said of a picture that its decoder has mended by guess."""
+"""Reason for a picture whose damage the decoder has concealed."""
 
 UNDECODABLE = "its picture cannot be decoded"
-"""What is said of a picture that its decoder makes nothing of."""
+"""Reason for a picture that cannot be decoded."""
 
 OTHER_SIZE = "its pictures have another size than the first"
-"""What is said of a live view's picture that the rig's pixels do not fit."""
+"""Reason for a picture of a live view to which the rig's pixel coordinates do not apply."""
 
 SAME_GREY = 3
-"""A grey picture's channels differ by no more than this once a video has been decoded [levels]."""
+"""Greatest difference of the channels of a grey picture after decoding a video [levels]."""
 
 
 def _is_coloured(image: NDArray[np.uint8]) -> bool:
-    """Tell whether the channels of an image differ anywhere; most coloured ones show it at once."""
+    """Return whether the channels of an image differ anywhere, starting with a few pixels."""
     import cv2
 
     if image.ndim == 2:
@@ -114,20 +114,20 @@ def _is_coloured(image: NDArray[np.uint8]) -> bool:
 
 
 _FILLED_SHARE = 8
-# YCbCr of mid grey, with which JPEG decoders fill, and of all zeros, as a failed decoder leaves it.
+# Mid grey, with which JPEG decoders fill; and YCbCr zeros, as a failed decoder leaves them.
 _FILLINGS = ((128, 128, 128), (0, 135, 0))
 _FILLING_ROUNDING = 1
 
 
 def ends_filled(image: NDArray[np.uint8]) -> bool:
-    """Tell whether the lowest eighth of a picture, or more, is what decoders fill in for pictures.
+    """Return whether at least the lowest eighth of a picture has a fill colour of decoders.
 
-    No camera shows one level over thousands of pixels, but a drawing may: what a source has shown
-    from its first frame on proves nothing.
+    No camera produces one level over thousands of pixels, but a drawing may: if the first frames of
+    a source end like this, it is no sign of damage.
     """
     corner = np.broadcast_to(image[-1, -1], 3).tolist()
     for filling in _FILLINGS:
-        # One pixel is enough for nearly every picture.
+        # One pixel suffices for nearly every picture.
         if max(abs(a - b) for a, b in zip(corner, filling, strict=True)) <= _FILLING_ROUNDING:
             lowest = image[-max(1, image.shape[0] // _FILLED_SHARE) :]
             return int(np.ptp(lowest, axis=(0, 1)).max()) <= _FILLING_ROUNDING
@@ -135,7 +135,7 @@ def ends_filled(image: NDArray[np.uint8]) -> bool:
 
 
 class SourceKind(enum.Enum):
-    """Who sets the pace: the consumer, or the world."""
+    """Whether the consumer or real time sets the pace."""
 
     RECORDED = "recorded"
     LIVE = "live"
@@ -144,28 +144,29 @@ class SourceKind(enum.Enum):
 class Source(ABC):
     """A stream of frames of one size: close it, or use it as a context manager.
 
-    Iterating goes on where the last iteration stopped; there is no way back. Where a picture cannot
-    be believed, a `Loss` stands in its place.
+    Iteration continues where the previous one stopped and cannot go back. A `Loss` takes the place
+    of a damaged picture.
 
     Attributes
     ----------
     name
-        What the source is called in messages; passwords and tokens in URLs are masked.
+        Name of the source in messages; passwords and tokens in URLs are masked.
     kind
         Recorded or live.
     frame_count
-        How many frames a recorded source should have; None if unknown. Exact for still images;
-        for a video it is the claim of the file's header, fit for a progress bar and no more.
+        Expected number of frames of a recorded source; None if unknown. Exact for still images; for
+        a video it is taken from the file's header, and only fit for a progress bar.
     offset_s
         Added to the times of all frames [s].
     arrangement
-        How pictures are turned before they are handed out.
+        Rotation, reflection and crop of the pictures.
     losses
-        How many pictures so far were lost.
+        Number of lost pictures.
     recording
-        The file that also knows which frames of several views came together; None of most sources.
+        The file that records which frames of several views belong to one step; None for most
+        sources.
     step
-        In which step the last frame came there.
+        Step of the last frame in that file.
     """
 
     kind: SourceKind
@@ -180,13 +181,13 @@ class Source(ABC):
         self.name = name
         self.losses = 0
         self._sound = 0
-        self._detail = ""  # of the first loss: what its decoder says, or which file it is
+        self._detail = ""  # of the first loss: the decoder's message, or the file
         self._shape: tuple[int, int] | None = None
         self._filled = False
 
     @property
     def damage(self) -> str:
-        """How many pictures are damaged, for people; empty if none is."""
+        """Number of damaged pictures, in words for the user; empty if there are none."""
         if not self.losses:
             return ""
         of = self.losses + self._sound
@@ -195,7 +196,7 @@ class Source(ABC):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What else is to be said of the source in the end, for people."""
+        """Further final remarks on the source, for people."""
         return ()
 
     def __enter__(self) -> Self:
@@ -213,14 +214,14 @@ class Source(ABC):
         return self
 
     def __next__(self) -> Frame | Loss:
-        """Return the next (recorded) or the newest (live) frame, or what is there in its place.
+        """Return the next (recorded) or the newest (live) frame, or the loss in its place.
 
         Raises
         ------
         CaptureError
-            The size of a recorded frame differs from the first one's, the source fails, or a
-            recording has ended without a single picture that is sound. A `SourceError` if the crop
-            that was asked for reaches beyond the picture.
+            The size of a recorded frame differs from that of the first one, the source fails, or a
+            recording has ended without an intact picture. A `SourceError` if the requested crop
+            exceeds the picture.
         """
         try:
             seen = self._next_frame()
@@ -239,12 +240,12 @@ class Source(ABC):
         return replace(seen, time_s=seen.time_s + self.offset_s) if self.offset_s else seen
 
     def refuse_unsound(self) -> None:
-        """Refuse a source of which every picture so far was lost.
+        """Refuse a source of which all pictures have been lost.
 
         Raises
         ------
         CaptureError
-            There were pictures, and none of them was sound.
+            There were pictures, and none of them was intact.
         """
         if self.losses and not self._sound:
             raise CaptureError(f"{self.name}: no picture is sound: {self.damage}")
@@ -258,7 +259,7 @@ class Source(ABC):
             raise SourceError(f"{self.name}: {error}") from error
 
     def _of_one_size(self, frame: Frame) -> Frame | Loss:
-        """Return a frame of the first one's size, or what is there in place of another one."""
+        """Return a frame of the first one's size, or the loss in place of another."""
         height, width = frame.image.shape[:2]
         shape = height, width
         if self._shape is None:
@@ -266,7 +267,7 @@ class Source(ABC):
         return frame if shape == self._shape else self._other_size(frame, self._shape)
 
     def _other_size(self, frame: Frame, first: tuple[int, int]) -> Loss:
-        """Refuse a frame of another shape than the first one's."""
+        """Refuse a frame of another shape than the first."""
         height, width = frame.image.shape[:2]
         raise CaptureError(
             f"{self._place(frame.index)}: {width} x {height} pixels, "
@@ -274,7 +275,7 @@ class Source(ABC):
         )
 
     def _has_been_filled(self, image: NDArray[np.uint8]) -> bool:
-        """Tell whether a picture ends in what decoders fill in, where sound ones do not."""
+        """Return whether a picture ends in a fill colour, unless intact ones do as well."""
         filled = ends_filled(image)
         if filled and self._sound and not self._filled:
             return True
@@ -286,48 +287,48 @@ class Source(ABC):
 
     @property
     def silent_s(self) -> float:
-        """How long a live source has sent nothing; a recorded one is never silent."""
+        """Time since a live source sent anything [s]; 0 for a recorded one."""
         return 0.0
 
     @property
     def period_s(self) -> float:
-        """Usual time between a live source's frames [s]; infinite while it is not known."""
+        """Usual time between a live source's frames [s]; infinite while unknown."""
         return math.inf
 
     @property
     def has_next(self) -> bool:
-        """Whether the next frame, or the end, is there at once: always, of recorded sources."""
+        """Whether the next frame or the end is available: always, for recorded sources."""
         return True
 
     @property
     def due_in_s(self) -> float:
-        """How long a live source's next frame may take before it is overdue."""
+        """Time until a live source's next frame is overdue [s]."""
         return math.inf
 
     def overdue(self) -> Loss | None:
-        """Return what is there in place of a live source's frame that is overdue; else None."""
+        """Return the loss in place of a live source's overdue frame; else None."""
         return None
 
     @property
     def is_stale(self) -> bool:
-        """Whether a live source's frame has waited for long, and its successor comes soon."""
+        """Whether the waiting frame of a live source is old, and its successor will come soon."""
         return False
 
     def pass_over(self) -> None:  # noqa: B027 - frames of recordings are never passed over
-        """Give up a live source's frame that waits, for the next one."""
+        """Discard the waiting frame of a live source in favour of the next one."""
 
     def wait(self, at_most_s: float = math.inf) -> None:  # noqa: B027 - nothing to wait for is usual
-        """Return when the next frame, or a loss, can be had at once; recorded ones always can."""
+        """Return when the next frame or a loss is available; at once for recorded sources."""
 
     def linger(self, longest_s: float) -> None:  # noqa: B027 - as above
-        """Wait so long at most for a live source that is lost."""
+        """Wait at most `longest_s` for a live source that is lost."""
 
     @abstractmethod
     def _next_frame(self) -> Frame | Loss:
-        """Deliver a frame, whatever its size, or a loss; raise StopIteration at the end."""
+        """Return a frame of any size, or a loss; raise StopIteration at the end."""
 
     def _place(self, index: int) -> str:
-        """Say where a frame was found."""
+        """Describe where a frame was found, for messages."""
         return f"{self.name}: frame {index}"
 
     @abstractmethod

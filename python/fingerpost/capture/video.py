@@ -5,18 +5,18 @@ which OpenCV's FFmpeg backend fills per frame, also at a variable rate). A stret
 decoded is stepped over and reported through `logging`; OpenCV alone would end the video there.
 A video stored rotated is turned as its header says, as every player shows it.
 
-A decoder mends what is damaged by guess, and every picture that is predicted from a mended one is
-wrong as well. So after a complaint of the decoder (`messages`) all pictures are lost until the next
-that is coded by itself and came without one (`Chain`). The decoder works in one thread, so that it
-complains before it hands over what it complains of.
+A decoder conceals damage, and every picture predicted from a damaged one is wrong as well. After a
+complaint of the decoder (`messages`), all pictures therefore count as lost until the next
+intra-coded one without a complaint (`Chain`). The decoder runs in one thread, so that it complains
+before it returns the picture in question.
 
-What OpenCV does not tell, nobody behind it can know:
+Limits, because OpenCV does not report these:
 
-- Where single bytes are wrong and what they make is a picture all the same, no decoder says so.
-- AVI stores no times: a frame's time is its place in the count. Where damage hides frames from the
-  reader, all later ones are dated too early by as many intervals, and no frame shows it. That some
-  are missing is seen at the end alone, and reported there. MP4 and Matroska date every frame.
-- Frames of another size than the first one's, as behind the seam of two videos, come scaled to it.
+- If wrong bytes still decode to a valid picture, no decoder complains.
+- AVI stores no times: a frame's time follows from its index. If damage hides frames from the
+  reader, all later ones are dated too early by as many intervals, which no frame reveals. Missing
+  frames are only noticed, and reported, at the end. MP4 and Matroska date every frame.
+- Frames of another size than the first, as in joined videos, are scaled to that of the first.
 """
 
 from __future__ import annotations
@@ -38,26 +38,25 @@ _log = logging.getLogger(__name__)
 
 _PLAUSIBLE_FPS = (0.1, 10_000.0)
 _MAX_BELIEVED_COUNT = 10**8  # 38 days at 30 frames a second
-# Each failed grab passes over one packet of a damaged stretch. There are at most as many of them
-# as the header promises frames, and a damaged header may promise anything.
+# Each failed grab skips one packet of a damaged stretch. There are at most as many of them as the
+# header states frames, and a damaged header may state any number.
 _MAX_FAILED_GRABS = 10_000
-# Containers round times to as much as 1 ms (Matroska, WebM), which a step of two such times
-# can show twice.
+# Containers round times to as much as 1 ms (Matroska, WebM): twice that for a difference of two.
 _TIME_ROUNDING_S = 2e-3
-# How much shorter than its header says an undamaged recording may be: headers round, and sound may
-# run on a little longer. Frames that are dated by their count are counted.
+# Intervals by which an intact recording may be shorter than its header states: headers round, and
+# sound may be a little longer. For frames that are dated by index, the number is compared.
 _SHORT_INTERVALS = 2.0
 _SHORT_INTERVALS_IF_COUNTED = 0.5
 _INTERLACED = "interlaced"
 
 
 class FrameTimes:
-    """Index and time of each frame of a video, from what its container says.
+    """Index and time of each frame of a video, from the times in its container.
 
     Times that do not increase are replaced by the last time plus one frame interval, with one
-    warning. In a video of constant rate a leap of several intervals means frames that could not
-    be read: they are counted, so that the views of a rig stay in step behind the damage. In a
-    video of variable rate nothing but the count of failed reads can tell.
+    warning. In a video of constant rate a gap of several intervals means frames that could not be
+    read: they are counted, so that the views of a rig stay synchronous after the damage. In a video
+    of variable rate only the number of failed reads counts.
 
     Parameters
     ----------
@@ -117,11 +116,10 @@ class FrameTimes:
 
 
 class Chain:
-    """Which pictures of a video are sound: those that no damaged one had a part in.
+    """Determines which pictures of a video are intact: those not predicted from a damaged one.
 
-    Pictures come out of a decoder later than they went in where some are predicted from later ones
-    (B): as many steps as such pictures follow each other, and one more. A complaint is of any that
-    went in up to then.
+    With pictures that are predicted from later ones (B), the output of a decoder is delayed by the
+    length of their longest run plus one. A complaint may concern any picture that has entered it.
     """
 
     def __init__(self) -> None:
@@ -131,12 +129,12 @@ class Chain:
         self._run = self._longest_run = 0
 
     def take(self, kind: str, *, complained: bool) -> bool:
-        """Tell whether a picture is sound.
+        """Return whether a picture is intact.
 
         Parameters
         ----------
         kind
-            "I" for one that is coded by itself; "P", "B" and others are predicted.
+            "I" for an intra-coded picture; "P", "B" and others are predicted.
         complained
             Whether the decoder has complained since the last picture.
         """
@@ -159,9 +157,9 @@ class VideoFile(Source):
     path
         The file.
     fps
-        Serves where the file states no believable rate.
+        Frame rate if the file states no plausible one [1/s].
     name
-        What messages call it; by default the path.
+        Name in messages; by default the path.
     """
 
     kind = SourceKind.RECORDED
@@ -194,7 +192,7 @@ class VideoFile(Source):
             raise CaptureError(wrong)
 
     def _why_nothing(self) -> str:
-        """Say why no picture can be read, and what would help."""
+        """Return why no picture can be read, and the remedy."""
         import cv2
 
         codec = _codec(int(self._capture.get(cv2.CAP_PROP_FOURCC)))
@@ -231,7 +229,7 @@ class VideoFile(Source):
         return seen
 
     def _read(self) -> Frame | Loss | None:
-        """Decode the next picture, stepping over damage; None at the end."""
+        """Decode the next picture, skipping damage; None at the end."""
         import cv2
 
         complaint = self._conversion = ""
@@ -260,7 +258,7 @@ class VideoFile(Source):
         return None
 
     def _report_early_end(self) -> None:
-        """Warn of a file that has lost its end, as far as its container shows."""
+        """Warn of a truncated file, as far as its container shows it."""
         if is_cut_off(self._path):
             _log.warning(
                 "%s: ends at %.3f s: the file is shorter than it says: cut off",
@@ -273,7 +271,7 @@ class VideoFile(Source):
         dates_by_count = is_avi(self._path)
         short_s = (self.frame_count or 0) * self._interval_s - self._end_s
         slack = _SHORT_INTERVALS_IF_COUNTED if dates_by_count else _SHORT_INTERVALS
-        # A variable rate proves nothing.
+        # With a variable rate this is no evidence.
         if not self._times.constant_rate or short_s <= slack * self._interval_s:
             return
         _log.warning(
@@ -292,7 +290,7 @@ class VideoFile(Source):
         self._capture.release()
 
 
-# How files name codecs for which people know another name.
+# Common names of codecs, by their names in files.
 _CODEC_NAMES = {
     "av01": "AV1",
     "avc1": "H.264",

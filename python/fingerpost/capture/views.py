@@ -1,4 +1,4 @@
-"""Several views, step by step."""
+"""Reads several views in steps."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ _GIVE_UP_AFTER_S = (1e-3, 1e9)
 _SPEEDS = (1e-3, 1e3)
 
 _SLOW_PERIODS = 1.5
-"""A view whose frames are further apart than so many periods of the fastest is not waited for."""
+"""Ratio of a view's frame period to that of the fastest view above which it is not waited for."""
 
 _ALL_LOST_STEP_S = 0.5
-"""Time between steps while no view sends anything: what waits for steps goes on to be called."""
+"""Time between steps while no view sends anything, so that the consumer continues to run [s]."""
 
 
 def read_views(
@@ -29,33 +29,32 @@ def read_views(
 ) -> Iterator[tuple[Frame | Loss | None, ...]]:
     """Step through several views together.
 
-    Each frame keeps its own capture time: frames of one step belong together but were not taken
-    at the same instant.
+    Each frame keeps its own capture time: the frames of one step belong together but were not
+    captured at the same instant.
 
     Parameters
     ----------
     sources
-        One open source per view, all recorded or all live. They stay the caller's to close.
+        One open source per view, all recorded or all live. The caller closes them.
     give_up_after_s
-        How long a live view may send nothing before that is an error, above 0; None waits for
-        ever for it to come back.
+        Longest silence of a live view before an error is raised [s], above 0; None waits for ever.
 
     Yields
     ------
     tuple of Frame, Loss or None
         One entry per source, in their order. Recorded views advance by their times and end with
-        the shortest; an entry is None where a view has no frame of about that time, as it was
-        recorded at a lower rate. Live views wait until every view has a new frame, or one that is
-        overdue, and then give the newest of each; a view of a much lower rate than another is not
-        waited for. Views of one recording come as they came when it was made.
+        the shortest; an entry is None if a view has no frame at about that time because of a lower
+        rate. For live views a step waits until every view has a new frame, or an overdue one, and
+        contains the newest of each; a view of a much lower rate than another is not waited for.
+        Views of one recording yield the steps in which they were recorded.
 
     Raises
     ------
     CaptureError
-        A source fails while it is read, or is given up.
+        A source fails while it is read, or is silent for too long.
     InvalidInputError
         `give_up_after_s` is out of range, there is no source, or recorded and live ones are mixed:
-        their times have nothing in common.
+        their clocks are unrelated.
     """
     if not sources:
         raise InvalidInputError("no source: at least one view is needed")
@@ -81,25 +80,25 @@ def at_speed(
     clock: Callable[[], float] = time.monotonic,
     sleep: Callable[[float], None] = time.sleep,
 ) -> Iterator[Sequence[Frame | Loss | None]]:
-    """Give the frames of recorded views when they are due, as cameras would.
+    """Yield the frames of recorded views at their times, as cameras would.
 
-    No frame is left out. Where the caller works longer on a frame than the recording lasts, the
-    recording waits, and everything after it is due later: what is seen of it does not depend on
-    the speed of the computer, and no frame is late when it is given.
+    No frame is skipped. If the caller spends longer on a frame than the interval to the next one,
+    the recording pauses, and all later frames are postponed: the result does not depend on the
+    speed of the computer, and no frame is late when it is yielded.
 
     Parameters
     ----------
     frames
-        As `read_views` gives them; the first are due at once.
+        Output of `read_views`; the first frames are due at once.
     speed
-        How many seconds of the recording pass in a second, > 0.
+        Ratio of recorded to real time, > 0.
     stamped
-        Whether times become those of the clock at which frames are due; else nothing of the frames
-        is changed.
+        Whether to stamp frames with the clock time at which they are due; otherwise they are
+        unchanged.
     clock
-        The time [s].
+        Returns the time [s].
     sleep
-        Waits for so many seconds of it.
+        Waits for a time on that clock [s].
 
     Raises
     ------
@@ -107,7 +106,7 @@ def at_speed(
         `speed` is out of range.
     """
     in_range(speed, "speed", *_SPEEDS)
-    begin_s = -math.inf  # of the recording, in the time of the clock
+    begin_s = -math.inf  # of the recording, on the clock
     for together in frames:
         times_s = [seen.time_s / speed for seen in together if seen is not None]
         if times_s:
@@ -140,7 +139,7 @@ def _as_recorded(sources: Sequence[Source]) -> Iterator[tuple[Frame | Loss | Non
 
 def _in_step(sources: Sequence[Source]) -> Iterator[tuple[Frame | Loss | None, ...]]:
     frames = [next(source, None) for source in sources]
-    # Before any second frame only equal times are known to belong together.
+    # Until a second frame gives the period, only frames with equal times belong together.
     steps_s = [0.0] * len(sources)
     while True:
         heads = [frame for frame in frames if frame is not None]
@@ -161,7 +160,7 @@ def _newest_together(
     sources: Sequence[Source], give_up_after_s: float | None
 ) -> Iterator[tuple[Frame | Loss | None, ...]]:
     while True:
-        # Whoever is slower than the cameras is served best by frames that are new when he begins.
+        # A consumer slower than the cameras is best served by frames that are new when it asks.
         if all(source.is_stale for source in sources):
             for source in sources:
                 source.pass_over()
@@ -181,7 +180,7 @@ def _newest_together(
 
 
 def _newest(source: Source) -> Frame | Loss | None:
-    """Return what a view has: a new frame, what stands in place of an overdue one, or nothing.
+    """Return a view's new frame, the loss in place of an overdue one, or None.
 
     Raises
     ------
@@ -194,7 +193,7 @@ def _newest(source: Source) -> Frame | Loss | None:
 
 
 def _wait(source: Source, at_most_s: float, give_up_after_s: float | None) -> None:
-    """Wait for a view's frame, as long as it may be waited for."""
+    """Wait for a view's frame, within the time limits."""
     if give_up_after_s is None:
         source.wait(at_most_s)
         return

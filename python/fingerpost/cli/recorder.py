@@ -1,14 +1,14 @@
-"""How commands record a session."""
+"""Recording of a session by commands."""
 
 from __future__ import annotations
 
 from datetime import datetime
-from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
+import fingerpost
 from fingerpost.errors import InvalidInputError
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ SUFFIX = ".mcap"
 
 
 def _named(_context: click.Context, _parameter: click.Parameter, path: Path | None) -> Path | None:
-    """Refuse, before anything is opened, a name that is not a recording's."""
+    """Refuse a name that is not a recording's, before anything is opened."""
     if path is not None:
         check_recording(path)
     return path
@@ -42,11 +42,11 @@ images_option = click.option(
     help="How images are recorded that are neither JPEG nor PNG already: without loss, or with "
     "quality 95.  [default: png, jpeg of live views]",
 )
-"""Gives a command the parameter `images`."""
+"""Adds the parameter `images` to a command."""
 
 
 def record_options(command: Callable[..., None]) -> Callable[..., None]:
-    """Give a command the parameters `record` and `images`."""
+    """Add the parameters `record` and `images` to a command."""
     return _record(images_option(command))
 
 
@@ -74,11 +74,11 @@ def open_recorder(
     rig
         The rig.
     sources
-        Of its views, open.
+        Open sources of its views.
     images
-        "png" or "jpeg", for images that are neither; None for what suits the sources.
+        "png" or "jpeg", for images that are neither; None chooses by the sources.
     is_live
-        Whether times are the machine's clock's; steps are dropped rather than waited for then.
+        Whether times are the machine's clock's; then steps are dropped rather than waited for.
 
     Raises
     ------
@@ -94,7 +94,7 @@ def open_recorder(
     check_recording(path)
     views = tuple(view.recorded_as(f"{path.name}#{view.name}") for view in rig.views)
     about = About(
-        version=version("fingerpost"),
+        version=fingerpost.__version__,
         views=tuple(rig.sources),
         sources=tuple(source.name for source in sources),
         started=datetime.now().astimezone().isoformat(timespec="seconds"),
