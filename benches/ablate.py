@@ -1,16 +1,18 @@
-"""What each mechanism of the tracker is worth: every figure with it switched off.
+"""The value of each mechanism of the tracker: every figure with it switched off.
 
-    python benches/ablate.py [--workers N] [MECHANISM ...]
+    python benches/ablate.py [--workers N] [--hard] [MECHANISM ...]
 
 Builds the core with the feature `ablation`, which is never shipped, and follows the same clips once
 for every mechanism, with that one switched off. Mechanisms of the core are those of
 `crates/fingerpost-core/src/numeric/ablation.rs`; those of Python are replaced by functions that do
-nothing. The clips are simulated ones and those of the golden tracks, if their footage is there.
+nothing. The clips are simulated ones and those of the golden tracks, if their footage is there;
+with `--hard`, the moving cases of `robustness.py`, two sequences each in grey and in colour.
 
 The table is Markdown, for `docs/ablation.md`: availability; root mean square error in parts of
 the plane; points inside their 95 % ellipse; points beyond three times their 99 % ellipse; time of
-a step. For the error it counts the clips in which it grew or shrank by more than 2 %, and gives the
-probability of signs as uneven by chance (sign test, Dixon & Mood 1946).
+a step (of hard cases with rendering). The last two columns are the numbers of clips whose error
+grew or shrank by more than 2 %, and the probability of signs as uneven by chance (sign test, Dixon
+& Mood 1946).
 """
 
 from __future__ import annotations
@@ -29,6 +31,7 @@ import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
+from itertools import product
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -39,15 +42,16 @@ ROOT = Path(__file__).resolve().parents[1]
 ABLATION = ROOT / "crates" / "fingerpost-core" / "src" / "numeric" / "ablation.rs"
 CHI2_95, CHI2_99 = 5.991, 9.210
 MAT_SIGMA = 0.02
-"""What the reference of `mat` is off by, in sides of the mat: see `benches/mat.py`."""
+"""Standard error of the reference of `mat`, in sides of the mat: see `benches/mat.py`."""
 
 CHANGED = 0.02
 SEEDS = range(3)
+HARD_SEQUENCES = range(2)
 
 
 @dataclass(frozen=True)
 class Figures:
-    """What a clip gave, over the frames whose indicated point is known."""
+    """Sums over the frames of a clip whose true point is known."""
 
     frames: int
     points: int
@@ -72,7 +76,7 @@ def _nothing(*_: object, **__: object) -> None:
 
 
 def _replaced(place: str, name: str, value: Callable[..., Any] = _nothing) -> Callable[[], None]:
-    """Return what replaces a name of a module or of one of its classes."""
+    """Return a function that replaces a name of a module or of one of its classes."""
 
     def switch() -> None:
         found = pkgutil.resolve_name(f"fingerpost.{place}")
@@ -100,7 +104,7 @@ PYTHON: dict[str, Callable[[], None]] = {
 
 
 def clips() -> Iterator[tuple[str, Any, dict[int, np.ndarray], float, float]]:
-    """Give name, clip, true points, size of the plane and standard deviation of the truth."""
+    """Yield name, clip, true points, size of the plane and standard deviation of the truth."""
     sys.path.insert(0, str(ROOT / "tests" / "golden"))
     import generate_tracks as golden
 
@@ -158,8 +162,31 @@ def clips() -> Iterator[tuple[str, Any, dict[int, np.ndarray], float, float]]:
         yield clip, golden.FOOTAGE[clip](), known, 1.0, MAT_SIGMA
 
 
+def measure_hard() -> dict[str, Figures]:
+    """Play the hard cases of `robustness.py`; return the figures of each sequence."""
+    from robustness import CASES, steps_of
+
+    found = {}
+    for case, channels, index in product(CASES, ("grey", "bgr"), HARD_SEQUENCES):
+        rng = np.random.default_rng([0, index])
+        play = CASES[case].play(rng, channels)
+        begun_s = time.process_time()
+        judged = [j for k, _, j in steps_of(play, rng) if k >= play.judged_from]
+        reported = [j for j in judged if math.isfinite(j.error_mm)]
+        found[f"{case} {channels} {index}"] = Figures(
+            frames=len(judged),
+            points=len(reported),
+            square=sum((j.error_mm / 400.0) ** 2 for j in reported),
+            held=sum(j.mahalanobis2 <= CHI2_95 for j in reported),
+            wrong=sum(j.mahalanobis2 > 9.0 * CHI2_99 for j in reported),
+            steps_s=time.process_time() - begun_s,
+            steps=play.frames,
+        )
+    return found
+
+
 def measure() -> dict[str, Figures]:
-    """Follow every clip; return its figures."""
+    """Track the hand in every clip; return its figures."""
     from fingerpost.pipeline import Pointer
     from fingerpost.pointing import Status
 
@@ -195,7 +222,7 @@ def measure() -> dict[str, Figures]:
 
 
 def built(folder: Path) -> Path:
-    """Build the core with the feature and put the package beside it; return where."""
+    """Build the core with the feature into a copy of the package; return the copy's folder."""
     target = ROOT / "target" / "ablation"
     environment = {**os.environ, "CARGO_TARGET_DIR": str(target), "PYO3_PYTHON": sys.executable}
     cargo = ["cargo", "build", "--locked", "--quiet", "--release"]
@@ -206,16 +233,16 @@ def built(folder: Path) -> Path:
     return folder
 
 
-def run(package: Path, off: str) -> dict[str, Figures]:
+def run(package: Path, off: str, *options: str) -> dict[str, Figures]:
     """Measure in a process of its own with one mechanism switched off; "" stands for none."""
-    command = [sys.executable, __file__, "--measure", off]
+    command = [sys.executable, __file__, *options, "--measure", off]
     environment = {**os.environ, "PYTHONPATH": str(package), "FINGERPOST_OFF": off}
     done = subprocess.run(command, env=environment, check=True, capture_output=True, text=True)
     return {name: Figures(**row) for name, row in json.loads(done.stdout).items()}
 
 
 def sign_test(more: int, less: int) -> float:
-    """Probability of signs at least as uneven by chance."""
+    """Return the probability of signs at least as uneven by chance."""
     count = more + less
     tail = sum(math.comb(count, k) for k in range(min(more, less) + 1)) / 2**count
     return min(1.0, 2.0 * tail)
@@ -247,22 +274,24 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("mechanisms", nargs="*", help="those to switch off; all by default")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
+    parser.add_argument("--hard", action="store_true", help="the hard cases of robustness.py")
     parser.add_argument("--measure", help=argparse.SUPPRESS)
     asked = parser.parse_args()
     if asked.measure is not None:
         if asked.measure in PYTHON:
             PYTHON[asked.measure]()
-        found = measure()
+        found = measure_hard() if asked.hard else measure()
         print(json.dumps({name: asdict(figures) for name, figures in found.items()}))
         return
     chosen = asked.mechanisms or mechanisms()
+    options = ["--hard"] if asked.hard else []
     with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(asked.workers) as pool:
         package = built(Path(folder))
-        base = run(package, "")
+        base = run(package, "", *options)
         print("| switched off | available % | RMS % | held % | wrong | ms | error by clip | p |")
         print("|---|---|---|---|---|---|---|---|")
         print(row("nothing", base, base), flush=True)
-        measured = pool.map(lambda name: run(package, name), chosen)
+        measured = pool.map(lambda name: run(package, name, *options), chosen)
         for name, figures in zip(chosen, measured, strict=True):
             print(row(name, figures, base), flush=True)
 
